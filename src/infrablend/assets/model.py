@@ -1,0 +1,57 @@
+"""What an object model is: parameters drawn from a stream, a mesh built from them, a thermal role for each part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from infrablend.core.mesh import Mesh
+
+Params = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class PartRange:
+    """Thermal role of a part: ranges from which each frame draws.
+
+    Attributes:
+        delta_t_k: (low, high) surface minus air temperature.
+        emissivity: (low, high) at normal incidence, in [0, 1].
+        label: False for parts that neither boxes nor masks count.
+        what: A few words on what the part is and where the numbers come from.
+    """
+
+    delta_t_k: tuple[float, float]
+    emissivity: tuple[float, float]
+    label: bool = True
+    what: str = ""
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """An object that can be put into a scene.
+
+    Attributes:
+        name: In the catalogue.
+        category: The class its labels carry unless a recipe says otherwise.
+        description: One sentence.
+        origin: Where the model's origin lies, in words.
+        stands: True if it stands on the ground with its origin there.
+        parts: Thermal role of every part that `build` may name.
+        sample: Draws `params` (JSON values only) from a stream; `options` fixes some of them.
+        build: The mesh of given `params`: pure, no randomness; equal params give equal arrays.
+        options: What a recipe may fix: option name -> allowed values or range, in words.
+    """
+
+    name: str
+    category: str
+    description: str
+    origin: str
+    stands: bool
+    parts: Mapping[str, PartRange]
+    sample: Callable[[np.random.Generator, Params], dict[str, Any]]
+    build: Callable[[Params], Mesh]
+    options: Mapping[str, str] = field(default_factory=dict)

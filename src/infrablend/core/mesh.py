@@ -1,0 +1,84 @@
+"""A triangle mesh made of named parts: what an object model builds and every renderer draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in metres, Z up, in the object's own frame (its origin is the model's stated origin, +X its heading).
+
+    Attributes:
+        vertices_m: (V, 3) float64.
+        triangles: (T, 3) int32 indices into `vertices_m`, counter-clockwise seen from outside.
+        part_of_triangle: (T,) int32 indices into `part_names`.
+        part_names: Names of the parts, each with a thermal role in the model's table.
+        smooth: (T,) bool, True where shading interpolates normals.
+    """
+
+    vertices_m: FloatArray
+    triangles: IntArray
+    part_of_triangle: IntArray
+    part_names: tuple[str, ...]
+    smooth: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        v, t = self.vertices_m, self.triangles
+        if v.ndim != 2 or v.shape[1] != 3 or v.dtype != np.float64:
+            raise ValueError(f"vertices_m must be (V, 3) float64, got {v.shape} {v.dtype}")
+        if t.ndim != 2 or t.shape[1] != 3 or t.dtype != np.int32:
+            raise ValueError(f"triangles must be (T, 3) int32, got {t.shape} {t.dtype}")
+        if not len(t):
+            raise ValueError("a mesh needs at least one triangle")
+        if self.part_of_triangle.shape != (len(t),) or self.part_of_triangle.dtype != np.int32:
+            raise ValueError(f"part_of_triangle must be ({len(t)},) int32, got {self.part_of_triangle.shape}")
+        if self.smooth.shape != (len(t),) or self.smooth.dtype != np.bool_:
+            raise ValueError(f"smooth must be ({len(t)},) bool, got {self.smooth.shape}")
+        if t.min() < 0 or t.max() >= len(v):
+            raise ValueError(f"triangle indices must lie in [0, {len(v)}), got [{t.min()}, {t.max()}]")
+        if self.part_of_triangle.min() < 0 or self.part_of_triangle.max() >= len(self.part_names):
+            raise ValueError("part_of_triangle points outside part_names")
+        if not np.isfinite(v).all():
+            raise ValueError("vertices_m holds NaN or infinity")
+        for a in (v, t, self.part_of_triangle, self.smooth):
+            a.setflags(write=False)
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(3,) extent along x, y, z in metres."""
+        return np.asarray(np.ptp(self.vertices_m, axis=0))
+
+
+def make_mesh(
+    pieces: Sequence[tuple[str, FloatArray, IntArray, bool]], part_order: Sequence[str] | None = None
+) -> Mesh:
+    """One mesh from pieces `(part name, vertices (v, 3), triangles (t, 3), smooth)`; names may repeat.
+
+    Args:
+        pieces: What to join, in order. Vertices are not merged across pieces.
+        part_order: Names in the order wanted; by default the order of first appearance.
+    """
+    names = list(part_order) if part_order is not None else list(dict.fromkeys(p[0] for p in pieces))
+    vertices, triangles, parts, smooth = [], [], [], []
+    offset = 0
+    for name, v, t, is_smooth in pieces:
+        vertices.append(np.asarray(v, np.float64))
+        triangles.append(np.asarray(t, np.int32) + offset)
+        parts.append(np.full(len(t), names.index(name), np.int32))
+        smooth.append(np.full(len(t), is_smooth, np.bool_))
+        offset += len(v)
+    return Mesh(
+        np.concatenate(vertices),
+        np.concatenate(triangles).astype(np.int32),
+        np.concatenate(parts),
+        tuple(names),
+        np.concatenate(smooth),
+    )

@@ -1,0 +1,109 @@
+"""A scene in a few plain numbers: all that is needed to make one frame again.
+
+SI, kelvin and radians inside; `to_json`/`from_json` lose nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from infrablend.core.camera import CameraSpec
+
+
+@dataclass(frozen=True)
+class PartState:
+    """One part of an object in one frame: its temperature, its emissivity, whether labels count it."""
+
+    temperature_k: float
+    emissivity: float
+    label: bool = True
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """One object in the scene.
+
+    Attributes:
+        model: Name in the catalogue, or path of a user's model description.
+        category: The class its label carries.
+        params: What the model's `build` takes: shape, pose, size. JSON values only.
+        parts: State of each part, by name.
+        position_m: Of the object's origin in the world.
+        yaw_rad: Heading, counter-clockwise from above, 0 along +X.
+        scale: Extra factor on the model's size.
+    """
+
+    model: str
+    category: str
+    params: Mapping[str, Any]
+    parts: Mapping[str, PartState]
+    position_m: tuple[float, float, float]
+    yaw_rad: float
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How temperature becomes light in the artistic look: `cold_k` emits 0, `hot_k` emits 1, before emissivity.
+
+    `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
+    """
+
+    mode: Literal["artistic"] = "artistic"
+    cold_k: float = 278.15
+    hot_k: float = 313.15
+    texture_k: float = 0.8
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """One frame before rendering.
+
+    Attributes:
+        frame_id: `<split>/<background id>_c<configuration>`; unique in the run.
+        background_id: Id of the image record.
+        split: Of the background.
+        configuration: Number of the configuration, from 0.
+        camera: The virtual camera.
+        objects: What is inserted, in drawing-independent order; may be empty.
+        ambient_k: Air temperature that part temperatures were drawn against.
+        appearance: How temperature becomes light.
+        samples: Path-tracing samples per pixel; 0 lets the renderer choose by object size.
+        render_seed: Seed of the path tracer's sampling pattern.
+        draws: Facts about sampling (attempts, first distance drawn, why an object is absent).
+    """
+
+    frame_id: str
+    background_id: str
+    split: str
+    configuration: int
+    camera: CameraSpec
+    objects: tuple[ObjectSpec, ...]
+    ambient_k: float
+    appearance: Appearance
+    samples: int
+    render_seed: int
+    draws: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> SceneSpec:
+        """The spec that `to_json` wrote."""
+        d = dict(data)
+        camera = dict(d["camera"])
+        camera["size_wh"] = tuple(camera["size_wh"])
+        d["camera"] = CameraSpec(**camera)
+        d["appearance"] = Appearance(**d["appearance"])
+        objects = []
+        for o in d["objects"]:
+            o = dict(o)
+            o["position_m"] = tuple(o["position_m"])
+            o["parts"] = {k: PartState(**v) for k, v in o["parts"].items()}
+            objects.append(ObjectSpec(**o))
+        d["objects"] = tuple(objects)
+        return cls(**d)

@@ -1,0 +1,106 @@
+"""Every exception InfraBlend raises on purpose.
+
+InfraBlendError
+ ├─ RecipeError (ValueError)          a recipe that does not say what it must
+ ├─ DatasetError (ValueError)         a dataset that cannot be read at all
+ │   └─ UnknownFormatError            no reader recognises the folder
+ ├─ ModelError (ValueError)           an object model that cannot be found or used
+ ├─ OutputError (OSError)             the output folder cannot be used, or the disk is full
+ ├─ RenderError (RuntimeError)        Blender failed on a frame
+ │   └─ WorkerDiedError               a worker process crashed or hung
+ ├─ MissingDependencyError (ImportError)   a library or system package is missing
+ └─ Interrupted (RuntimeError)        the user stopped the run; what is finished is kept
+
+Each message says where, what was found, what was expected, what to do. The same four parts are attributes.
+Per-item trouble (one bad image, one bad label) is no exception but a `Problem`, gathered and reported together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One thing found wrong: where, what was found, what was expected, what to do.
+
+    `code` is short and stable (`image-truncated`, `box-outside`): reports count by it.
+    `where` names file, and line or field if known.
+    """
+
+    where: str
+    code: str
+    found: str
+    expected: str = ""
+    todo: str = ""
+    severity: Severity = "error"
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.found}"
+        if self.expected:
+            text += f"; expected {self.expected}"
+        if self.todo:
+            text += f". {self.todo[:1].upper()}{self.todo[1:]}"
+        return text
+
+    def to_json(self) -> dict[str, str]:
+        """The problem as a plain dict."""
+        return asdict(self)
+
+
+class InfraBlendError(Exception):
+    """Root of all errors raised on purpose. `problems` holds all that was found, `message` is for people."""
+
+    def __init__(self, message: str, problems: Iterable[Problem] = ()) -> None:
+        self.message = message
+        self.problems = tuple(problems)
+        super().__init__(message, self.problems)
+
+    def __str__(self) -> str:
+        if not self.problems:
+            return self.message
+        return "\n".join([self.message, *(f"  - {p}" for p in self.problems)])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors cross process borders: keep them picklable whatever a subclass adds.
+        return (type(self), (self.message, self.problems))
+
+
+class RecipeError(InfraBlendError, ValueError):
+    """A recipe that does not say what it must; `problems` names every bad field."""
+
+
+class DatasetError(InfraBlendError, ValueError):
+    """A dataset that cannot be read at all."""
+
+
+class UnknownFormatError(DatasetError):
+    """No reader recognises the folder; `problems` says why for each format."""
+
+
+class ModelError(InfraBlendError, ValueError):
+    """An object model that cannot be found, read or used."""
+
+
+class OutputError(InfraBlendError, OSError):
+    """The output folder cannot be used, or writing failed."""
+
+
+class RenderError(InfraBlendError, RuntimeError):
+    """Blender failed on a frame."""
+
+
+class WorkerDiedError(RenderError):
+    """A worker process crashed or hung, repeatedly, on the same frame."""
+
+
+class MissingDependencyError(InfraBlendError, ImportError):
+    """A library or system package is missing; the message says what to install."""
+
+
+class Interrupted(InfraBlendError, RuntimeError):  # noqa: N818 - not an error of anybody's
+    """The user stopped the run; finished frames are kept and `--resume` goes on."""
