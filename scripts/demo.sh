@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# The main job, small: a virtual thermal world in HIT-UAV's layout, drones rendered into it, a contact sheet.
+# Everything lands in build/demo; the last line of the output is the sheet's path alone.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+out=build/demo
+sheet="$out/contact_sheet.png"
+infrablend=.venv/bin/infrablend
+# A demo starts clean; the folder is this script's own.
+rm -rf "$out"
+mkdir -p "$out"
+
+step() { printf '\n== %s\n' "$*"; }
+
+step "a virtual thermal world: backgrounds with exact labels, no download"
+"$infrablend" world "$out/world" --images "${DEMO_IMAGES:-12}" --seed 0
+
+step "drones into it, as the paper does for HIT-UAV-drone"
+"$infrablend" generate hit-uav-drone --data "$out/world" --out "$out/run" --seed 0
+
+step "a contact sheet with boxes, oriented boxes and masks"
+"$infrablend" preview "$out/run" --out "$sheet"
+
+[ -s "$sheet" ] || { printf 'demo: %s was not written\n' "$sheet" >&2; exit 1; }
+printf '%s\n' "$sheet"

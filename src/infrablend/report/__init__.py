@@ -1,0 +1,1 @@
+"""What a run, or a machine, looks like: previews, reports, diagnosis."""
