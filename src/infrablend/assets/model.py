@@ -22,12 +22,14 @@ class PartRange:
         emissivity: (low, high) at normal incidence, in [0, 1].
         label: False for parts that neither boxes nor masks count.
         what: A few words on what the part is and where the numbers come from.
+        ior: Refractive index near 10 um of a smooth surface; 1 for rough ones (fur, cloth), which have no rim.
     """
 
     delta_t_k: tuple[float, float]
     emissivity: tuple[float, float]
     label: bool = True
     what: str = ""
+    ior: float = 1.5
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,15 @@ from infrablend.core.camera import CameraSpec
 
 @dataclass(frozen=True)
 class PartState:
-    """One part of an object in one frame: its temperature, its emissivity, whether labels count it."""
+    """One part of an object in one frame: its temperature, its emissivity, whether labels count it.
+
+    `ior` is the refractive index that makes its rim mirror the surroundings; 1 for rough surfaces (fur, cloth).
+    """
 
     temperature_k: float
     emissivity: float
     label: bool = True
+    ior: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,13 @@ class ObjectSpec:
 class Appearance:
     """How temperature becomes light in the artistic look: `cold_k` emits 0, `hot_k` emits 1, before emissivity.
 
-    `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
+    `surroundings_k` is the apparent temperature that surfaces mirror; `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
     """
 
     mode: Literal["artistic"] = "artistic"
     cold_k: float = 278.15
     hot_k: float = 313.15
+    surroundings_k: float = 263.15
     texture_k: float = 0.8
 
 

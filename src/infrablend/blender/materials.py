@@ -1,0 +1,168 @@
+"""InfraredEffect: the node group that makes a surface look as a thermal camera would show it.
+
+The paper builds it by hand for each object from Emission, Color Ramp and Fresnel nodes. Here one group does it for
+all parts, driven by two numbers that mean something: the part's temperature and its emissivity.
+
+    level(T)   = ColorRamp( (T - Cold) / (Hot - Cold) )                         0 = black, 1 = white
+    eps(theta) = Emissivity * (1 - Fresnel(IOR, theta))          looked at straight on it shines fully ...
+    emission   = eps * level(Temperature) + (1 - eps) * level(Surroundings)   ... at grazing angles it mirrors
+
+The rim therefore takes the grey of what it reflects, as real paint and plastic do, and does not turn black.
+An IOR of 1 switches the angle dependence off (fur, cloth, grass: rough surfaces show no Fresnel rim).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from infrablend.core.files import replace_atomically
+
+GROUP_NAME = "InfraredEffect"
+# name, default, minimum, maximum, description; the order is the order of the sockets.
+SOCKETS = (
+    ("Temperature", 25.0, -100.0, 1000.0, "Surface temperature, degrees Celsius"),
+    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity looked at straight on"),
+    (
+        "Surroundings",
+        0.0,
+        -100.0,
+        1000.0,
+        "Apparent temperature of what the surface mirrors, degrees Celsius",
+    ),
+    ("IOR", 1.5, 1.0, 5.0, "Refractive index of the surface; 1 for rough surfaces such as fur and cloth"),
+    ("Cold", 5.0, -100.0, 1000.0, "Temperature shown black, degrees Celsius"),
+    ("Hot", 40.0, -100.0, 1000.0, "Temperature shown white, degrees Celsius"),
+)
+
+
+def infrared_effect_group() -> bpy.types.ShaderNodeTree:
+    """The InfraredEffect group of this file; built on first use."""
+    group = bpy.data.node_groups.get(GROUP_NAME)
+    if group is not None:
+        return group
+    group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
+    for name, default, low, high, description in SOCKETS:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.default_value, socket.min_value, socket.max_value = default, low, high
+        socket.description = description
+    group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    level_out = group.interface.new_socket("Level", in_out="OUTPUT", socket_type="NodeSocketFloat")
+    level_out.description = "The emitted level, 0 cold to 1 hot"
+
+    new, link = group.nodes.new, group.links.new
+    inputs = new("NodeGroupInput")
+    inputs.location = (-1100, 0)
+    outputs = new("NodeGroupOutput")
+    outputs.location = (700, 0)
+
+    def ramp_of(temperature: bpy.types.NodeSocket, label: str, y: float) -> bpy.types.NodeSocket:
+        span = new("ShaderNodeMapRange")
+        span.clamp = True
+        span.label, span.location = f"{label}: Cold..Hot to 0..1", (-850, y)
+        link(temperature, span.inputs["Value"])
+        link(inputs.outputs["Cold"], span.inputs["From Min"])
+        link(inputs.outputs["Hot"], span.inputs["From Max"])
+        ramp = new("ShaderNodeValToRGB")
+        ramp.label, ramp.location = f"{label}: grey of a temperature", (-620, y)
+        link(span.outputs["Result"], ramp.inputs["Fac"])
+        return ramp.outputs["Color"]
+
+    own = ramp_of(inputs.outputs["Temperature"], "Surface", 250)
+    mirrored = ramp_of(inputs.outputs["Surroundings"], "Surroundings", -50)
+
+    fresnel = new("ShaderNodeFresnel")
+    fresnel.location = (-620, -350)
+    link(inputs.outputs["IOR"], fresnel.inputs["IOR"])
+    keep = new("ShaderNodeMath")
+    keep.operation, keep.label, keep.location = "SUBTRACT", "1 - Fresnel", (-420, -350)
+    keep.inputs[0].default_value = 1.0
+    link(fresnel.outputs["Fac"], keep.inputs[1])
+    emissivity = new("ShaderNodeMath")
+    emissivity.operation, emissivity.use_clamp = "MULTIPLY", True
+    emissivity.label, emissivity.location = "Emissivity at this angle", (-220, -250)
+    link(inputs.outputs["Emissivity"], emissivity.inputs[0])
+    link(keep.outputs["Value"], emissivity.inputs[1])
+
+    mix = new("ShaderNodeMix")
+    mix.data_type, mix.label, mix.location = "RGBA", "Emitted + mirrored", (0, 100)
+    mix.clamp_factor = True
+    link(emissivity.outputs["Value"], mix.inputs[0])
+    link(mirrored, mix.inputs[6])
+    link(own, mix.inputs[7])
+    emission = new("ShaderNodeEmission")
+    emission.location = (250, 100)
+    link(mix.outputs[2], emission.inputs["Color"])
+    grey = new("ShaderNodeRGBToBW")
+    grey.location = (250, -100)
+    link(mix.outputs[2], grey.inputs["Color"])
+    link(emission.outputs["Emission"], outputs.inputs["Shader"])
+    link(grey.outputs["Val"], outputs.inputs["Level"])
+    return group
+
+
+def object_material(slot: int) -> bpy.types.Material:
+    """Material of the k-th object of a scene: InfraredEffect fed from the mesh's attributes.
+
+    Attributes (per face corner): `temperature_c`, `emissivity`, `ior`, `label`. Custom properties of the scene
+    object: `cold_c`, `hot_c`, `surroundings_c`. The AOV `coverage_<slot>` gets `label`.
+    """
+    name = f"object_{slot}"
+    material = bpy.data.materials.get(name)
+    if material is not None:
+        return material
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    new, link = tree.nodes.new, tree.links.new
+    effect = new("ShaderNodeGroup")
+    effect.node_tree = infrared_effect_group()
+
+    def attribute(attribute_name: str, kind: str) -> bpy.types.NodeSocket:
+        node = new("ShaderNodeAttribute")
+        node.attribute_type, node.attribute_name = kind, attribute_name
+        return node.outputs["Fac"]
+
+    link(attribute("temperature_c", "GEOMETRY"), effect.inputs["Temperature"])
+    link(attribute("emissivity", "GEOMETRY"), effect.inputs["Emissivity"])
+    link(attribute("ior", "GEOMETRY"), effect.inputs["IOR"])
+    link(attribute("surroundings_c", "OBJECT"), effect.inputs["Surroundings"])
+    link(attribute("cold_c", "OBJECT"), effect.inputs["Cold"])
+    link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
+    output = new("ShaderNodeOutputMaterial")
+    link(effect.outputs["Shader"], output.inputs["Surface"])
+    aov = new("ShaderNodeOutputAOV")
+    aov.aov_name = aov_name(slot)
+    link(attribute("label", "GEOMETRY"), aov.inputs["Value"])
+    return material
+
+
+def aov_name(slot: int) -> str:
+    """Name of the pass that holds the coverage of the k-th object."""
+    return f"coverage_{slot}"
+
+
+def write_infrared_effect(path: Path) -> Path:
+    """Write the node group, and a material that shows how to use it, as a .blend to append from."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    group = infrared_effect_group()
+    group.use_fake_user = True
+    group.asset_mark()
+    group.asset_data.description = (
+        "Thermal look of a surface from its temperature and emissivity (InfraBlend)"
+    )
+    material = bpy.data.materials.new("InfraredEffect example")
+    material.use_fake_user = True
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = group
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    output.location = (250, 0)
+    tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+    with replace_atomically(path) as temporary:
+        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=False)
+    return path

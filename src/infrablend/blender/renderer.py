@@ -1,0 +1,271 @@
+"""The Blender renderer: scene and meshes in, a crop of linear radiance, alpha and coverage out."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import bpy
+import mathutils
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from infrablend.blender import session
+from infrablend.blender.materials import aov_name, object_material
+from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.render import RenderResult
+from infrablend.core.scene import ObjectSpec, SceneSpec
+from infrablend.errors import RenderError
+
+ZERO_C_K = 273.15
+# Most samples per pixel, least, and the noise at which Cycles stops early: the inside of a body is smooth and needs
+# few, its edge needs many. `make bench` holds this against 2,048 samples (docs/explanation/quality.md).
+MATCHED_SAMPLING = (256, 8, 0.003)
+# One pixel more than the projected outline: nothing is lost to rounding.
+CROP_MARGIN_PX = 1
+
+
+class BlenderRenderer:
+    """Renders with Cycles, cropped to the objects. Cropping is exact: Cycles samples by absolute pixel position."""
+
+    def __init__(self, device: session.Device = "cpu", threads: int = 1, scratch: Path | None = None) -> None:
+        """Start from an empty Blender scene.
+
+        Args:
+            device: Where Cycles computes.
+            threads: CPU threads of one render; workers are parallel, so 1 is best for throughput.
+            scratch: Folder for the render's float file; by default memory (/dev/shm) where there is one.
+        """
+        self._scene = session.reset()
+        self.device = session.use_device(self._scene, device, threads)
+        shm = Path("/dev/shm")
+        self._folder = tempfile.TemporaryDirectory(
+            prefix="infrablend_", dir=scratch or (shm if shm.is_dir() else None)
+        )
+        self._file = Path(self._folder.name) / "render.exr"
+        s = self._scene
+        camera = bpy.data.cameras.new("camera")
+        self._camera = bpy.data.objects.new("camera", camera)
+        s.collection.objects.link(self._camera)
+        s.camera = self._camera
+        settings = s.render.image_settings
+        settings.file_format = "OPEN_EXR_MULTILAYER"
+        settings.color_mode = "RGBA"
+        settings.color_depth = "32"
+        settings.exr_codec = "NONE"
+        s.render.use_file_extension = False
+        s.render.filepath = str(self._file)
+
+    def render(self, scene: SceneSpec, meshes: Sequence[Mesh]) -> RenderResult:
+        """Render `scene`, cropped to what its objects cover; an object-free scene gives an empty crop."""
+        w, h = scene.camera.size_wh
+        started = time.perf_counter()
+        worlds = [
+            object_to_world(m.vertices_m, o.position_m, o.yaw_rad, o.scale)
+            for o, m in zip(scene.objects, meshes, strict=True)
+        ]
+        crop = crop_of(scene.camera, worlds)
+        if crop is None:
+            empty = np.zeros((0, 0), np.float32)
+            return RenderResult(
+                (0, 0), (w, h), empty, empty.copy(), np.zeros((len(meshes), 0, 0), np.float32)
+            )
+        x0, y0, x1, y1 = crop
+        self._set_camera(scene.camera)
+        self._set_crop(crop, (w, h))
+        self._set_sampling(scene.samples, scene.render_seed)
+        self._set_aovs(len(scene.objects))
+        with contextlib.ExitStack() as stack:
+            for slot, (spec, mesh, world) in enumerate(zip(scene.objects, meshes, worlds, strict=True)):
+                stack.enter_context(self._object(slot, spec, mesh, world, scene))
+            built = time.perf_counter()
+            self._file.unlink(missing_ok=True)
+            try:
+                bpy.ops.render.render(write_still=True)
+            except RuntimeError as error:
+                raise RenderError(f"{scene.frame_id}: Cycles failed: {error}") from error
+        rendered = time.perf_counter()
+        radiance, alpha, coverage = self._read(len(scene.objects), (y1 - y0, x1 - x0), scene.frame_id)
+        seconds = {
+            "build": built - started,
+            "render": rendered - built,
+            "read": time.perf_counter() - rendered,
+        }
+        return RenderResult((x0, y0), (w, h), radiance, alpha, coverage, seconds)
+
+    def close(self) -> None:
+        """Remove the scratch folder and empty the scene."""
+        self._folder.cleanup()
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+
+    def _set_camera(self, camera: CameraSpec) -> None:
+        data = self._camera.data
+        data.sensor_fit = "HORIZONTAL"
+        data.sensor_width = camera.sensor_width_mm
+        data.lens = camera.focal_length_mm
+        data.clip_start, data.clip_end = 0.01, 10_000.0
+        # Blender's camera looks along -Z with +Y up; ours along +z with +y down.
+        axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
+        matrix = np.eye(4)
+        matrix[:3, :3] = axes
+        matrix[:3, 3] = camera.position_m
+        self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
+        r = self._scene.render
+        r.resolution_x, r.resolution_y = camera.size_wh
+
+    def _set_crop(self, crop: tuple[int, int, int, int], size_wh: tuple[int, int]) -> None:
+        x0, y0, x1, y1 = crop
+        w, h = size_wh
+        r = self._scene.render
+        r.use_border = r.use_crop_to_border = True
+        # Blender truncates border * size: aim at the middle of the rounding interval. Its rows count from below.
+        r.border_min_x, r.border_max_x = (x0 + 0.25) / w, (x1 + 0.25) / w
+        r.border_min_y, r.border_max_y = (h - y1 + 0.25) / h, (h - y0 + 0.25) / h
+
+    def _set_sampling(self, samples: int, seed: int) -> None:
+        c = self._scene.cycles
+        c.seed = seed
+        c.use_adaptive_sampling = not samples
+        if samples:
+            c.samples = samples
+        else:
+            c.samples, c.adaptive_min_samples, c.adaptive_threshold = MATCHED_SAMPLING
+
+    def _set_aovs(self, count: int) -> None:
+        aovs = self._scene.view_layers[0].aovs
+        while len(aovs) > count:
+            aovs.remove(aovs[-1])
+        while len(aovs) < count:
+            aov = aovs.add()
+            aov.name = aov_name(len(aovs) - 1)
+            aov.type = "VALUE"
+
+    @contextlib.contextmanager
+    def _object(
+        self, slot: int, spec: ObjectSpec, mesh: Mesh, world_m: FloatArray, scene: SceneSpec
+    ) -> Iterator[None]:
+        """Put one object into the scene; take it and all its data out again at the end."""
+        data = bpy.data.meshes.new(f"mesh_{slot}")
+        thing = None
+        try:
+            _fill_mesh(data, world_m, mesh, spec, scene)
+            material = object_material(slot)
+            data.materials.append(material)
+            thing = bpy.data.objects.new(f"thing_{slot}", data)
+            look = scene.appearance
+            thing["cold_c"] = look.cold_k - ZERO_C_K
+            thing["hot_c"] = look.hot_k - ZERO_C_K
+            thing["surroundings_c"] = look.surroundings_k - ZERO_C_K
+            self._scene.collection.objects.link(thing)
+            yield
+        finally:
+            # Blender keeps what it is not told to drop: 0.4 MB per frame otherwise.
+            if thing is not None:
+                bpy.data.objects.remove(thing, do_unlink=True)
+            bpy.data.meshes.remove(data, do_unlink=True)
+
+    def _read(
+        self, objects: int, shape_hw: tuple[int, int], frame_id: str
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        if not self._file.is_file():
+            raise RenderError(f"{frame_id}: Cycles wrote no picture")
+        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
+            channels = {k.lower(): np.array(v.pixels, np.float32) for k, v in exr.channels().items()}
+
+        def named(*endings: str) -> NDArray[np.float32]:
+            for name, pixels in channels.items():
+                if name.endswith(endings):
+                    if pixels.shape != shape_hw:
+                        raise RenderError(
+                            f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}"
+                        )
+                    return pixels
+            raise RenderError(f"{frame_id}: channel {endings[0]} is missing; found {sorted(channels)}")
+
+        coverage = [
+            np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)
+        ]
+        return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
+
+
+def crop_of(camera: CameraSpec, worlds_m: Sequence[FloatArray]) -> tuple[int, int, int, int] | None:
+    """Smallest pixel rectangle x0, y0, x1, y1 that holds all objects inside the frame, or None if none shows."""
+    w, h = camera.size_wh
+    lows, highs = [], []
+    for vertices in worlds_m:
+        xy, depth = camera.project(vertices)
+        if (depth <= 0.01).any():
+            if (depth <= 0.01).all():
+                continue
+            return (0, 0, w, h)  # reaches behind the camera: its outline is unbounded
+        lows.append(xy.min(axis=0))
+        highs.append(xy.max(axis=0))
+    if not lows:
+        return None
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    x0, y0 = (max(0, math.floor(v) - CROP_MARGIN_PX) for v in low)
+    x1, y1 = min(w, math.ceil(high[0]) + CROP_MARGIN_PX), min(h, math.ceil(high[1]) + CROP_MARGIN_PX)
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+
+
+def _fill_mesh(
+    data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: ObjectSpec, scene: SceneSpec
+) -> None:
+    count = len(mesh.triangles)
+    data.vertices.add(len(world_m))
+    data.vertices.foreach_set("co", np.ascontiguousarray(world_m, np.float32).ravel())
+    data.loops.add(3 * count)
+    data.loops.foreach_set("vertex_index", np.ascontiguousarray(mesh.triangles).ravel())
+    data.polygons.add(count)
+    data.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    data.polygons.foreach_set("use_smooth", np.ascontiguousarray(mesh.smooth))
+    states = [spec.parts[name] for name in mesh.part_names]
+    temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
+    columns = {
+        "temperature_c": _corner_values(mesh, temperature_c, blend=True)
+        + _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()],
+        "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), blend=True),
+        "ior": _corner_values(mesh, np.array([s.ior for s in states]), blend=False),
+        "label": _corner_values(mesh, np.array([float(s.label) for s in states]), blend=False),
+    }
+    for name, values in columns.items():
+        data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
+    data.update()
+
+
+def _corner_values(mesh: Mesh, of_part: FloatArray, *, blend: bool) -> NDArray[np.float32]:
+    """(3T,) value per face corner; `blend` averages over the smooth triangles that share a vertex.
+
+    Averaging makes neighbouring parts of one skin (flank, leg) run into each other; parts that are bodies of their
+    own share no vertices and stay sharp.
+    """
+    per_triangle = of_part[mesh.part_of_triangle]
+    corners = np.repeat(per_triangle, 3)
+    if blend and mesh.smooth.any():
+        smooth = np.repeat(mesh.smooth, 3)
+        at = mesh.triangles.ravel()[smooth]
+        size = len(mesh.vertices_m)
+        total = np.bincount(at, corners[smooth], size)
+        number = np.bincount(at, minlength=size)
+        corners[smooth] = (total / np.maximum(number, 1))[at]
+    return corners.astype(np.float32)
+
+
+def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
+    """(V,) slow temperature pattern over the body, within +-amplitude: no real surface is of one temperature.
+
+    A few plane waves of about half the body's length in object coordinates, phases from the scene's seed.
+    """
+    phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
+    extent = max(float(mesh.size_m.max()), 1e-9)
+    waves = np.cos(mesh.vertices_m @ (_WAVES.T * (2 * np.pi / extent)) + phase)
+    return (amplitude_k * waves.mean(axis=1)).astype(np.float32)
+
+
+_WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
