@@ -1,0 +1,173 @@
+"""Reading recipes: a shipped name or a YAML file, plus single fields set from the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from infrablend.config.recipe import Recipe
+from infrablend.errors import Problem, RecipeError
+
+
+def list_recipes() -> list[str]:
+    """Names of the recipes that come with InfraBlend, sorted."""
+    folder = resources.files("infrablend.config") / "recipes"
+    return sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml"))
+
+
+def recipe_text(name: str) -> str:
+    """YAML text of a shipped recipe.
+
+    Raises:
+        RecipeError: If there is none of that name.
+    """
+    if name not in list_recipes():
+        raise RecipeError(
+            f"recipe {name!r}: neither a shipped recipe nor a YAML file that exists; "
+            f"shipped are {', '.join(list_recipes())}. Give one of these names or the path of a .yaml file."
+        )
+    return (resources.files("infrablend.config") / "recipes" / f"{name}.yaml").read_text("utf-8")
+
+
+def load_recipe(recipe: str | Path, settings: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
+    """The recipe of that name or file, with `settings` laid over it.
+
+    Args:
+        recipe: A shipped name, or a path (anything with a suffix or a folder in it).
+        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values.
+
+    Raises:
+        RecipeError: With every unknown key and bad value at once.
+    """
+    path = Path(recipe)
+    folder: Path | None = None
+    if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
+        folder = path.resolve().parent
+        try:
+            text = path.read_text("utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RecipeError(
+                f"recipe {path}: cannot be read ({error}); expected a YAML text file. "
+                f"Shipped recipes are {', '.join(list_recipes())}."
+            ) from error
+    else:
+        text = recipe_text(str(recipe))
+    return parse_recipe(text, str(recipe), settings, folder)
+
+
+def parse_recipe(
+    text: str, where: str, settings: Sequence[str] | Mapping[str, Any] = (), folder: Path | None = None
+) -> Recipe:
+    """The recipe in a YAML text; `where` names it in errors, `folder` is what model paths are relative to."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise RecipeError(f"recipe {where}: not YAML: {error}") from error
+    if not isinstance(data, dict):
+        raise RecipeError(f"recipe {where}: found {type(data).__name__}, expected a mapping of fields")
+    problems: list[Problem] = []
+    for key, value in _pairs(settings, problems):
+        _set(data, key, value, problems)
+    if folder is not None:
+        for item in data.get("objects") or ():
+            if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
+                item["model"] = str((folder / item["model"]).resolve())
+    try:
+        # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
+        recipe = Recipe.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        problems += _problems(error)
+    except (TypeError, ValueError) as error:
+        problems.append(Problem(where, "recipe-value", str(error), "plain numbers, texts, lists and mappings"))
+    if problems:
+        raise RecipeError(f"recipe {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))
+    return recipe
+
+
+def _is_path(model: str) -> bool:
+    return model.lower().endswith((".yaml", ".yml"))
+
+
+def _pairs(settings: Sequence[str] | Mapping[str, Any], problems: list[Problem]) -> list[tuple[str, Any]]:
+    if isinstance(settings, Mapping):
+        return list(settings.items())
+    pairs = []
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            problems.append(Problem(f"--set {text}", "set-syntax", "no key=value", "e.g. output.image=png"))
+            continue
+        try:
+            pairs.append((key.strip(), yaml.safe_load(value)))
+        except yaml.YAMLError as error:
+            problems.append(Problem(f"--set {text}", "set-syntax", f"value is not YAML: {error}"))
+    return pairs
+
+
+def _set(data: dict[str, Any], key: str, value: Any, problems: list[Problem]) -> None:
+    """Put `value` at a dotted key, making mappings on the way; list items go by number (`objects.0.model`)."""
+    node: Any = data
+    steps = key.split(".")
+    for i, step in enumerate(steps):
+        last = i == len(steps) - 1
+        if isinstance(node, list):
+            if not step.isdigit() or int(step) >= len(node):
+                problems.append(
+                    Problem(f"--set {key}", "set-key", f"no item {step!r}", f"a number from 0 to {len(node) - 1}")
+                )
+                return
+            if last:
+                node[int(step)] = value
+                return
+            node = node[int(step)]
+        elif isinstance(node, dict):
+            if last:
+                node[step] = value
+                return
+            node = node.setdefault(step, {})
+            if not isinstance(node, dict | list):
+                # e.g. camera.pitch is the word `metadata` and becomes {fixed_deg: 0}
+                parent: Any = data
+                for s in steps[:i]:
+                    parent = parent[int(s)] if isinstance(parent, list) else parent[s]
+                parent[step] = node = {}
+        else:
+            problems.append(Problem(f"--set {key}", "set-key", f"{'.'.join(steps[:i])} has no fields"))
+            return
+
+
+def _problems(error: ValidationError) -> list[Problem]:
+    found = []
+    for e in error.errors(include_url=False):
+        # Names of union members are pydantic's, not the user's: keep the field path alone.
+        path = ".".join(
+            str(p) for p in e["loc"] if not (isinstance(p, str) and (p[:1].isupper() or "[" in p or p in _UNION_NAMES))
+        )
+        given = "nothing" if e["type"] == "missing" else _short(e["input"])
+        if e["type"] == "extra_forbidden":
+            found.append(
+                Problem(
+                    path,
+                    "recipe-unknown-key",
+                    f"unknown key (value {given})",
+                    "a field of the recipe",
+                    "see docs/reference/recipe.md for all fields",
+                )
+            )
+        else:
+            found.append(Problem(path, "recipe-value", f"found {given}", e["msg"].removeprefix("Value error, ")))
+    return found
+
+
+_UNION_NAMES = {"int", "float", "str", "literal", "nullable"}
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."

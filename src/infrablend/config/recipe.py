@@ -1,0 +1,276 @@
+"""The recipe: every knob of a run, with its unit and range.
+
+All models are strict (no silent conversion), frozen, and refuse unknown keys. Degrees and degrees Celsius live here
+and in the command line only; the stages get radians and kelvin.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+
+def _pair(value: Any) -> Any:
+    """A single number stands for the range that holds just it; JSON's lists become the tuples strict mode wants."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value, value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError(f"low end {value[0]:g} is above high end {value[1]:g}")
+    return value
+
+
+def range_of(low: float, high: float) -> Any:
+    """Type of a range `[lo, hi]` whose ends lie in [low, high]; a number alone means `[n, n]`."""
+    end = Annotated[float, Field(ge=low, le=high, allow_inf_nan=False)]
+    return Annotated[tuple[end, end], BeforeValidator(_pair), AfterValidator(_ordered)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(
+        strict=True, frozen=True, extra="forbid", validate_default=True, use_attribute_docstrings=True
+    )
+
+
+class FixedPitch(_Strict):
+    """One pitch for all frames."""
+
+    fixed_deg: float = Field(ge=-90, le=100)
+    """Depression angle of the camera, degrees: 0 level, 90 straight down, negative looking up."""
+
+
+class RandomPitch(_Strict):
+    """A pitch drawn for each frame."""
+
+    random_deg: range_of(-90, 100)  # type: ignore[valid-type]
+    """Range of the depression angle, degrees; uniform."""
+
+
+class Camera(_Strict):
+    """The virtual camera; it looks at the scene's origin."""
+
+    distance_m: range_of(0.05, 100_000) = (1.0, 10.0)  # type: ignore[valid-type]
+    """Distance from the camera to the scene's origin, metres; uniform. Paper: D_min, D_max = 1, 10."""
+    pitch: Literal["metadata"] | FixedPitch | RandomPitch = "metadata"
+    """Depression angle: each background's own (`metadata`), `{fixed_deg: 0}` or `{random_deg: [0, 90]}`."""
+    roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
+    """Turn about the optical axis, degrees; uniform. Paper: phi_min, phi_max = -10, 10."""
+    focal_length_mm: float = Field(50.0, gt=0, le=10_000)
+    """Focal length, mm. The paper does not state its field of view; 50 mm on 36 mm is Blender's own camera."""
+    sensor_width_mm: float = Field(36.0, gt=0, le=1_000)
+    """Width the image's width covers on the sensor, mm."""
+    size_px: tuple[Annotated[int, Field(ge=16, le=16_384)], Annotated[int, Field(ge=16, le=16_384)]] = (
+        640,
+        512,
+    )
+    """Width and height the virtual camera is meant for. A background of another size is rendered at its own size
+    with the same horizontal field of view, and counted."""
+
+
+class Count(_Strict):
+    """A number of objects drawn for each frame: `weights[n]` is the weight of the n-th value of `values`."""
+
+    values: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(min_length=1)
+    """Possible numbers of objects."""
+    weights: tuple[Annotated[float, Field(ge=0)], ...] | None = None
+    """Weight of each value; equal by default."""
+
+    @model_validator(mode="after")
+    def _weights_fit(self) -> Count:
+        if self.weights is not None and (len(self.weights) != len(self.values) or sum(self.weights) <= 0):
+            raise ValueError(
+                f"weights must be {len(self.values)} numbers, one for each value, not all 0; got {list(self.weights)}"
+            )
+        return self
+
+
+class PartOverride(_Strict):
+    """Other thermal numbers for one part of a model."""
+
+    delta_t_k: range_of(-100, 1000) | None = None  # type: ignore[valid-type]
+    """Surface minus air temperature, kelvin; uniform."""
+    emissivity: range_of(0, 1) | None = None  # type: ignore[valid-type]
+    """Emissivity at normal incidence; uniform."""
+
+
+class Object(_Strict):
+    """A kind of object to insert."""
+
+    model: str = Field(min_length=1)
+    """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe)."""
+    category: str | None = Field(None, min_length=1)
+    """Class of its labels; the model's own by default. The name of a class of the dataset adds no new class."""
+    count: Annotated[int, Field(ge=0, le=64)] | Count = 1
+    """How many per frame: a number, or `{values: [0, 1, 2], weights: [...]}`."""
+    x_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
+    """Position to the right of the scene's origin, metres; uniform. Paper: -3, 3."""
+    y_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
+    """Position away from the camera, metres; uniform. Paper: -3, 3."""
+    z_m: range_of(-100_000, 100_000) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Height above the scene's origin, metres; uniform. Paper: 0."""
+    yaw_deg: range_of(-360, 360) = (0.0, 360.0)  # type: ignore[valid-type]
+    """Heading, degrees counter-clockwise seen from above; uniform. Paper: 0, 360."""
+    scale: range_of(1e-4, 1e4) = (1.0, 1.0)  # type: ignore[valid-type]
+    """Factor on the model's size; log-uniform."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What the model lets a recipe fix, e.g. `pose: grazing`; see `infrablend models show NAME`."""
+    parts: dict[str, PartOverride] = Field(default_factory=dict)
+    """Other temperatures or emissivities for named parts."""
+
+
+class Placement(_Strict):
+    """When a draw counts, and what happens if it does not."""
+
+    on_miss: Literal["redraw", "redraw_position", "keep"] = "redraw"
+    """`redraw`: distance, position, yaw and roll are drawn again together; `redraw_position`: x and y alone;
+    `keep`: the paper's literal text, the object may lie outside the frame."""
+    attempts: int = Field(200, ge=1, le=100_000)
+    """Draws at most; after that the frame stays without that object, and is counted."""
+    min_inside: float = Field(0.5, ge=0, le=1)
+    """Share of the object's projected area that must lie inside the frame."""
+    min_depth_m: float = Field(0.3, ge=0.05, le=1000)
+    """No point of the object may be nearer to the camera plane than this, metres."""
+    size_px: range_of(0, 1e6) | None = None  # type: ignore[valid-type]
+    """Smallest and largest allowed longest side of the object's box, pixels."""
+    min_visibility: float = Field(0.0, ge=0, le=1)
+    """Least visible share of an object (frame's edge and nearer objects count); less is not inserted."""
+
+
+class Environment(_Strict):
+    """The weather parts are warmer or colder than."""
+
+    air_temperature_c: range_of(-60, 60) = (5.0, 25.0)  # type: ignore[valid-type]
+    """Air temperature, degrees Celsius; uniform per frame."""
+
+
+class Appearance(_Strict):
+    """How temperature becomes light."""
+
+    mode: Literal["artistic"] = "artistic"
+    """`artistic`: the paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
+    cold_below_air_k: float = Field(14.0, ge=0, le=500)
+    """This much below air temperature is shown as the background's dark end, kelvin."""
+    hot_above_air_k: float = Field(24.0, gt=0, le=500)
+    """This much above air temperature is shown as the background's bright end, kelvin."""
+    surroundings_below_air_k: float = Field(10.0, ge=-100, le=200)
+    """What surfaces mirror looks this much colder than air, kelvin (a mix of sky and ground)."""
+    texture_k: float = Field(0.8, ge=0, le=50)
+    """Amplitude of the slow temperature pattern on every body, kelvin."""
+
+
+class Matching(_Strict):
+    """How light becomes grey levels of the background."""
+
+    mode: Literal["percentile"] = "percentile"
+    """`percentile`: dark and bright end are percentiles of the background's own grey levels."""
+    low_percentile: float = Field(1.0, ge=0, le=100)
+    """Percentile of the background shown for the cold end."""
+    high_percentile: float = Field(99.5, ge=0, le=100)
+    """Percentile of the background shown for the hot end."""
+    min_span: float = Field(0.35, ge=0, le=1)
+    """Least span between both ends, as a share of the full range: keeps objects visible on flat backgrounds."""
+    polarity: Literal["white-hot", "black-hot"] = "white-hot"
+    """Whether hot is bright or dark in this dataset."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Matching:
+        if self.low_percentile >= self.high_percentile:
+            raise ValueError(
+                f"low_percentile {self.low_percentile:g} must be below high_percentile {self.high_percentile:g}"
+            )
+        return self
+
+
+class Overlay(_Strict):
+    """How the rendered object is laid over the background."""
+
+    softness_px: float = Field(0.45, ge=0, le=10)
+    """Gaussian blur (sigma) of the rendered layer, pixels: the softness Blender's default pixel filter would give.
+    Labels describe the object before it."""
+
+
+class Render(_Strict):
+    """Path tracing."""
+
+    quality: Literal["matched", "paper"] = "matched"
+    """`paper`: exactly 640 samples per pixel; `matched`: as few as the documented error bars allow."""
+    samples: int | None = Field(None, ge=1, le=65_536)
+    """Samples per pixel, over `quality`."""
+
+
+class Labels(_Strict):
+    """What is written about the objects."""
+
+    mode: Literal["merged", "new", "original"] = "merged"
+    """Original and new labels, the new ones alone, or the original ones alone."""
+    keep_categories: tuple[str, ...] | None = None
+    """Original categories whose labels are kept; all by default."""
+    obb: Literal["min_area", "heading"] = "min_area"
+    """Oriented boxes: of smallest area, or aligned with the object's heading."""
+    dont_care: Literal["drop", "keep"] = "drop"
+    """YOLO formats only: leave DontCare regions out (paper), or keep them as a class of their own."""
+    remove_covered: float = Field(0.99, gt=0, le=1)
+    """An original object loses its label once this share of its box lies under new objects."""
+    seg_originals: Literal["omit", "obb"] = "omit"
+    """yolo-seg: leave originals out (they have no masks), or write their oriented box as a polygon."""
+
+
+GroupKey = Literal["pitch", "altitude", "day_night"]
+FORMATS = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
+
+
+class Output(_Strict):
+    """What is written where."""
+
+    image: Literal["same", "png"] = "same"
+    """`same`: the input's own file type (JPEG with the source's own tables); `png`: lossless."""
+    formats: tuple[Literal["yolo", "yolo-obb", "yolo-seg", "coco", "native"], ...] = FORMATS
+    """Label formats to write."""
+    originals: bool = False
+    """Also copy the unchanged backgrounds with their labels into the dataset."""
+    group_by: tuple[GroupKey, ...] = ()
+    """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
+
+
+class Recipe(_Strict):
+    """A whole recipe."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """Name of the recipe."""
+    description: str = ""
+    """One sentence on what it is for."""
+    configurations: int = Field(1, ge=1, le=1000)
+    """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
+    empty_share: float = Field(0.0, ge=0, le=1)
+    """Share of frames left without any insert."""
+    objects: tuple[Object, ...] = Field(min_length=1)
+    """What to insert."""
+    camera: Camera = Camera()
+    """The virtual camera."""
+    placement: Placement = Placement()
+    """When a draw counts."""
+    environment: Environment = Environment()
+    """The weather."""
+    appearance: Appearance = Appearance()
+    """How temperature becomes light."""
+    matching: Matching = Matching()
+    """How light becomes grey levels."""
+    overlay: Overlay = Overlay()
+    """How the render is laid over the background."""
+    render: Render = Render()
+    """Path tracing."""
+    labels: Labels = Labels()
+    """What is written about the objects."""
+    output: Output = Output()
+    """What is written where."""
+
+    @property
+    def samples(self) -> int:
+        """Samples per pixel; 0 lets the renderer choose within the documented error bars."""
+        if self.render.samples is not None:
+            return self.render.samples
+        return 640 if self.render.quality == "paper" else 0
