@@ -58,7 +58,9 @@ class Instance:
 
     def __post_init__(self) -> None:
         if self.box_xyxy.shape != (4,) or self.box_xyxy.dtype != np.float64:
-            raise ValueError(f"box_xyxy must be (4,) float64, got {self.box_xyxy.shape} {self.box_xyxy.dtype}")
+            raise ValueError(
+                f"box_xyxy must be (4,) float64, got {self.box_xyxy.shape} {self.box_xyxy.dtype}"
+            )
         self.box_xyxy.setflags(write=False)
         if self.corners_xy is not None:
             if self.corners_xy.shape != (4, 2) or self.corners_xy.dtype != np.float64:
@@ -96,6 +98,8 @@ class ImageRecord:
         instances: The labels, in the source's order.
         source_id: The id the source file gives the image, or None.
         extra: Further fields of the source, kept for writing back.
+        file_name: Where the picture lies below its split's picture folder, POSIX, with extension; empty means
+            `path.name`. Writers name the picture so.
     """
 
     id: str
@@ -108,6 +112,12 @@ class ImageRecord:
     instances: tuple[Instance, ...]
     source_id: int | str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
+    file_name: str = ""
+
+    @property
+    def name(self) -> str:
+        """`file_name`, or the path's own name if that is empty."""
+        return self.file_name or self.path.name
 
 
 @dataclass(frozen=True, eq=False)
