@@ -1,0 +1,429 @@
+"""Tasks in worker processes that may crash, hang or grow without taking the run down.
+
+Workers are fresh Python interpreters (as multiprocessing's `spawn`), started by `subprocess` because that gives
+each its environment, its own process group (a Ctrl-C in the terminal reaches the parent alone) and a pipe for
+what Blender prints from C, and because it does not import the caller's main module again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import IO, Any
+
+from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
+from infrablend.errors import Interrupted, RenderError, WorkerDiedError
+from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.worker import ONE_THREAD, Done, Hello
+
+logger = logging.getLogger(__name__)
+
+IN_FLIGHT = 2  # tasks per worker: one runs, one waits in its inbox, so that it never idles
+TAIL_LINES = 20  # of a dead worker's output that its failure quotes
+MIN_TASKS_BEFORE_RSS = 20  # a worker that is born above the ceiling must still get work done
+
+# -c and not -m: the child must find the caller's modules, whatever the caller did to its sys.path.
+_BOOT = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from infrablend.execution.worker import main; main(int(sys.argv[2]))"
+)
+
+
+@dataclass(frozen=True)
+class PoolSettings:
+    """How a pool treats its workers.
+
+    Attributes:
+        workers: How many at most; never more than there are tasks.
+        retries: How often a task is begun again after its worker crashed or hung.
+        task_timeout_s: A worker that takes longer for one task is ended; None: never.
+        start_timeout_s: A worker that takes longer until its first task is ended.
+        tasks_per_worker: A worker is replaced after so many tasks.
+        rss_ceiling_bytes: A worker above this is replaced, but not before its 20th task.
+        grace_s: How long running tasks may take to finish after an interruption.
+        log_path: Takes what workers write to stdout and stderr, each line with the worker's number; appended.
+        log_level: Of Python's logging in the workers; its lines go the same way.
+    """
+
+    workers: int = 1
+    retries: int = 2
+    task_timeout_s: float | None = 600.0
+    start_timeout_s: float = 300.0
+    tasks_per_worker: int = 500
+    rss_ceiling_bytes: int = 1536 * 2**20
+    grace_s: float = 5.0
+    log_path: Path | None = None
+    log_level: int = logging.INFO
+
+    def __post_init__(self) -> None:
+        if self.workers < 1 or self.tasks_per_worker < 1 or self.retries < 0:
+            raise ValueError(
+                f"workers {self.workers} and tasks_per_worker {self.tasks_per_worker} must be at least 1, "
+                f"retries {self.retries} at least 0"
+            )
+
+
+class ProcessPool:
+    """The executor port on worker processes."""
+
+    def __init__(self, worker: WorkerSpec, settings: PoolSettings | None = None) -> None:
+        """Nothing is started before `run`."""
+        self._worker = worker
+        self._settings = settings or PoolSettings()
+
+    def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
+        """See `core.tasks.Executor`."""
+        spec = pickle.dumps(self._worker, pickle.HIGHEST_PROTOCOL)
+        with contextlib.ExitStack() as stack:
+            log = stack.enter_context(self._settings.log_path.open("ab")) if self._settings.log_path else None
+            run = _Run(self._settings, spec, log)
+            stop = stack.enter_context(Interruption(run.signal_all))
+            stack.callback(run.kill_all)
+            yield from run.results(iter(tasks), stop)
+
+
+@dataclass
+class _Attempt:
+    """A task on its way: the how-manieth try it is on, and its number in the messages."""
+
+    index: int
+    task: Task
+    number: int = 1
+
+
+@dataclass(eq=False)
+class _Worker:
+    """The parent's view of one worker."""
+
+    number: int
+    process: subprocess.Popen[bytes]
+    conn: Connection
+    output: IO[bytes]
+    since: float  # when it was started, or began its current task
+    ready: bool = False
+    ending: bool = False  # gets no more tasks
+    finished: int = 0
+    rss_bytes: int = 0
+    in_flight: deque[_Attempt] = field(default_factory=deque)
+    tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
+    partial: bytes = b""
+    silent: bool = False  # has closed its output
+
+
+class _Run:
+    """One call of `ProcessPool.run`: its workers, and the tasks that wait."""
+
+    def __init__(self, settings: PoolSettings, spec: bytes, log: IO[bytes] | None) -> None:
+        self._settings = settings
+        self._spec = spec
+        self._log = log
+        self._workers: list[_Worker] = []
+        self._started = 0
+        self._failed_starts = 0
+        self._winding_down = False
+        self._pending: deque[_Attempt] = deque()
+
+    def results(self, source: Iterator[Task], stop: Interruption) -> Iterator[TaskResult]:
+        """The main loop: feed, wait, collect; until nothing is left or the user stops it."""
+        numbered = enumerate(source)
+        exhausted = False
+        give_up_at: float | None = None
+        while True:
+            if give_up_at is None and stop.requested and not (exhausted and not self._outstanding):
+                give_up_at = time.monotonic() + self._settings.grace_s
+                self._wind_down()
+            if give_up_at is None:
+                while not exhausted and self._outstanding < self._settings.workers * IN_FLIGHT:
+                    item = next(numbered, None)
+                    if item is None:
+                        exhausted = True
+                    else:
+                        self._pending.append(_Attempt(*item))
+                if exhausted and not self._outstanding:
+                    self._finish_all()
+                    return
+                self._start_workers()
+                self._feed()
+            elif not self._workers or time.monotonic() >= give_up_at:
+                raise Interrupted(STOPPED)
+            yield from self._collect(stop, give_up_at)
+
+    @property
+    def _outstanding(self) -> int:
+        return len(self._pending) + sum(len(w.in_flight) for w in self._workers)
+
+    # ---- starting and feeding
+
+    def _start_workers(self) -> None:
+        serving = sum(not w.ending for w in self._workers)
+        for _ in range(min(self._settings.workers, self._outstanding) - serving):
+            self._workers.append(self._start())
+
+    def _start(self) -> _Worker:
+        ours, theirs = Pipe()
+        number = self._started
+        self._started += 1
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(theirs.fileno()), f"worker-{number}"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, **ONE_THREAD},
+                process_group=0,
+            )
+        finally:
+            theirs.close()  # else the worker's death would not end the stream
+        assert process.stdout is not None
+        os.set_blocking(process.stdout.fileno(), False)
+        worker = _Worker(number, process, ours, process.stdout, time.monotonic())
+        # Linux takes the end of the thread that started a child for the parent's: ask in the main thread only.
+        main_thread = threading.current_thread() is threading.main_thread()
+        self._send(worker, Hello(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
+        return worker
+
+    def _feed(self) -> None:
+        """Hand out what waits, first one task to each worker, then the second."""
+        for depth in range(1, IN_FLIGHT + 1):
+            for w in self._workers:
+                if self._pending and w.ready and not w.ending and len(w.in_flight) < depth:
+                    attempt = self._pending.popleft()
+                    if not w.in_flight:
+                        w.since = time.monotonic()
+                    w.in_flight.append(attempt)
+                    self._send(w, ("task", attempt.index, attempt.task))
+
+    def _send(self, worker: _Worker, message: Any) -> None:
+        # A worker that has just died is noticed when its end of the stream is read.
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            worker.conn.send(message)
+
+    # ---- collecting
+
+    def _collect(self, stop: Interruption, give_up_at: float | None) -> Iterator[TaskResult]:
+        """Wait for news of any worker and give the results in it."""
+        streams: list[Any] = [w.conn for w in self._workers]
+        streams += [w.output for w in self._workers if not w.silent]
+        # Once requested, the wake-up pipe stays readable; waiting on it again would spin.
+        extra = [] if stop.requested else [stop.wakeup]
+        readable: list[Any] = wait([*streams, *extra], self._patience(give_up_at))
+        for w in [w for w in self._workers if w.output in readable]:
+            self._read_output(w)
+        for w in [w for w in self._workers if w.conn in readable]:
+            yield from self._read_messages(w)
+        now = time.monotonic()
+        for w in list(self._workers):
+            limit = self._limit(w)
+            # A consumer that kept us waiting is no hang: judge only when nothing lies in the stream unread.
+            if limit is not None and now - w.since > limit and not w.conn.poll():
+                yield from self._bury(w, "timeout")
+
+    def _limit(self, w: _Worker) -> float | None:
+        if not w.ready:
+            return self._settings.start_timeout_s
+        if w.in_flight:
+            return self._settings.task_timeout_s
+        return self._settings.grace_s if w.ending else None
+
+    def _patience(self, give_up_at: float | None) -> float | None:
+        """Seconds until some worker's time is up."""
+        ends = [w.since + limit for w in self._workers if (limit := self._limit(w)) is not None]
+        if give_up_at is not None:
+            ends.append(give_up_at)
+        return max(0.0, min(ends) - time.monotonic()) + 0.01 if ends else None
+
+    def _read_messages(self, w: _Worker) -> Iterator[TaskResult]:
+        while w in self._workers:
+            try:
+                if not w.conn.poll():
+                    return
+                message = w.conn.recv()
+            except (EOFError, OSError):
+                yield from self._bury(w, "crash")
+                return
+            if message[0] == "ready":
+                w.ready = True
+                w.since = time.monotonic()
+                self._failed_starts = 0
+            elif message[0] == "no-start":
+                self._raise_no_start(w, message[1])
+            else:
+                yield self._take(w, message[1], message[2])
+
+    def _take(self, w: _Worker, index: int, done: Done) -> TaskResult:
+        """The result in a message; the worker is replaced if it has served its time."""
+        attempt = w.in_flight.popleft()
+        assert attempt.index == index, "workers answer in order"
+        w.since = time.monotonic()
+        w.finished += 1
+        w.rss_bytes = done.rss_bytes
+        value, failure = None, done.failure
+        if done.value is not None:
+            try:
+                value = pickle.loads(done.value)
+            except Exception as e:  # a class that only the worker knows
+                failure = Failure("error", type(e).__name__, f"the result of {attempt.task.key} is unreadable: {e}")
+        old = w.finished >= self._settings.tasks_per_worker
+        big = w.finished >= MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
+        if (old or big) and not w.ending:
+            logger.info("worker %d is replaced after %d tasks, %d MiB", w.number, w.finished, done.rss_bytes >> 20)
+            self._dismiss(w)
+        return TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
+
+    def _dismiss(self, w: _Worker) -> None:
+        """Let the worker go after what waits in its inbox."""
+        w.ending = True
+        self._send(w, ("finish",))
+
+    def _read_output(self, w: _Worker) -> None:
+        """Move what the worker printed to the log, line by line with its number."""
+        if w.silent:
+            return
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            while chunk := os.read(w.output.fileno(), 65536):
+                data += chunk
+            w.silent = True
+        *lines, w.partial = (w.partial + data).split(b"\n")
+        self._write_lines(w, lines)
+
+    def _write_lines(self, w: _Worker, lines: list[bytes]) -> None:
+        for line in lines:
+            w.tail.append(line.decode(errors="replace"))
+            if self._log is not None:
+                self._log.write(b"worker %d: %s\n" % (w.number, line))
+        if self._log is not None and lines:
+            self._log.flush()
+
+    # ---- endings
+
+    def _bury(self, w: _Worker, kind: FailureKind) -> Iterator[TaskResult]:
+        """Reap a worker that ended or must; the task it had begun is tried again or fails."""
+        code = self._reap(w, patience_s=0.0 if kind == "timeout" else 5.0)
+        if self._winding_down or (w.ending and not w.in_flight):
+            return
+        if not w.ready:
+            self._failed_starts += 1
+            what = f"took longer than {self._settings.start_timeout_s:g} s to start" if kind == "timeout" else code
+            logger.warning("worker %d %s before its first task", w.number, what)
+            if self._failed_starts > self._settings.retries:
+                raise WorkerDiedError(
+                    f"Workers cannot start: {self._failed_starts} in a row ended before their first task; "
+                    f"the last one {what}. Run `infrablend doctor`." + _quote(w.tail)
+                )
+            return
+        if not w.in_flight:
+            logger.warning("worker %d %s while idle", w.number, code)
+            return
+        guilty, *innocent = w.in_flight
+        w.in_flight.clear()
+        self._pending.extendleft(reversed(innocent))
+        what = f"took longer than {self._settings.task_timeout_s:g} s" if kind == "timeout" else code
+        if guilty.number <= self._settings.retries:
+            logger.warning("worker %d %s on %s; it is tried again", w.number, what, guilty.task.key)
+            self._pending.appendleft(_Attempt(guilty.index, guilty.task, guilty.number + 1))
+            return
+        failure = Failure(
+            kind,
+            "WorkerDiedError",
+            f"{guilty.task.key}: its worker {what}, {guilty.number} times in all",
+            traceback="\n".join(w.tail),
+        )
+        yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)
+
+    def _raise_no_start(self, w: _Worker, failure: Failure) -> None:
+        """A factory that raised will raise again: one clear error instead of a loop."""
+        self._reap(w, patience_s=5.0)
+        error = failure.to_exception()
+        logger.error("worker %d could not start:\n%s", w.number, failure.traceback)
+        if type(error).__name__ == failure.error:
+            raise error
+        raise RenderError(f"The renderer could not start: {error.message}", error.problems)
+
+    def _wind_down(self) -> None:
+        """After an interruption: running tasks may finish, nothing else is begun."""
+        self._winding_down = True
+        self._pending.clear()
+        for w in list(self._workers):
+            if not w.ready or not w.in_flight:
+                self._reap(w, patience_s=0.0)
+                continue
+            w.ending = True
+            self._send(w, ("stop",))
+
+    def _finish_all(self) -> None:
+        """Everything is done: let the workers leave, but wait for no one long."""
+        for w in self._workers:
+            if w.ready:
+                self._send(w, ("finish",))
+        end = time.monotonic() + self._settings.grace_s
+        for w in list(self._workers):
+            self._reap(w, patience_s=max(0.0, end - time.monotonic()) if w.ready else 0.0)
+
+    def _reap(self, w: _Worker, patience_s: float) -> str:
+        """End the worker if it does not end itself, and forget it. Says how it ended."""
+        end = time.monotonic() + patience_s
+        while w.process.poll() is None and time.monotonic() < end:
+            self._read_output(w)  # it may be waiting for us to read
+            time.sleep(0.005)
+        if w.process.poll() is None:
+            _kill(w.process)
+        code = w.process.wait()
+        self._read_output(w)
+        if w.partial:
+            self._write_lines(w, [w.partial])
+        w.conn.close()
+        w.output.close()
+        if w in self._workers:
+            self._workers.remove(w)
+        return _ending(code)
+
+    def kill_all(self) -> None:
+        """End every worker at once and leave no zombie."""
+        self.signal_all()
+        for w in list(self._workers):
+            self._reap(w, patience_s=0.0)
+
+    def signal_all(self) -> None:
+        """SIGKILL to every worker; safe in a signal handler."""
+        for w in list(self._workers):
+            _kill(w.process)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    # The whole group: a task may have started processes of its own.
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+
+
+def _ending(code: int) -> str:
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = "unknown"
+    hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
+    return f"was ended by signal {-code} {name}{hint}"
+
+
+def _quote(lines: Iterable[str]) -> str:
+    text = "\n".join(f"  | {line}" for line in lines if line.strip())
+    return f"\nIts last words:\n{text}" if text else ""

@@ -1,0 +1,78 @@
+"""All tasks in this process, one after the other: for debugging, tests and small runs."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import sys
+import time
+from collections.abc import Generator, Iterable, Iterator
+from pathlib import Path
+
+import psutil
+
+from infrablend.core.tasks import Task, TaskResult, WorkerSpec
+from infrablend.errors import InfraBlendError, Interrupted, RenderError
+from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.worker import close_callable, failure_of, make_callable
+
+
+class Serial:
+    """The executor port without worker processes.
+
+    It cannot do what needs a second process: a crash or a hang of a task is one of the program.
+    """
+
+    def __init__(self, worker: WorkerSpec, log_path: Path | None = None) -> None:
+        """`log_path` takes what the tasks write to C-level stdout (appended); without it that is dropped."""
+        self._worker = worker
+        self._log_path = log_path
+
+    def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
+        """See `core.tasks.Executor`."""
+        process = psutil.Process()
+        with Interruption() as stop:
+            try:
+                with _stdout_to(self._log_path):
+                    work = make_callable(self._worker)
+            except InfraBlendError:
+                raise
+            except Exception as e:
+                raise RenderError(f"The renderer could not start: {type(e).__name__}: {e}") from e
+            try:
+                for task in tasks:
+                    if stop.requested:
+                        raise Interrupted(STOPPED)
+                    begun = time.monotonic()
+                    value, failure = None, None
+                    try:
+                        with _stdout_to(self._log_path):
+                            value = work(task)
+                    except (Exception, SystemExit) as e:
+                        failure = failure_of(e)
+                    seconds = time.monotonic() - begun
+                    yield TaskResult(task.key, value, failure, 1, seconds, 0, int(process.memory_info().rss))
+            finally:
+                close_callable(work)
+
+
+@contextlib.contextmanager
+def _stdout_to(path: Path | None) -> Iterator[None]:
+    """While entered, file descriptor 1 leads to the file: Blender prints there from C, where results belong.
+
+    Descriptor 2 stays, because a progress bar may be drawn on it meanwhile.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    sink = os.open(path or os.devnull, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        os.dup2(sink, 1)
+        yield
+    finally:
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).fflush(None)
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)

@@ -1,0 +1,186 @@
+"""The worker's side: make the callable once, run tasks until told to stop, leave without a trace.
+
+`main` is the whole life of a worker process. The parent speaks to it over one socket, in pickled tuples:
+
+ parent -> worker   Hello; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
+ worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, Done) for each task, in order
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import importlib
+import logging
+import os
+import pickle
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import psutil
+
+from infrablend.core.tasks import Failure, Task, WorkerSpec
+from infrablend.errors import InfraBlendError
+
+logger = logging.getLogger(__name__)
+
+# One process is one worker: libraries must not start threads of their own beside it.
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+}
+
+_PR_SET_PDEATHSIG = 1
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What a new worker is told first. `spec` is a pickled `WorkerSpec`."""
+
+    number: int
+    spec: bytes
+    parent_pid: int
+    die_with_parent: bool
+    log_level: int
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a worker says of a task: a pickled value or a failure."""
+
+    value: bytes | None
+    failure: Failure | None
+    seconds: float
+    rss_bytes: int
+
+
+def failure_of(error: BaseException) -> Failure:
+    """The failure that tells of an exception, with its traceback as text."""
+    text = "".join(traceback.format_exception(error))
+    name = type(error).__name__
+    if isinstance(error, InfraBlendError):
+        return Failure("error", name, error.message, error.problems, text)
+    return Failure("error", name, str(error) or name, (), text)
+
+
+def make_callable(spec: WorkerSpec) -> Callable[[Task], Any]:
+    """Import the factory and call it with its settings.
+
+    Raises:
+        ValueError: If the dotted name is not `module:function` or names nothing callable.
+    """
+    module, _, name = spec.factory.partition(":")
+    if not module or not name:
+        raise ValueError(f"factory is {spec.factory!r}, expected 'module:function'")
+    factory = getattr(importlib.import_module(module), name, None)
+    if not callable(factory):
+        raise ValueError(f"factory {spec.factory!r}: {module} has no function {name}")
+    work = factory(spec.settings)
+    if not callable(work):
+        raise ValueError(f"factory {spec.factory!r} returned {type(work).__name__}, expected a callable")
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    return work  # type: ignore[no-any-return]
+
+
+def close_callable(work: Callable[[Task], Any]) -> None:
+    """Call its `close()` if it has one; an error there is logged, since every result is out by then."""
+    close = getattr(work, "close", None)
+    if callable(close):
+        try:
+            close()
+        except Exception:
+            logger.exception("closing the worker's callable failed")
+
+
+def _ignore_signals() -> None:
+    # The parent decides what a Ctrl-C means. Said again after libraries that put in handlers of their own.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+def _die_with_parent(parent_pid: int) -> None:
+    """Ask Linux to kill this process when its parent ends, even while C code holds Python's lock."""
+    if sys.platform != "linux":
+        return
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent_pid:  # it ended before we asked
+        os._exit(1)
+
+
+def _leave(code: int) -> None:
+    """End now: bpy may hang or crash when Python or C tears it down."""
+    with contextlib.suppress(Exception):
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        ctypes.CDLL(None).fflush(None)
+    os._exit(code)
+
+
+def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -> None:
+    """Move tasks from the socket to `inbox`, for ever. Ends the process when the parent is gone.
+
+    A thread of its own: the parent never blocks on a full socket, and its death is noticed during a task.
+    """
+    while True:
+        try:
+            message = conn.recv()
+        except (EOFError, OSError):
+            os._exit(1)
+        if message[0] == "stop":
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    inbox.get_nowait()
+        inbox.put(message[1:] if message[0] == "task" else None)
+
+
+def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> Done:
+    value: bytes | None = None
+    failure = None
+    begun = time.monotonic()
+    try:
+        value = pickle.dumps(work(task), pickle.HIGHEST_PROTOCOL)
+    except BaseException as e:  # SystemExit and the like too: the worker must outlive its task
+        failure = failure_of(e)
+    return Done(value, failure, time.monotonic() - begun, int(process.memory_info().rss))
+
+
+def main(fd: int) -> None:
+    """The life of a worker whose socket is file descriptor `fd`. Does not return."""
+    _ignore_signals()
+    faulthandler.enable()
+    os.set_inheritable(fd, False)
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    conn = Connection(fd)
+    hello: Hello = conn.recv()
+    if hello.die_with_parent:
+        _die_with_parent(hello.parent_pid)
+    logging.basicConfig(level=hello.log_level, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    inbox: queue.SimpleQueue[tuple[int, Task] | None] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(conn, inbox), daemon=True, name="inbox").start()
+    try:
+        work = make_callable(pickle.loads(hello.spec))
+    except BaseException as e:
+        conn.send(("no-start", failure_of(e)))
+        _leave(1)
+    _ignore_signals()
+    process = psutil.Process()
+    conn.send(("ready",))
+    while (item := inbox.get()) is not None:
+        index, task = item
+        conn.send(("done", index, _perform(work, task, process)))
+    close_callable(work)
+    _leave(0)

@@ -1,0 +1,385 @@
+"""What every executor must do, and what the process pool must survive."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from infrablend.core.tasks import Task, WorkerSpec
+from infrablend.errors import Interrupted, MissingDependencyError, RenderError, WorkerDiedError
+from infrablend.execution import PoolSettings, ProcessPool, Serial
+
+OBEY = WorkerSpec("executor_work:obey")
+
+
+def pool(worker=OBEY, **settings):
+    return ProcessPool(worker, PoolSettings(**settings))
+
+
+@pytest.fixture(params=["serial", "pool-1", "pool-2"])
+def make(request):
+    """A function WorkerSpec -> executor."""
+    if request.param == "serial":
+        return Serial
+    return lambda worker: pool(worker, workers=int(request.param[-1]))
+
+
+def orders(*orders):
+    return [Task(f"t{i}", order) for i, order in enumerate(orders)]
+
+
+def assert_no_children():
+    deadline = time.monotonic() + 5
+    while (left := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not left
+
+
+# ---- every executor
+
+
+def test_same_values_whatever_the_executor(make):
+    tasks = [Task(f"k{i:02}", i) for i in range(12)]
+    results = list(make(WorkerSpec("executor_work:square", {"plus": 100})).run(tasks))
+    assert {r.key: r.value for r in results} == {f"k{i:02}": 100 + i * i for i in range(12)}
+    assert len(results) == 12
+    assert all(r.ok and r.attempts == 1 and r.rss_bytes > 2**20 for r in results)
+
+
+def test_no_tasks_no_results(make):
+    assert list(make(OBEY).run([])) == []
+
+
+def test_a_failing_task_is_a_result_and_the_rest_goes_on(make):
+    tasks = orders(
+        ("fail", "by zero"),
+        ("give", 1),
+        ("fail_ours", "dark"),
+        ("give", None),
+        ("exit_python", 4),
+        ("give", 2),
+    )
+    by_key = {r.key: r for r in make(OBEY).run(tasks)}
+    assert [by_key[k].value for k in ("t1", "t3", "t5")] == [1, None, 2]
+    assert by_key["t3"].ok
+    failure = by_key["t0"].failure
+    assert (failure.kind, failure.error, failure.message) == ("error", "ZeroDivisionError", "by zero")
+    assert "in fail" in failure.traceback
+    assert str(failure.to_exception()) == "ZeroDivisionError: by zero"
+    ours = by_key["t2"].failure.to_exception()
+    assert type(ours) is RenderError
+    assert ours.message == "dark"
+    assert ours.problems[0].code == "no-light"
+    assert by_key["t4"].failure.error == "SystemExit"
+    assert all(pickle.loads(pickle.dumps(r)) == r for r in by_key.values())
+
+
+def test_factory_that_raises_is_one_clear_error(make, tmp_path):
+    counter = tmp_path / "starts"
+    with pytest.raises(MissingDependencyError, match="bpy is not installed") as caught:
+        list(make(WorkerSpec("executor_work:raises", str(counter))).run(orders(*[("give", 1)] * 9)))
+    assert caught.value.problems[0].code == "no-bpy"
+    assert len(counter.read_text()) <= 2  # at most once per worker: no loop
+    assert_no_children()
+
+
+@pytest.mark.parametrize(
+    ("factory", "message"),
+    [
+        ("executor_work:raises_builtin", r"could not start: KeyError: 'no such device'"),
+        ("executor_work:absent", r"could not start: ValueError: .*has no function absent"),
+        ("executor_work:not_a_function", r"has no function not_a_function"),
+        ("no_such_module:make", r"No module named 'no_such_module'"),
+        ("nonsense", r"expected 'module:function'"),
+    ],
+)
+@pytest.mark.parametrize("make", [Serial, pool])
+def test_factory_that_cannot_be_used(make, factory, message):
+    with pytest.raises(RenderError, match=message):
+        list(make(WorkerSpec(factory)).run(orders(("give", 1))))
+
+
+def test_tasks_are_read_as_needed(make):
+    read = []
+
+    def tasks():
+        for i in range(40):
+            read.append(i)
+            yield Task(str(i), ("give", i))
+
+    results = make(OBEY).run(tasks())
+    next(results)
+    assert len(read) <= 6  # two per worker, and the one that was just asked for
+    results.close()
+    assert_no_children()
+
+
+def test_trouble_in_the_source_of_tasks_ends_the_run(make):
+    def tasks():
+        yield Task("a", ("give", 1))
+        raise OSError("the list broke off")
+
+    with pytest.raises(OSError, match="broke off"):
+        list(make(OBEY).run(tasks()))
+    assert_no_children()
+
+
+def test_prints_of_c_code_stay_off_our_stdout(make, capfd):
+    results = list(make(OBEY).run(orders(("shout", "Fra:1 Mem:12M"))))
+    assert results[0].ok
+    assert capfd.readouterr().out == ""
+
+
+# ---- the process pool
+
+
+def test_works_on_both_workers_at_once():
+    results = list(pool(workers=2).run(orders(*[("sleep", 0.15)] * 6)))
+    assert {r.worker for r in results} == {0, 1}
+
+
+def test_crashed_worker_is_replaced_and_its_task_tried_again(tmp_path):
+    flag = str(tmp_path / "flag")
+    results = list(pool(retries=1).run(orders(("die_once", flag), ("give", 1), ("give", 2))))
+    assert {r.key: (r.value, r.attempts) for r in results} == {
+        "t0": ("second try", 2),
+        "t1": (1, 1),
+        "t2": (2, 1),
+    }
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (("die", 5), "ended with exit code 5"),
+        (("killed", None), r"ended by signal 9 SIGKILL \(often: out of memory\)"),
+    ],
+)
+def test_task_that_always_crashes_fails_after_its_retries(order, words):
+    results = {r.key: r for r in pool(workers=2, retries=1).run(orders(("give", 0), order, ("give", 2)))}
+    assert results["t0"].value == 0
+    assert results["t2"].value == 2
+    failure = results["t1"].failure
+    assert failure.kind == "crash"
+    assert results["t1"].attempts == 2
+    with pytest.raises(WorkerDiedError, match=f"t1: its worker (was )?{words}"):
+        raise failure.to_exception()
+
+
+def test_failure_quotes_the_last_words_and_the_log_has_them(tmp_path):
+    log = tmp_path / "run.log"
+    log.write_text("before\n")
+    tasks = orders(("shout", "Saved: x.exr"), ("last_words", "Segfault in cycles"))
+    results = {r.key: r for r in pool(retries=0, log_path=log).run(tasks)}
+    assert results["t1"].failure.traceback.splitlines()[-1] == "Segfault in cycles"
+    assert log.read_text().splitlines() == [
+        "before",
+        "worker 0: Saved: x.exr",
+        "worker 0: Segfault in cycles",
+    ]
+
+
+def test_hung_worker_is_ended_and_its_task_tried_again(tmp_path):
+    tasks = orders(("hang_once", str(tmp_path / "flag")), ("give", 1))
+    results = {r.key: r for r in pool(task_timeout_s=0.5).run(tasks)}
+    assert results["t0"].value == "second try"
+    assert results["t0"].attempts == 2
+    assert results["t1"].value == 1
+
+
+def test_task_that_always_hangs_fails():
+    begun = time.monotonic()
+    results = list(pool(task_timeout_s=0.3, retries=0).run(orders(("sleep", 600), ("give", 1))))
+    assert time.monotonic() - begun < 30
+    failure = next(r.failure for r in results if r.key == "t0")
+    assert failure.kind == "timeout"
+    assert "took longer than 0.3 s" in failure.message
+
+
+def test_slow_consumer_is_no_hang():
+    values = []
+    for r in pool(task_timeout_s=0.3, retries=0).run(orders(*[("give", i) for i in range(4)])):
+        time.sleep(0.5)
+        values.append(r.value)
+    assert sorted(values) == [0, 1, 2, 3]
+
+
+def test_workers_are_recycled_by_count():
+    tasks = orders(*[("pid", None)] * 7)
+    results = list(pool(tasks_per_worker=3).run(tasks))
+    pids = [r.value for r in results]
+    assert len(pids) == 7
+    # A worker finishes what already waited in its inbox, so it may serve one more.
+    assert 2 <= len(set(pids)) <= 3
+    assert max(pids.count(p) for p in pids) <= 4
+
+
+def test_workers_are_recycled_by_memory():
+    results = list(pool(rss_ceiling_bytes=1).run(orders(*[("pid", None)] * 30)))
+    assert len(results) == 30
+    assert len({r.value for r in results}) == 2
+
+
+def test_start_that_crashes_is_one_clear_error(tmp_path):
+    counter = tmp_path / "starts"
+    with pytest.raises(WorkerDiedError, match=r"3 in a row .* exit code 11"):
+        list(pool(WorkerSpec("executor_work:dies", str(counter)), retries=2).run(orders(("give", 1))))
+    assert len(counter.read_text()) == 3
+    assert_no_children()
+
+
+def test_result_that_does_not_pickle_is_a_failure():
+    results = {r.key: r for r in pool().run(orders(("unpicklable", None), ("give", 1)))}
+    assert "pickle" in results["t0"].failure.message
+    assert results["t1"].value == 1
+
+
+def test_large_tasks_and_results_do_not_block_each_other():
+    big = bytes(3_000_000)
+    results = list(pool(workers=2).run(orders(*[("give", big)] * 6)))
+    assert all(r.value == big for r in results)
+
+
+def test_libraries_in_workers_have_one_thread():
+    assert next(iter(pool().run(orders(("environment", None))))).value == ("1", 1)
+
+
+def test_no_more_workers_than_tasks():
+    list(pool(workers=8).run(orders(("give", 1))))
+    results = list(pool(workers=8).run(orders(("sleep", 0.1), ("sleep", 0.1))))
+    assert {r.worker for r in results} <= {0, 1}
+
+
+def test_closing_ends_workers_and_what_they_started():
+    results = pool(workers=2).run(orders(("give", 1), ("subprocess", None), ("sleep", 600)))
+    assert next(results).value == 1
+    time.sleep(0.2)
+    results.close()
+    assert_no_children()
+
+
+def test_works_outside_the_main_thread():
+    values = []
+    thread = threading.Thread(target=lambda: values.extend(r.value for r in pool().run(orders(("give", 5)))))
+    thread.start()
+    thread.join(60)
+    assert values == [5]
+
+
+# ---- interruption: in a program of its own, since it is about signals
+
+PROGRAM = """
+import sys, time
+from infrablend.core.tasks import Task, WorkerSpec
+from infrablend.errors import Interrupted
+from infrablend.execution import PoolSettings, ProcessPool, Serial
+tasks = [Task("quick", ("give", "quick"))] + [Task(f"s{i}", ("sleep", float(sys.argv[2]))) for i in range(20)]
+worker = WorkerSpec("executor_work:obey")
+run = Serial(worker) if sys.argv[1] == "serial" else ProcessPool(worker, PoolSettings(workers=2, grace_s=5))
+try:
+    for r in run.run(tasks):
+        print(r.key, flush=True)
+except Interrupted as e:
+    print("INTERRUPTED", e.message, flush=True)
+    sys.exit(7)
+"""
+
+
+@pytest.fixture
+def program():
+    """Starts PROGRAM and waits for its first result; whatever is left of it is killed."""
+    running = []
+
+    def start(kind, sleep_s):
+        p = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, kind, str(sleep_s)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        )
+        running.append(p)
+        assert p.stdout.readline() == "quick\n"
+        time.sleep(0.3)
+        return p, psutil.Process(p.pid).children()
+
+    yield start
+    for p in running:
+        p.kill()
+        p.wait()
+        p.stdout.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("kind", ["serial", "pool"])
+def test_first_signal_lets_running_tasks_finish(program, kind, number):
+    p, workers = program(kind, 1.0)
+    p.send_signal(number)
+    out, _ = p.communicate(timeout=20)
+    assert p.returncode == 7
+    *finished, last = out.splitlines()
+    assert last.startswith("INTERRUPTED")
+    assert "--resume" in last
+    assert 1 <= len(finished) <= 4  # what ran, not what waited
+    assert not psutil.wait_procs(workers, timeout=5)[1]
+
+
+def test_first_signal_gives_up_on_long_tasks(program):
+    p, workers = program("pool", 600)
+    begun = time.monotonic()
+    p.send_signal(signal.SIGINT)
+    out, _ = p.communicate(timeout=20)
+    assert p.returncode == 7
+    assert 4 < time.monotonic() - begun < 10
+    assert out.startswith("INTERRUPTED")
+    assert not psutil.wait_procs(workers, timeout=5)[1]
+
+
+def test_second_signal_ends_at_once(program):
+    p, workers = program("pool", 600)
+    begun = time.monotonic()
+    p.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    p.send_signal(signal.SIGINT)
+    p.communicate(timeout=20)
+    assert time.monotonic() - begun < 4
+    assert p.returncode != 7
+    assert not psutil.wait_procs(workers, timeout=5)[1]
+
+
+def test_signal_to_the_whole_group_reaches_only_the_parent(program):
+    """A Ctrl-C in a terminal goes to all processes of the foreground group."""
+    _, workers = program("pool", 1.0)
+    assert workers
+    assert {os.getpgid(w.pid) for w in workers}.isdisjoint({os.getpgid(0)})
+
+
+def test_workers_die_with_their_parent(program):
+    p, workers = program("pool", 600)
+    assert len(workers) == 2
+    p.kill()
+    assert not psutil.wait_procs(workers, timeout=5)[1]
+
+
+def test_handlers_are_put_back():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    for run in (Serial(OBEY), pool()):
+        list(run.run(orders(("give", 1))))
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_interruption_from_within_raises_interrupted():
+    with pytest.raises(Interrupted):
+        for _ in Serial(OBEY).run(orders(("give", 1), ("give", 2))):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_bad_settings_are_refused():
+    with pytest.raises(ValueError, match="workers 0"):
+        PoolSettings(workers=0)
