@@ -1,0 +1,851 @@
+"""A quadrotor: hot motors and batteries, warm electronics and shell, cold carbon, propellers and legs.
+
+`sample_params` draws what varies between quadrotors, `build_drone` makes the mesh of one. Everything is built for
+a motor-to-motor diagonal of 1 and scaled at the end. +X is the heading, +Y left, +Z up.
+
+Temperatures are surface minus air in steady flight; where they come from is said in each part's `what`. Between
+the sources' light hover and heavy load the ranges take the part that a hovering or cruising aircraft shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from infrablend.assets import shapes
+from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.shapes import Solid
+from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
+from infrablend.errors import ModelError
+
+Vector = tuple[float, float, float]
+
+PARTS: dict[str, PartRange] = {
+    "battery": PartRange((8.0, 20.0), (0.92, 0.95), what="battery pack: +8..+20 K, rising with flight time"),
+    "motor": PartRange((10.0, 40.0), (0.92, 0.96), what="motor bell, black anodised: +10..+25 K in hover, more loaded"),
+    "winding": PartRange((18.0, 55.0), (0.88, 0.94), what="stator, seen between bell and base: hotter than the bell"),
+    "motor_mount": PartRange((5.0, 10.0), (0.84, 0.94), what="last 2-4 cm of the arm, heated by the motor: +5..+10 K"),
+    "esc": PartRange((15.0, 40.0), (0.88, 0.94), what="speed controller and power boards in the open: +15..+40 K"),
+    "vent": PartRange((8.0, 25.0), (0.92, 0.96), what="air outlets over the electronics; cavities: high emissivity"),
+    "shell": PartRange((2.0, 8.0), (0.93, 0.95), what="plastic body over electronics: +2..+8 K"),
+    "camera": PartRange((10.0, 25.0), (0.92, 0.95), what="camera, video transmitter, on-board computer: +10..+25 K"),
+    "lens": PartRange((4.0, 12.0), (0.84, 0.90), what="glass of cameras and sensors"),
+    "gimbal": PartRange((2.0, 10.0), (0.90, 0.95), what="gimbal arms and their small motors"),
+    "frame": PartRange((0.0, 3.0), (0.80, 0.90), what="carbon plates, spacers, clamps: 0..+3 K"),
+    "arm": PartRange((0.0, 3.0), (0.80, 0.94), what="arms, carbon tube or plate, or moulded: 0..+3 K"),
+    "propeller": PartRange((0.0, 4.0), (0.85, 0.94), what="blades, still: 0..+4 K of recovery heating"),
+    "leg": PartRange((0.0, 0.8), (0.85, 0.94), what="landing gear, at air temperature"),
+    "antenna": PartRange((0.0, 3.0), (0.90, 0.95), what="antennas, satellite receiver and mast"),
+}  # fmt: skip
+
+# What does not count when the origin is put at the centre of the bounding box: thin things that stick out, and
+# propellers, whose extent changes with the angle at which they stand.
+OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
+
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "layout": ("x", "h", "plus", "deadcat"),
+    "body": ("shell", "plate", "industrial"),
+    "arm": ("moulded", "tube", "bar"),
+    "legs": ("feet", "skids", "curved"),
+    "blades": (2, 3),
+    "batteries": (1, 2),
+    "antennas": (0, 1, 2),
+    "camera": (False, True),
+    "mast": (False, True),
+}
+DRAWN: dict[str, tuple[float, float]] = {
+    "size_m": (0.3, 0.9),
+    "propeller_angle_deg": (0.0, 360.0),
+    "body_length": (0.85, 1.15),
+    "body_width": (0.85, 1.15),
+    "body_height": (0.85, 1.15),
+    "arm_thickness": (0.8, 1.25),
+    "arm_rise": (-0.6, 1.0),
+    "arm_spread": (0.0, 1.0),
+    "motor_radius": (0.85, 1.2),
+    "propeller_radius": (0.8, 0.97),
+    "leg_height": (0.85, 1.3),
+    "gimbal_pitch_deg": (-10.0, 60.0),
+}
+ALLOWED: dict[str, tuple[float, float]] = {
+    **DRAWN,
+    "size_m": (0.05, 5.0),
+    "propeller_angle_deg": (-3600.0, 3600.0),
+    "gimbal_pitch_deg": (-30.0, 90.0),
+}
+"""What `build_drone` takes, wider than what is drawn where a recipe may want more."""
+
+NOMINAL: dict[str, Any] = {
+    "size_m": 0.38,
+    "layout": "x",
+    "body": "shell",
+    "arm": "moulded",
+    "legs": "feet",
+    "blades": 2,
+    "batteries": 1,
+    "antennas": 0,
+    "camera": True,
+    "mast": False,
+    "propeller_angle_deg": [20.0, 80.0, 145.0, 250.0],
+    "body_length": 1.0,
+    "body_width": 1.0,
+    "body_height": 1.0,
+    "arm_thickness": 1.0,
+    "arm_rise": 0.3,
+    "arm_spread": 0.5,
+    "motor_radius": 1.0,
+    "propeller_radius": 0.92,
+    "leg_height": 1.0,
+    "gimbal_pitch_deg": 15.0,
+}
+"""A consumer camera drone; `{**NOMINAL, ...}` is handy for tests and pictures."""
+
+# How often each choice comes up, by body; small aircraft are more often shells, large ones industrial.
+_ODDS: dict[str, dict[str, tuple[float, ...]]] = {
+    "shell": {
+        "layout": (0.55, 0.2, 0.05, 0.2), "arm": (0.85, 0.15, 0.0), "legs": (0.6, 0.15, 0.25), "blades": (0.85, 0.15),
+        "batteries": (0.85, 0.15), "antennas": (0.9, 0.05, 0.05), "camera": (0.05, 0.95), "mast": (0.97, 0.03),
+    },
+    "plate": {
+        "layout": (0.45, 0.2, 0.1, 0.25), "arm": (0.0, 0.3, 0.7), "legs": (0.45, 0.45, 0.1), "blades": (0.6, 0.4),
+        "batteries": (0.75, 0.25), "antennas": (0.3, 0.4, 0.3), "camera": (0.35, 0.65), "mast": (0.5, 0.5),
+    },
+    "industrial": {
+        "layout": (0.6, 0.1, 0.1, 0.2), "arm": (0.3, 0.7, 0.0), "legs": (0.1, 0.75, 0.15), "blades": (0.9, 0.1),
+        "batteries": (0.2, 0.8), "antennas": (0.3, 0.3, 0.4), "camera": (0.1, 0.9), "mast": (0.35, 0.65),
+    },
+}  # fmt: skip
+_BODY_ODDS_SMALL = (0.55, 0.35, 0.10)
+_BODY_ODDS_LARGE = (0.15, 0.35, 0.50)
+
+
+# --- drawing -------------------------------------------------------------------------------------------------
+
+
+def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+    """Parameters of one drone, JSON values only.
+
+    Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the
+    others as they would have been (save `body` and what follows from it, whose odds depend on the size).
+
+    Args:
+        rng: The stream to draw from.
+        options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a
+            list to choose from with equal odds. `propeller_angle_deg` takes four angles too.
+
+    Raises:
+        ModelError: An unknown option or a bad value; the message names it and what was expected.
+    """
+    _require_known(options, "option")
+    dice = {name: float(rng.random()) for name in CHOICES}
+    dials = {name: float(rng.random()) for name in DRAWN if name != "propeller_angle_deg"}
+    angles = rng.random(4)
+
+    params: dict[str, Any] = {}
+    low, high = _number_range("size_m", options)
+    size = low * (high / low) ** dials["size_m"]
+    params["size_m"] = float(min(max(size, low), high))
+    big = float(np.clip(math.log(size / 0.3) / math.log(3.0), 0.0, 1.0))
+    body_odds = tuple((1 - big) * s + big * b for s, b in zip(_BODY_ODDS_SMALL, _BODY_ODDS_LARGE, strict=True))
+    params["body"] = _choose("body", dice["body"], body_odds, options)
+    odds = _ODDS[params["body"]]
+    for name in CHOICES:
+        if name != "body":
+            params[name] = _choose(name, dice[name], odds[name], options)
+    for name in DRAWN:
+        if name not in ("size_m", "propeller_angle_deg"):
+            low, high = _number_range(name, options)
+            params[name] = low + (high - low) * dials[name]
+    params["propeller_angle_deg"] = _angles(angles, options)
+    return params
+
+
+def _require_known(given: Params, what: str) -> None:
+    for name in given:
+        if name not in NOMINAL:
+            raise ModelError(
+                f"drone: unknown {what} {name!r}; expected one of {', '.join(sorted(NOMINAL))}. Correct the name"
+            )
+
+
+def _bad(name: str, value: object, expected: str, what: str = "option") -> ModelError:
+    return ModelError(f"drone: {what} {name!r}: found {value!r}, expected {expected}. Correct the value")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number_range(name: str, options: Params) -> tuple[float, float]:
+    """Range to draw `name` from: the option's value (twice) or [low, high], else the model's own."""
+    if name not in options:
+        return DRAWN[name]
+    value = options[name]
+    low, high = ALLOWED[name]
+    pair = [value, value] if _is_number(value) else value
+    if (
+        not isinstance(pair, list | tuple)
+        or len(pair) != 2
+        or not all(_is_number(v) and low <= v <= high for v in pair)
+        or pair[0] > pair[1]
+    ):
+        raise _bad(name, value, f"a number in [{low:g}, {high:g}] or [low, high] within it")
+    return float(pair[0]), float(pair[1])
+
+
+def _choose(name: str, dice: float, odds: tuple[float, ...], options: Params) -> Any:
+    allowed = CHOICES[name]
+    if name in options:
+        value = options[name]
+        wanted = list(value) if isinstance(value, list | tuple) else [value]
+        # `True == 1` in Python: compare types too.
+        found = [a for w in wanted for a in allowed if a == w and type(a) is type(w)]
+        if not wanted or len(found) != len(wanted):
+            raise _bad(name, value, f"one of {', '.join(map(repr, allowed))}, or a list of some of them")
+        return found[min(int(dice * len(found)), len(found) - 1)]
+    edges = np.cumsum(odds) / sum(odds)
+    return allowed[min(int(np.searchsorted(edges, dice, side="right")), len(allowed) - 1)]
+
+
+def _angles(unit: FloatArray, options: Params) -> list[float]:
+    name = "propeller_angle_deg"
+    value = options.get(name, list(DRAWN[name]))
+    if isinstance(value, list | tuple) and len(value) == 4:
+        if not all(_is_number(v) and ALLOWED[name][0] <= v <= ALLOWED[name][1] for v in value):
+            raise _bad(name, value, "four angles in degrees")
+        return [float(v) for v in value]
+    try:
+        low, high = _number_range(name, {name: value})
+    except ModelError:
+        raise _bad(name, value, "an angle in degrees, [low, high] in degrees, or four angles") from None
+    return [float(low + (high - low) * u) for u in unit]
+
+
+def _require_params(params: Params) -> None:
+    _require_known(params, "parameter")
+    for name in NOMINAL:
+        if name not in params:
+            raise ModelError(f"drone: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
+        value = params[name]
+        if name in CHOICES:
+            if not any(a == value and type(a) is type(value) for a in CHOICES[name]):
+                raise _bad(name, value, f"one of {', '.join(map(repr, CHOICES[name]))}", "parameter")
+            continue
+        low, high = ALLOWED[name]
+        if name == "propeller_angle_deg":
+            if not (isinstance(value, list | tuple) and len(value) == 4):
+                raise _bad(name, value, "four angles in degrees", "parameter")
+            values: Iterable[object] = value
+        else:
+            values = (value,)
+        if not all(_is_number(v) and low <= v <= high for v in values):  # type: ignore[operator]
+            raise _bad(name, value, f"a number in [{low:g}, {high:g}]", "parameter")
+
+
+# --- plan: where things go, for a diagonal of 1 --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Dimensions shared by the pieces; the motor diagonal is 1, z 0 is the middle of the body."""
+
+    p: Mapping[str, Any]
+    motors_xy: FloatArray  # (4, 2) counter-clockwise from the front left (plus: from the front)
+    roots_xy: FloatArray  # (4, 2) where the arms leave the body
+    half_length: float
+    half_width: float
+    half_height: float
+    root_z: float
+    tip_z: float
+    arm_half_width: float
+    arm_half_height: float
+    motor_radius: float
+    propeller_radius: float
+    ground_z: float
+
+
+def motor_positions_m(params: Params) -> FloatArray:
+    """(4, 2) x, y of the motor axes in metres about the middle of the layout, counter-clockwise from the front."""
+    return float(params["size_m"]) * _motor_plan(params)
+
+
+def _motor_plan(p: Params) -> FloatArray:
+    spread = float(p["arm_spread"])
+    layout = p["layout"]
+    if layout == "plus":
+        front = rear = None
+        xy = np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0], [0.0, -0.5]])
+    elif layout == "deadcat":
+        # Wide, swept front arms and a narrower tail: keeps propellers out of the camera's view.
+        front, rear, reach = math.radians(56 + 9 * spread), math.radians(44 - 6 * spread), 1.1
+        xy = np.array([[math.cos(front), math.sin(front)], [-reach * math.cos(rear), reach * math.sin(rear)]])
+    else:
+        front = math.radians(41 + 9 * spread if layout == "x" else 52 + 7 * spread)
+        xy = np.array([[math.cos(front), math.sin(front)], [-math.cos(front), math.sin(front)]])
+    if layout != "plus":
+        xy = np.concatenate([xy, (xy * (1, -1))[::-1]])
+    return np.asarray(xy / np.linalg.norm(xy[0] - xy[2]))
+
+
+_BODY_SIZE = {  # half length, half width, half height
+    "shell": (0.275, 0.108, 0.064),
+    "plate": (0.245, 0.080, 0.048),
+    "industrial": (0.235, 0.125, 0.072),
+}
+_ARM_SECTION = {"moulded": (0.0200, 0.0160), "tube": (0.0125, 0.0125), "bar": (0.0200, 0.0065)}
+_MOTOR_RADIUS = {"shell": 0.040, "plate": 0.046, "industrial": 0.037}
+
+
+def _plan(p: Params) -> _Plan:
+    motors = _motor_plan(p)
+    length, width, height = _BODY_SIZE[p["body"]]
+    length, width, height = length * p["body_length"], width * p["body_width"], height * p["body_height"]
+    if p["layout"] == "h":
+        # The arms leave the body square: it must reach to them.
+        length = max(length, 1.12 * abs(float(motors[0, 0])))
+        width *= 0.88
+    elif p["layout"] == "plus":
+        length *= 0.78
+    half_w, half_h = (float(p["arm_thickness"]) * s for s in _ARM_SECTION[p["arm"]])
+
+    if p["layout"] == "h":
+        roots = np.stack([motors[:, 0], 0.35 * width * np.sign(motors[:, 1])], axis=1)
+    elif p["layout"] == "plus":
+        roots = np.stack([0.55 * length * np.sign(motors[:, 0]), 0.35 * width * np.sign(motors[:, 1])], axis=1)
+        roots[np.abs(motors) < 1e-9] = 0.0
+    else:
+        roots = np.sign(motors) * (0.62 * length, 0.55 * width)
+
+    # Propellers must clear one another and the body.
+    gaps = np.linalg.norm(motors - np.roll(motors, -1, axis=0), axis=1)
+    outside = np.maximum(np.abs(motors) - (length, width), 0.0)
+    clear = float(np.linalg.norm(outside, axis=1).min()) - 0.012
+    propeller = min(float(p["propeller_radius"]) * float(gaps.min()) / 2, clear)
+
+    rise = float(p["arm_rise"])
+    root_z = {"shell": 0.008, "plate": -height + half_h + 0.004, "industrial": 0.015}[p["body"]]
+    tip_z = root_z + rise * {"moulded": 0.03, "tube": 0.02, "bar": 0.0}[p["arm"]]
+    below = {"shell": 0.105, "plate": 0.10, "industrial": 0.27}[p["body"]]
+    if p["legs"] != "feet":
+        below = max(below, 0.17)
+    if p["camera"] and p["body"] != "shell":
+        below = max(below, 0.175)
+    return _Plan(
+        p, motors, roots, length, width, height, root_z, tip_z, half_w, half_h,
+        _MOTOR_RADIUS[p["body"]] * float(p["motor_radius"]), propeller, -height - below * float(p["leg_height"]) + 0.04,
+    )  # fmt: skip
+
+
+class _Pieces:
+    """Collects the pieces of a drone in the order they are added."""
+
+    def __init__(self) -> None:
+        self.items: list[tuple[str, FloatArray, IntArray, bool]] = []
+
+    def add(self, part: str, solid: Solid, *, at: Vector | None = None, smooth: bool = True) -> None:
+        if at is not None:
+            solid = shapes.moved(solid, at)
+        self.items.append((part, solid.vertices, solid.triangles, smooth))
+
+    def add_both_sides(self, part: str, solid: Solid, *, smooth: bool = True) -> None:
+        """The solid and its mirror image across the plane y = 0."""
+        self.add(part, solid, smooth=smooth)
+        self.add(part, shapes.mirrored(solid, 1), smooth=smooth)
+
+
+# --- motors and propellers -----------------------------------------------------------------------------------
+
+
+def _add_motors(out: _Pieces, plan: _Plan) -> None:
+    r = plan.motor_radius
+    tall = r * (0.62 if plan.p["body"] == "industrial" else 0.8)
+    gap = 0.10 * r
+    top = tall + gap
+    # Outrunner: a fixed base with the stator on it, and a bell that turns round the stator, its top spoked.
+    base = shapes.lathe([(0.55 * r, -0.03 * r), (0.98 * r, 0.0), (0.98 * r, 0.08 * r), (0.5 * r, 0.12 * r)], 16)
+    stator = shapes.cylinder(0.78 * r, 0.05 * r, top - 0.22 * r, 12)
+    wall = shapes.lathe(
+        [
+            (0.97 * r, 0.08 * r + gap),
+            (1.0 * r, 0.12 * r + gap),
+            (1.0 * r, top - 0.14 * r),
+            (0.9 * r, top),
+            (0.76 * r, top),
+            (0.85 * r, top - 0.18 * r),
+            (0.87 * r, 0.08 * r + gap),
+        ],
+        20,
+        wrap=True,
+    )
+    spoke = shapes.sweep([(-0.31 * r, 0.0, 0.0), (0.31 * r, 0.0, 0.0)], 0.11 * r, 0.07 * r, n=4)
+    cap = shapes.lathe([(0.32 * r, top - 0.16 * r), (0.34 * r, top - 0.02 * r), (0.28 * r, top + 0.03 * r)], 16)
+    shaft = shapes.lathe(
+        [(0.13 * r, top), (0.13 * r, top + 0.52 * r), (0.09 * r, top + 0.6 * r), (0.0, top + 0.62 * r)], 10
+    )
+    seat = plan.tip_z + plan.arm_half_height
+    blades = [_propeller(plan, clockwise) for clockwise in (False, True)]
+    hub = shapes.cylinder(0.36 * r, top + 0.02 * r, top + 0.34 * r, 16, 0.06 * r)
+    for i, (x, y) in enumerate(plan.motors_xy.tolist()):
+        at = (x, y, seat)
+        out.add("motor", base, at=at)
+        out.add("winding", stator, at=at)
+        out.add("motor", wall, at=at)
+        out.add("motor", cap, at=at)
+        turn = float(np.radians(plan.p["propeller_angle_deg"][i]))
+        for k in range(6):
+            # The bell stands as the propeller does: they are screwed together.
+            a = turn + k * math.pi / 3
+            offset = (x + 0.52 * r * math.cos(a), y + 0.52 * r * math.sin(a), seat + top - 0.08 * r)
+            out.add("motor", shapes.placed(spoke, shapes.turn_z(a), offset), smooth=False)
+        out.add("motor", shaft, at=at)
+        out.add("propeller", hub, at=at)
+        for k in range(plan.p["blades"]):
+            a = turn + 2 * math.pi * k / plan.p["blades"]
+            out.add("propeller", shapes.placed(blades[i % 2], shapes.turn_z(a), (x, y, seat + top + 0.18 * r)))
+
+
+def _propeller(plan: _Plan, clockwise: bool) -> Solid:
+    """One blade: narrow at the hub, widest at a third, tapering to a rounded tip, its pitch falling outwards."""
+    R = plan.propeller_radius
+    t = np.array([0.05, 0.12, 0.2, 0.3, 0.42, 0.56, 0.7, 0.82, 0.91, 0.96, 0.985, 1.0])
+    wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
+    wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
+    wide *= {2: 1.0, 3: 0.92}[plan.p["blades"]] * (0.85 if plan.p["body"] == "industrial" else 1.0)
+    lead = 0.5 * wide + 0.012 - 0.03 * t**2
+    pitch = np.arctan2(0.22, 2.4 * np.maximum(t, 0.16)) + np.radians(1.5)
+    thick = np.interp(t, [0.0, 0.2, 1.0], [0.035, 0.022, 0.006])
+    # Blades bend up a little under load.
+    solid = shapes.blade(R * t, R * wide, R * lead, pitch, R * thick, camber=0.06, clockwise=clockwise)
+    solid.vertices[:, 2] += 0.03 * solid.vertices[:, 0] ** 2 / R
+    return solid
+
+
+# --- arms ----------------------------------------------------------------------------------------------------
+
+
+def _add_arms(out: _Pieces, plan: _Plan) -> None:
+    p, w, h = plan.p, plan.arm_half_width, plan.arm_half_height
+    r = plan.motor_radius
+    for (mx, my), (rx, ry) in zip(plan.motors_xy.tolist(), plan.roots_xy.tolist(), strict=True):
+        root, tip = np.array([rx, ry, plan.root_z]), np.array([mx, my, plan.tip_z])
+        # The last stretch before the motor is warm: a part of its own.
+        reach = float(np.linalg.norm(tip - root))
+        t_warm = 1 - max(0.07, 1.6 * r) / reach
+        if p["arm"] == "moulded":
+            t = np.array([0.0, 0.12, 0.28, 0.5, 0.75, t_warm])
+            swell = np.interp(t, [0.0, 0.25, 1.0], [1.55, 1.1, 0.85])
+            bow = 0.006 * np.sin(np.pi * t)[:, None] * (0, 0, 1)
+            out.add(
+                "arm", shapes.sweep(root + t[:, None] * (tip - root) + bow, w * swell, h * swell, n=16, exponent=2.8)
+            )
+            warm_w, warm_h, exponent = 0.88 * w, 0.88 * h, 2.8
+        elif p["arm"] == "tube":
+            ends = np.stack([root, root + t_warm * (tip - root)])
+            out.add("arm", shapes.sweep(ends, w, h, n=16))
+            for where in (0.12, 0.3):
+                # Clamps that hold the tube, the outer one hinged.
+                a = root + (where - 0.03) * (tip - root)
+                b = root + (where + 0.03) * (tip - root)
+                out.add("frame", shapes.sweep(np.stack([a, b]), 1.45 * w, 1.45 * h, n=12, exponent=3.0))
+            warm_w, warm_h, exponent = w, h, 2.0
+        else:
+            t = np.array([0.0, 0.2, 0.55, t_warm])
+            wide = w * np.array([1.25, 1.0, 0.8, 0.9])
+            out.add("arm", shapes.sweep(root + t[:, None] * (tip - root), wide, h, n=16, exponent=8.0), smooth=False)
+            warm_w, warm_h, exponent = 0.9 * w, h, 8.0
+        warm = np.stack([root + (t_warm - 0.002) * (tip - root), tip])
+        out.add("motor_mount", shapes.sweep(warm, warm_w, warm_h, n=16, exponent=exponent), smooth=p["arm"] != "bar")
+        z0, z1 = plan.tip_z - 1.1 * h, plan.tip_z + h
+        if p["arm"] == "bar":
+            out.add("motor_mount", shapes.cylinder(1.04 * r, plan.tip_z - h, z1, 24), at=(mx, my, 0.0))
+        else:
+            cup = [
+                (0.0, z0 - 0.25 * r),
+                (0.5 * r, z0 - 0.2 * r),
+                (0.92 * r, z0 + 0.15 * r),
+                (1.0 * r, plan.tip_z),
+                (1.0 * r, z1),
+            ]
+            out.add("motor_mount", shapes.lathe(cup, 20, sharp_deg=50.0), at=(mx, my, 0.0))
+        if p["body"] == "plate" and p["layout"] != "h":
+            # A speed controller lies on each arm of an open frame.
+            out.add("esc", _along(root, tip, 0.52, (0.075, 1.5 * w, 0.011), h + 0.004), smooth=False)
+
+
+def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: float) -> Solid:
+    """A small box lying on an arm at fraction `t` of it."""
+    x, y, _ = (tip - root).tolist()
+    at = root + t * (tip - root) + (0.0, 0.0, lift)
+    return shapes.placed(shapes.box(size, 0.15 * min(size)), shapes.turn_z(math.atan2(y, x)), at)
+
+
+# --- bodies --------------------------------------------------------------------------------------------------
+
+
+def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
+    """A sleek moulded body, its battery let into the back, eyes at the nose, outlets at the flanks."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    t = np.sin(np.linspace(-1, 1, 21) * math.pi / 2 * 0.955)
+    closing = (1 - np.abs(t) ** 6) ** 0.4
+    wide = W * np.interp(t, [-1, -0.4, 0.25, 1], [0.80, 0.97, 1.0, 0.70]) * closing
+    tall = H * np.interp(t, [-1, -0.5, 0.2, 1], [0.82, 1.0, 0.95, 0.62]) * closing
+    middle = H * np.interp(t, [-1, -0.3, 0.4, 1], [0.10, 0.0, -0.02, -0.18])
+    unit = shapes.circle(28, 2.9)
+    rings = np.empty((len(t), 28, 3))
+    rings[:, :, 0] = L * t[:, None]
+    rings[:, :, 1] = wide[:, None] * unit[:, 0]
+    rings[:, :, 2] = middle[:, None] + tall[:, None] * unit[:, 1]
+    out.add("shell", shapes.loft(rings, start=(-L, 0, middle[0]), end=(L, 0, middle[-1])))
+
+    def flank(x: float) -> float:
+        return float(np.interp(x / L, t, wide))
+
+    # Canopy: a raised spine from the nose to the battery.
+    s = np.sin(np.linspace(-1, 1, 11) * math.pi / 2 * 0.96)
+    closing = (1 - np.abs(s) ** 4) ** 0.4
+    unit = shapes.circle(20, 3.2)
+    rings = np.empty((len(s), 20, 3))
+    rings[:, :, 0] = L * (0.40 + 0.42 * s)[:, None]
+    rings[:, :, 1] = (0.62 * W * closing * np.interp(s, [-1, 1], [1.0, 0.75]))[:, None] * unit[:, 0]
+    rings[:, :, 2] = (0.55 * H * closing)[:, None] * unit[:, 1] + (H * np.interp(s, [-1, 0.2, 1], [0.66, 0.6, 0.2]))[
+        :, None
+    ]
+    out.add("shell", shapes.loft(rings, start=(-0.02 * L, 0, 0.66 * H), end=(0.82 * L, 0, 0.2 * H)))
+
+    pack_l, pack_w, pack_h = 0.88 * L, 1.30 * W, 1.05 * H
+    x, z = -0.50 * L, 0.68 * H
+    if plan.p["batteries"] == 1:
+        out.add("battery", shapes.box((pack_l, pack_w, pack_h), 0.18 * H, corner=0.3 * W, steps=4), at=(x, 0, z))
+        out.add(
+            "shell",
+            shapes.box((0.10 * L, 0.5 * pack_w, 0.10 * H), 0.03 * H),
+            at=(x - 0.3 * L, 0, z + 0.5 * pack_h),
+            smooth=False,
+        )
+    else:
+        one = shapes.box((pack_l, 0.47 * pack_w, pack_h), 0.16 * H, corner=0.2 * W, steps=3)
+        out.add_both_sides("battery", shapes.moved(one, (x, 0.26 * pack_w, z)))
+
+    # Outlets: slats along both flanks and across the tail.
+    for k in range(5):
+        x = L * (-0.30 + 0.095 * k)
+        slat = shapes.box((0.035 * L, 0.05 * W, 0.55 * H), 0.01 * H)
+        out.add_both_sides("vent", shapes.moved(slat, (x, flank(x), -0.10 * H)), smooth=False)
+    for k in (-1, 0, 1):
+        slat = shapes.box((0.05 * L, 0.9 * W, 0.09 * H), 0.02 * H)
+        out.add("vent", slat, at=(-0.985 * L, 0, (0.1 + 0.22 * k) * H), smooth=False)
+
+    # Eyes: obstacle sensors at the nose and the tail, looking along X.
+    eye = shapes.placed(shapes.cylinder(0.13 * W, -0.10 * L, 0.015 * L, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
+    out.add_both_sides("lens", shapes.moved(eye, (0.945 * L, 0.40 * W, 0.05 * H)))
+    out.add_both_sides("lens", shapes.moved(shapes.mirrored(eye, 0), (-0.93 * L, 0.55 * W, 0.28 * H)))
+    # Belly: cooling plate and downward sensors.
+    out.add("vent", shapes.box((0.7 * L, 1.0 * W, 0.12 * H), 0.03 * H), at=(-0.2 * L, 0, -0.96 * H), smooth=False)
+    if plan.p["arm"] == "moulded":
+        for x, y in plan.roots_xy.tolist():
+            # Hinges of the folding arms.
+            hinge = shapes.cylinder(
+                1.5 * plan.arm_half_width, -1.5 * plan.arm_half_height, 1.6 * plan.arm_half_height, 18, 0.004
+            )
+            out.add("shell", hinge, at=(1.12 * x, 1.45 * y, plan.root_z))
+
+
+def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
+    """An elongated plate with a waist, 32 points, counter-clockwise."""
+    unit = shapes.circle(32, 5.0)
+    x, y = L * unit[:, 0], W * unit[:, 1]
+    y = y * (1 - waist * np.exp(-((x / (0.38 * L)) ** 2)))
+    return np.stack([x, y], axis=1)
+
+
+def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
+    """Two carbon plates on spacers, boards between them, the battery strapped on top."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    thick = 0.009
+    low, high = -H, H * 0.62
+    out.add("frame", shapes.plate(_plate_outline(L, W, 0.12), low - thick, low), smooth=False)
+    out.add(
+        "frame",
+        shapes.plate(_plate_outline(0.92 * L, 0.9 * W, 0.12), low + 0.02, low + 0.02 + 0.8 * thick),
+        smooth=False,
+    )
+    # Top plate: a solid middle and an open frame at either end.
+    middle = _plate_outline(0.46 * L, 0.74 * W, 0.0)
+    out.add("frame", shapes.plate(middle, high, high + thick), smooth=False)
+    ring = shapes.circle(24, 4.0)
+    outer, hole = ring * (0.33 * L, 0.66 * W), ring * (0.22 * L, 0.40 * W)
+    for side in (1, -1):
+        shift = (side * 0.66 * L, 0.0)
+        out.add("frame", shapes.plate(outer + shift, high, high + thick, hole + shift), smooth=False)
+    post = shapes.cylinder(0.0085, low - 0.004, high + thick + 0.004, 10)
+    for x in (-0.9, -0.45, 0.45, 0.9):
+        out.add_both_sides("frame", shapes.moved(post, (x * L, 0.52 * W, 0.0)))
+
+    # Boards: power stage below, flight controller above, each on corner posts, with a row of hot chips.
+    board = (0.62 * L, 0.95 * W, 0.006)
+    out.add("esc", shapes.box(board, 0.001), at=(0.02 * L, 0, low + 0.38 * (high - low)), smooth=False)
+    chip = shapes.box((0.10 * L, 0.16 * W, 0.012), 0.002)
+    for x in (-0.2, 0.02, 0.24):
+        out.add_both_sides(
+            "esc", shapes.moved(chip, (x * L, 0.26 * W, low + 0.38 * (high - low) + 0.008)), smooth=False
+        )
+    out.add(
+        "esc", shapes.box((0.40 * L, 0.8 * W, 0.005), 0.001), at=(0.02 * L, 0, low + 0.68 * (high - low)), smooth=False
+    )
+    # Video transmitter and receiver at the tail, a warm block seen through the frame's opening.
+    out.add("camera", shapes.box((0.26 * L, 0.5 * W, 0.02), 0.003), at=(-0.66 * L, 0, low + 0.055), smooth=False)
+    out.add("shell", shapes.box((0.18 * L, 0.4 * W, 0.016), 0.003), at=(0.66 * L, 0, low + 0.05), smooth=False)
+
+    pack = (0.88 * L, 0.84 * W, 0.078)
+    z = high + thick + pack[2] / 2
+    if plan.p["batteries"] == 1:
+        out.add("battery", shapes.box(pack, 0.010, corner=0.014, steps=3), at=(-0.06 * L, 0, z))
+        wide = pack[1]
+    else:
+        one = shapes.box((pack[0], 0.78 * W, pack[2]), 0.010, corner=0.014, steps=3)
+        out.add_both_sides("battery", shapes.moved(one, (-0.06 * L, 0.41 * W, z)))
+        wide = 1.64 * W
+    # Straps across the pack and the power lead from its end.
+    for x in (-0.26, 0.14):
+        strap = shapes.box((0.10 * L, wide + 0.006, pack[2] + 0.006), 0.004)
+        out.add("frame", strap, at=(x * L, 0, z), smooth=False)
+    lead = [
+        (-0.48 * L, 0.0, z + 0.012),
+        (-0.60 * L, 0.004, z + 0.016),
+        (-0.70 * L, 0.012, z - 0.02),
+        (-0.72 * L, 0.014, low + 0.05),
+    ]
+    out.add("battery", shapes.sweep(lead, 0.0075, n=8, up=(0.0, 1.0, 0.0), round_ends=True))
+    # Side plates and the pilot's camera at the nose.
+    cheek = shapes.box((0.16 * L, 0.006, 0.85 * (high - low)), 0.0015)
+    out.add_both_sides("frame", shapes.moved(cheek, (0.96 * L, 0.36 * W, (low + high) / 2)), smooth=False)
+    out.add("camera", shapes.box((0.045, 0.5 * W, 0.045), 0.006), at=(0.94 * L, 0, (low + high) / 2), smooth=False)
+    barrel = shapes.placed(shapes.cylinder(0.016, 0.0, 0.028, 14, 0.002), shapes.turn_y(math.pi / 2 - 0.35))
+    out.add("lens", barrel, at=(0.94 * L + 0.018, 0, (low + high) / 2))
+
+
+def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
+    """A faceted hull with hot-swap batteries side by side at the back, sensor block in front, cooling slots."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    x0 = 0.05 * L
+    levels = []
+    for z, sx, sy in ((-1.0, 0.78, 0.72), (-0.72, 0.92, 0.92), (0.1, 1.0, 1.0), (0.62, 0.95, 0.92), (1.0, 0.80, 0.70)):
+        levels.append((z * H, shapes.rounded_rectangle(sx * 0.95 * L, sy * W, 0.36 * W, 4) + np.array([x0, 0.0])))
+    out.add("shell", shapes.stack(levels))
+    # Lid with a raised edge over the avionics.
+    out.add(
+        "shell",
+        shapes.box((0.62 * L, 0.95 * W, 0.16 * H), 0.05 * H, corner=0.2 * W, steps=3),
+        at=(0.48 * L, 0, 1.03 * H),
+    )
+    out.add(
+        "shell",
+        shapes.box((0.36 * L, 0.9 * W, 0.8 * H), 0.12 * H, corner=0.2 * W, steps=3),
+        at=(0.92 * L, 0, -0.05 * H),
+    )
+
+    pack_l, pack_w, pack_h = 0.95 * L, 0.78 * W, 1.5 * H
+    x, z = -0.52 * L, 0.62 * H
+    if plan.p["batteries"] == 2:
+        one = shapes.box((pack_l, pack_w, pack_h), 0.16 * H, corner=0.12 * W, steps=3)
+        out.add_both_sides("battery", shapes.moved(one, (x, 0.43 * W, z)))
+        handles = [0.43, -0.43]
+    else:
+        one = shapes.box((pack_l, 1.5 * pack_w, pack_h), 0.16 * H, corner=0.12 * W, steps=3)
+        out.add("battery", one, at=(x, 0, z))
+        handles = [0.0]
+    for y in handles:
+        # Handle at the pack's back end.
+        grip = np.array([(-0.53, -0.22), (-0.60, -0.16), (-0.60, 0.16), (-0.53, 0.22)])
+        grip = np.column_stack([x + grip[:, 0] * pack_l, (y + grip[:, 1]) * W, np.full(4, z + 0.1 * H)])
+        out.add("shell", shapes.sweep(grip, 0.10 * H, 0.16 * H, n=8))
+        ridge = shapes.box((0.7 * pack_l, 0.06 * W, 0.06 * H), 0.015 * H)
+        out.add("battery", ridge, at=(x, y * W, z + pack_h / 2), smooth=False)
+
+    for k in range(6):
+        xk = L * (0.16 + 0.10 * k)
+        slat = shapes.box((0.045 * L, 0.05 * W, 0.5 * H), 0.01 * H)
+        out.add_both_sides("vent", shapes.moved(slat, (xk, 0.985 * W, 0.05 * H)), smooth=False)
+    for k in range(4):
+        slat = shapes.box((0.035 * L, 0.42 * W, 0.04 * H), 0.01 * H)
+        out.add("vent", slat, at=((0.30 + 0.09 * k) * L, 0, 1.11 * H), smooth=False)
+    eye = shapes.placed(shapes.cylinder(0.11 * W, 0.0, 0.05 * L, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
+    out.add_both_sides("lens", shapes.moved(eye, (1.07 * L, 0.28 * W, 0.08 * H)))
+    dome = shapes.cylinder(0.12 * W, 0.0, 0.09 * H, 14, 0.03 * W)
+    out.add_both_sides("lens", shapes.moved(dome, (0.80 * L, 0.30 * W, 1.08 * H)))
+    # Shoulders: brackets from which the arms leave.
+    for (rx, ry), (mx, my) in zip(plan.roots_xy.tolist(), plan.motors_xy.tolist(), strict=True):
+        root, tip = np.array([rx, ry, plan.root_z]), np.array([mx, my, plan.tip_z])
+        t = np.array([0.0, 0.1, 0.2])[:, None]
+        w = 1.9 * plan.arm_half_width
+        out.add("shell", shapes.sweep(root + t * (tip - root), (1.3 * w, 1.1 * w, 0.85 * w), w, n=12, exponent=4.0))
+
+
+# --- what hangs below and sticks out -------------------------------------------------------------------------
+
+
+def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
+    """A three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
+    body = plan.p["body"]
+    if body == "shell":
+        s, at = 0.042, np.array([0.90 * plan.half_length, 0.0, -1.05 * plan.half_height])
+    elif body == "plate":
+        s, at = 0.046, np.array([0.62 * plan.half_length, 0.0, -plan.half_height - 0.085])
+    else:
+        s, at = 0.058, np.array([0.80 * plan.half_length, 0.0, -plan.half_height - 0.095])
+    roof = -plan.half_height - at[2]
+    yaw = shapes.cylinder(0.52 * s, max(0.75 * s, 0.4 * roof), max(roof, 0.8 * s) + 0.4 * s, 14, 0.06 * s)
+    out.add("gimbal", yaw, at=(float(at[0] - 0.9 * s), 0.0, float(at[2])))
+    yaw_arm = np.array([(-0.9, 0, 0.95), (-1.35, 0, 0.85), (-1.6, 0, 0.45), (-1.6, 0, 0.0)]) * s + at
+    out.add("gimbal", shapes.sweep(yaw_arm, 0.24 * s, 0.2 * s, n=10, up=(0.0, 1.0, 0.0), round_ends=True))
+    roll = shapes.placed(shapes.cylinder(0.42 * s, -0.3 * s, 0.3 * s, 14, 0.05 * s), shapes.turn_y(math.pi / 2))
+    out.add("gimbal", roll, at=(float(at[0] - 1.5 * s), 0.0, float(at[2])))
+    roll_arm = np.array([(-1.35, 0, 0), (-1.3, 0.7, 0), (-1.05, 1.12, 0), (-0.5, 1.25, 0), (0.0, 1.25, 0)]) * s + at
+    out.add("gimbal", shapes.sweep(roll_arm, 0.15 * s, 0.24 * s, n=10, round_ends=True))
+    tilt = shapes.placed(shapes.cylinder(0.42 * s, 0.85 * s, 1.42 * s, 14, 0.05 * s), shapes.turn_x(-math.pi / 2))
+    out.add("gimbal", tilt, at=tuple(at.tolist()))
+    down = shapes.turn_y(math.radians(float(plan.p["gimbal_pitch_deg"])))
+    if body == "industrial":
+        # A payload with two eyes, one of them a thermal camera.
+        head = shapes.box((1.7 * s, 1.85 * s, 1.75 * s), 0.3 * s, corner=0.5 * s, steps=3)
+        eyes = [(0.42, 0.34, 0.40), (-0.42, 0.34, 0.32), (-0.05, -0.45, 0.26)]
+    else:
+        head = shapes.ellipsoid((1.0 * s, 0.92 * s, 0.95 * s), 18, 10)
+        eyes = [(0.0, 0.0, 0.56)]
+    out.add("camera", shapes.placed(head, down, at))
+    for y, z, radius in eyes:
+        barrel = shapes.placed(shapes.cylinder(radius * s, 0.4 * s, 1.08 * s, 16, 0.05 * s), shapes.turn_y(math.pi / 2))
+        out.add("camera", shapes.placed(shapes.moved(barrel, (0, y * s, z * s)), down, at))
+        glass = shapes.lathe(
+            [(0.8 * radius * s, 1.0 * s), (0.8 * radius * s, 1.09 * s), (0.4 * radius * s, 1.13 * s), (0.0, 1.14 * s)],
+            16,
+        )
+        glass = shapes.moved(shapes.placed(glass, shapes.turn_y(math.pi / 2)), (0, y * s, z * s))
+        out.add("lens", shapes.placed(glass, down, at))
+
+
+def _add_legs(out: _Pieces, plan: _Plan) -> None:
+    kind, ground = plan.p["legs"], plan.ground_z
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    thin = 0.011 if plan.p["body"] == "industrial" else 0.0085
+    if kind == "feet":
+        for x, y in plan.motors_xy.tolist():
+            k = 1 - 0.35 * plan.motor_radius / math.hypot(x, y)
+            top, foot = (k * x, k * y, plan.tip_z), (1.01 * x, 1.01 * y, ground)
+            up = (-y, x, 0.0)
+            out.add("leg", shapes.sweep([top, foot], (0.019, 0.011), (0.011, 0.008), n=12, up=up, round_ends=True))
+        return
+    spread = max(1.35 * W, 0.15)
+    reach = max(0.85 * L, 0.19)
+    if kind == "skids":
+        for x in (0.42 * reach, -0.42 * reach):
+            high, low = np.array([x, 0.5 * W, -0.7 * H]), np.array([1.15 * x, spread, ground])
+            across = (1.0, 0.0, 0.0)
+            out.add_both_sides("leg", shapes.sweep([high, low], (1.3 * thin, thin), n=12, up=across))
+            out.add_both_sides("frame", shapes.sweep([high, high + 0.22 * (low - high)], 1.8 * thin, n=10, up=across))
+            tee = low + np.array([(-0.03, 0.0, 0.0), (0.03, 0.0, 0.0)])
+            out.add_both_sides("leg", shapes.sweep(tee, 1.5 * thin, n=10))
+        tips = 0.012
+        rail = [(-reach, spread, ground + tips), (-0.85 * reach, spread, ground)]
+        rail += [(-x, y, z) for x, y, z in reversed(rail)]
+        out.add_both_sides("leg", shapes.sweep(rail, thin, n=12, round_ends=True))
+        for x in (0.72, -0.72):
+            sleeve = [((x - 0.1) * reach, spread, ground), ((x + 0.1) * reach, spread, ground)]
+            out.add_both_sides("leg", shapes.sweep(sleeve, 1.5 * thin, n=12))
+        return
+    # Curved: one bow on each side, down from the front flaring outwards, along the ground and up again.
+    hip = np.array([0.55 * reach, 0.0, -0.6 * H])
+    half = np.concatenate([hip[None], _bow(0.75 * reach, ground, 0.07)])
+    half[:, 1] = 0.6 * W + (spread - 0.6 * W) * np.clip((hip[2] - half[:, 2]) / (hip[2] - ground), 0, 1)
+    path = np.concatenate([half, (half * (-1, 1, 1))[::-1]])
+    out.add_both_sides("leg", shapes.sweep(path, 1.25 * thin, thin, n=12, up=(0.0, 1.0, 0.0)))
+
+
+def _bow(x: float, ground: float, bend: float) -> FloatArray:
+    """Five points of a quarter bend from upright at `x` to level at the ground."""
+    a = np.linspace(0, math.pi / 2, 5)
+    return np.stack([x - bend + bend * np.cos(a), np.zeros(5), ground + bend - bend * np.sin(a)], axis=1)
+
+
+def _add_antennas(out: _Pieces, plan: _Plan) -> None:
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    body = plan.p["body"]
+    top = {"shell": 0.95 * H, "plate": 0.62 * H, "industrial": 0.9 * H}[body]
+    if plan.p["mast"]:
+        x = {"shell": 0.12, "plate": 0.86, "industrial": 0.12}[body] * L
+        height = 0.30 if body == "industrial" else 0.22
+        out.add("antenna", shapes.cylinder(0.0065, top - 0.02, height, 10), at=(x, 0.0, 0.0))
+        puck = [
+            (0.012, height - 0.006),
+            (0.040, height),
+            (0.042, height + 0.010),
+            (0.036, height + 0.020),
+            (0.0, height + 0.024),
+        ]
+        out.add("antenna", shapes.lathe(puck, 20), at=(x, 0.0, 0.0))
+    sides = {0: (), 1: (0.0,), 2: (1.0, -1.0)}[plan.p["antennas"]]
+    for side in sides:
+        x, y = -0.93 * L, side * 0.6 * W
+        base = (x, y, {"shell": 0.2, "plate": -0.2, "industrial": 0.0}[body] * H)
+        lean = np.array([-0.35, 0.45 * side, 1.0])
+        lean /= np.linalg.norm(lean)
+        tip = np.array(base) + 0.17 * lean
+        out.add("antenna", shapes.capsule(base, tip, 0.0045, n=8))
+        out.add("antenna", shapes.capsule(np.array(base) + 0.10 * lean, tip, 0.0085, n=10))
+
+
+# --- the model -----------------------------------------------------------------------------------------------
+
+
+def build_drone(params: Params) -> Mesh:
+    """The mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
+
+    Raises:
+        ModelError: A parameter is missing, unknown or out of range.
+    """
+    _require_params(params)
+    pieces = _build_pieces(params)
+    counted = np.concatenate([v for part, v, _, _ in pieces if part not in OUTSIDE_ORIGIN_BOX])
+    centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
+    size = float(params["size_m"])
+    return make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
+
+
+def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
+    """Closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
+    plan = _plan(params)
+    out = _Pieces()
+    add_body = {"shell": _add_shell_body, "plate": _add_plate_body, "industrial": _add_industrial_body}
+    add_body[params["body"]](out, plan)
+    _add_arms(out, plan)
+    _add_motors(out, plan)
+    _add_legs(out, plan)
+    if params["camera"]:
+        _add_gimbal(out, plan)
+    _add_antennas(out, plan)
+    return out.items
+
+
+def _option_text(name: str) -> str:
+    if name in CHOICES:
+        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
+    low, high = DRAWN[name]
+    text = f"a value or [low, high]; drawn from [{low:g}, {high:g}]"
+    return text + ("; or four values" if name == "propeller_angle_deg" else "")
+
+
+MODEL = ObjectModel(
+    name="drone",
+    category="drone",
+    description="A quadrotor with still propellers: hot motors and batteries, cold carbon, propellers and legs.",
+    origin="the drone's centre: the middle of its bounding box without propellers and antennas",
+    stands=False,
+    parts=PARTS,
+    sample=sample_params,
+    build=build_drone,
+    options={name: _option_text(name) for name in NOMINAL},
+)

@@ -1,0 +1,347 @@
+"""Closed solids made of triangles, in pure numpy: lofts and what follows from them.
+
+Every solid is closed and its triangles run counter-clockwise seen from outside. Edges that should look sharp
+although the solid is shaded smooth carry their vertices twice (same position, other index), so a solid is closed
+by position, not by index. All lengths are in the caller's unit, angles in radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infrablend.core.mesh import FloatArray, IntArray
+
+
+class Solid(NamedTuple):
+    """A closed surface: `vertices` (V, 3) float64, `triangles` (T, 3) int32, counter-clockwise from outside."""
+
+    vertices: FloatArray
+    triangles: IntArray
+
+
+def loft(
+    rings: FloatArray,
+    *,
+    sharp: Sequence[bool] | None = None,
+    start: ArrayLike | None = None,
+    end: ArrayLike | None = None,
+    wrap: bool = False,
+) -> Solid:
+    """The skin over a row of rings.
+
+    Args:
+        rings: (R, N, 3) rings of N points; each runs counter-clockwise seen from the side the row goes to.
+        sharp: (R,) rings that are edges rather than part of a smooth surface.
+        start: (3,) a pole that closes the first ring smoothly; by default a flat cap does.
+        end: The same for the last ring.
+        wrap: The last ring is joined to the first instead of closing both: a solid with a hole.
+    """
+    count, n = rings.shape[:2]
+    marks = (False,) * count if sharp is None else tuple(bool(s) for s in sharp)
+    take, triangles = _loft_topology(count, n, marks, start is not None, end is not None, wrap)
+    flat = rings.reshape(-1, 3)[take]
+    if wrap:
+        return Solid(flat, triangles)
+    first = rings[0].mean(axis=0) if start is None else np.asarray(start, np.float64)
+    last = rings[-1].mean(axis=0) if end is None else np.asarray(end, np.float64)
+    return Solid(np.concatenate([flat, first[None], last[None]]), triangles)
+
+
+@lru_cache(maxsize=512)
+def _loft_topology(
+    count: int, n: int, sharp: tuple[bool, ...], start_pole: bool, end_pole: bool, wrap: bool
+) -> tuple[NDArray[np.intp], IntArray]:
+    """Which ring points become vertices, and the triangles over them (poles are the last two vertices)."""
+    rows: list[int] = []
+    enter, leave = [], []
+    for r in range(count):
+        enter.append(len(rows))
+        rows.append(r)
+        if sharp[r]:
+            rows.append(r)
+        leave.append(len(rows) - 1)
+    cap_rows = []
+    if not wrap:
+        for r, pole in ((0, start_pole), (count - 1, end_pole)):
+            if pole:
+                cap_rows.append(enter[r] if r == 0 else leave[r])
+            else:
+                cap_rows.append(len(rows))
+                rows.append(r)
+    j = np.arange(n)
+    k = (j + 1) % n
+    parts = []
+    for r in range(count if wrap else count - 1):
+        a, b = leave[r] * n, enter[(r + 1) % count] * n
+        parts.append(np.stack([a + j, a + k, b + k], axis=1))
+        parts.append(np.stack([a + j, b + k, b + j], axis=1))
+    if not wrap:
+        first, last = len(rows) * n, len(rows) * n + 1
+        parts.append(np.stack([np.full(n, first), cap_rows[0] * n + k, cap_rows[0] * n + j], axis=1))
+        parts.append(np.stack([np.full(n, last), cap_rows[1] * n + j, cap_rows[1] * n + k], axis=1))
+    take = (np.array(rows)[:, None] * n + j).reshape(-1)
+    triangles = np.concatenate(parts).astype(np.int32)
+    take.setflags(write=False)
+    triangles.setflags(write=False)
+    return take, triangles
+
+
+@lru_cache(maxsize=64)
+def circle(n: int, exponent: float = 2.0) -> FloatArray:
+    """(n, 2) points of the superellipse |x|^e + |y|^e = 1, counter-clockwise from +x; read-only."""
+    a = 2 * np.pi * np.arange(n) / n
+    xy = np.stack([np.cos(a), np.sin(a)], axis=1)
+    # cos and sin leave 1e-17 where they mean 0; a root of that would be visible.
+    xy[np.abs(xy) < 1e-12] = 0.0
+    out = np.asarray(np.sign(xy) * np.abs(xy) ** (2.0 / exponent))
+    out.setflags(write=False)
+    return out
+
+
+def rounded_rectangle(half_x: float, half_y: float, radius: float, steps: int = 3) -> FloatArray:
+    """(4 * (steps + 1), 2) outline, counter-clockwise; `steps` 1 gives plain chamfers."""
+    a = np.linspace(0.0, np.pi / 2, steps + 1)
+    corner = radius * np.stack([np.cos(a), np.sin(a)], axis=1)
+    quarters = []
+    for sx, sy, turn in ((1, 1, 0), (-1, 1, 1), (-1, -1, 2), (1, -1, 3)):
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn]
+        turned = np.stack([c * corner[:, 0] - s * corner[:, 1], s * corner[:, 0] + c * corner[:, 1]], axis=1)
+        quarters.append(turned + np.array([sx * (half_x - radius), sy * (half_y - radius)]))
+    return np.concatenate(quarters)
+
+
+def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: int = 1) -> Solid:
+    """A box about the origin with bevelled edges.
+
+    Args:
+        size: (3,) full extents.
+        bevel: Of the edges around top and bottom.
+        corner: Radius of the four upright edges; by default the bevel.
+        steps: Facets of an upright edge.
+    """
+    hx, hy, hz = (float(s) / 2 for s in np.asarray(size, np.float64))
+    bevel = min(bevel, 0.49 * min(hx, hy, hz))
+    radius = min(max(bevel if corner is None else corner, bevel), 0.98 * min(hx, hy))
+    outer = rounded_rectangle(hx, hy, radius, steps)
+    inner = rounded_rectangle(hx - bevel, hy - bevel, max(radius - bevel, 0.35 * bevel), steps)
+    return stack([(-hz, inner), (-hz + bevel, outer), (hz - bevel, outer), (hz, inner)])
+
+
+def stack(levels: Sequence[tuple[float, FloatArray]], *, sharp: bool = True) -> Solid:
+    """A solid from outlines (z, (N, 2) counter-clockwise) in rising order, closed by flat caps.
+
+    The first and last outline must be star-shaped about their mean.
+    """
+    n = len(levels[0][1])
+    rings = np.empty((len(levels), n, 3))
+    for ring, (z, outline) in zip(rings, levels, strict=True):
+        ring[:, :2] = outline
+        ring[:, 2] = z
+    return loft(rings, sharp=[sharp] * len(levels))
+
+
+def plate(outline: FloatArray, low: float, high: float, hole: FloatArray | None = None) -> Solid:
+    """A flat plate from z `low` to `high`: an outline (N, 2), counter-clockwise, with or without a hole (N, 2)."""
+    if hole is None:
+        return stack([(low, outline), (high, outline)])
+    rings = np.empty((4, len(outline), 3))
+    rings[0, :, :2] = rings[1, :, :2] = outline
+    rings[2, :, :2] = rings[3, :, :2] = hole
+    rings[[0, 3], :, 2], rings[[1, 2], :, 2] = low, high
+    return loft(rings, sharp=[True] * 4, wrap=True)
+
+
+def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: float = 35.0) -> Solid:
+    """A solid of revolution about Z.
+
+    Args:
+        profile: (P, 2) of (radius, z), outside on the right hand: upwards along the outer wall. A first or last
+            radius of 0 is a smooth pole; otherwise a flat cap closes the end.
+        n: Segments around.
+        wrap: The profile is a closed loop that stays off the axis (a ring).
+        sharp_deg: Bends of the profile above this are edges.
+    """
+    p = np.asarray(profile, np.float64)
+    step = (np.roll(p, -1, axis=0) if wrap else p[1:]) - (p if wrap else p[:-1])
+    step = step / np.linalg.norm(step, axis=1, keepdims=True)
+    before = np.roll(step, 1, axis=0) if wrap else np.concatenate([step[:1], step])
+    after = step if wrap else np.concatenate([step, step[-1:]])
+    bend = (before * after).sum(axis=1) < np.cos(np.radians(sharp_deg))
+    start = end = None
+    if not wrap and p[0, 0] == 0:
+        start, p, bend = (0.0, 0.0, p[0, 1]), p[1:], bend[1:]
+    if not wrap and p[-1, 0] == 0:
+        end, p, bend = (0.0, 0.0, p[-1, 1]), p[:-1], bend[:-1]
+    unit = circle(n)
+    rings = np.empty((len(p), n, 3))
+    rings[:, :, :2] = p[:, :1, None] * unit
+    rings[:, :, 2] = p[:, 1:]
+    return loft(rings, sharp=bend.tolist(), start=start, end=end, wrap=wrap)
+
+
+def cylinder(radius: float, low: float, high: float, n: int = 16, bevel: float = 0.0) -> Solid:
+    """An upright cylinder about Z with bevelled rims."""
+    if bevel <= 0:
+        return lathe([(radius, low), (radius, high)], n)
+    bevel = min(bevel, 0.45 * (high - low), 0.5 * radius)
+    return lathe([(radius - bevel, low), (radius, low + bevel), (radius, high - bevel), (radius - bevel, high)], n)
+
+
+def ellipsoid(half: ArrayLike, n: int = 16, rows: int = 8) -> Solid:
+    """An ellipsoid about the origin with half axes (3,)."""
+    a = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
+    profile = np.stack([np.cos(a), np.sin(a)], axis=1)
+    profile[0, 0] = profile[-1, 0] = 0.0
+    solid = lathe(profile, n, sharp_deg=80.0)
+    return Solid(solid.vertices * np.asarray(half, np.float64), solid.triangles)
+
+
+def sweep(
+    path: ArrayLike,
+    half_width: ArrayLike,
+    half_height: ArrayLike | None = None,
+    *,
+    n: int = 12,
+    exponent: float = 2.0,
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    round_ends: bool = False,
+) -> Solid:
+    """A bar along a path.
+
+    Args:
+        path: (P, 3) points; neighbours differ.
+        half_width: Half the section's extent sideways (perpendicular to `up`); one value or (P,).
+        half_height: Half its extent along `up`; by default the width.
+        n: Points around; a multiple of 4 keeps the section symmetric.
+        exponent: 2 gives an ellipse, larger values a rounded rectangle.
+        up: Direction the section's height is held to; must not be parallel to the path.
+        round_ends: Dome the ends instead of cutting them flat.
+    """
+    p = np.asarray(path, np.float64)
+    step = np.diff(p, axis=0)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    tangent = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(np.asarray(up, np.float64), tangent)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    rise = np.cross(tangent, side)
+    w = np.broadcast_to(np.asarray(half_width, np.float64), len(p))
+    h = w if half_height is None else np.broadcast_to(np.asarray(half_height, np.float64), len(p))
+    start = end = None
+    if round_ends:
+        dome = np.array([0.4, 0.8])
+        grow = np.sqrt(1 - dome**2)
+        reach0, reach1 = min(w[0], h[0]), min(w[-1], h[-1])
+        start, end = p[0] - reach0 * tangent[0], p[-1] + reach1 * tangent[-1]
+        before = p[0] - reach0 * dome[::-1, None] * tangent[0]
+        after = p[-1] + reach1 * dome[:, None] * tangent[-1]
+        p = np.concatenate([before, p, after])
+        w = np.concatenate([w[0] * grow[::-1], w, w[-1] * grow])
+        h = np.concatenate([h[0] * grow[::-1], h, h[-1] * grow])
+        pick = np.array([0, 0, *range(len(tangent)), -1, -1])
+        side, rise = side[pick], rise[pick]
+    unit = circle(n, exponent)
+    rings = (
+        p[:, None]
+        + (w[:, None] * unit[:, 0])[:, :, None] * side[:, None]
+        + (h[:, None] * unit[:, 1])[:, :, None] * rise[:, None]
+    )
+    return loft(rings, start=start, end=end)
+
+
+def capsule(a: ArrayLike, b: ArrayLike, radius_a: float, radius_b: float | None = None, n: int = 12) -> Solid:
+    """A round bar with domed ends between two points, tapering from `radius_a` to `radius_b`."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    along = np.abs(b - a)
+    up = np.zeros(3)
+    up[int(np.argmin(along))] = 1.0
+    radii = (radius_a, radius_a if radius_b is None else radius_b)
+    return sweep(np.stack([a, b]), radii, n=n, up=up, round_ends=True)
+
+
+def blade(
+    span: ArrayLike,
+    chord: ArrayLike,
+    lead: ArrayLike,
+    pitch_rad: ArrayLike,
+    thickness: ArrayLike,
+    *,
+    camber: float = 0.05,
+    clockwise: bool = False,
+) -> Solid:
+    """A propeller blade along +X, Z up, turning counter-clockwise seen from above (leading edge towards +Y).
+
+    Args:
+        span: (S,) stations along X, rising.
+        chord: (S,) width at each.
+        lead: (S,) Y of the leading edge of the untwisted blade.
+        pitch_rad: (S,) angle between chord and the plane of rotation: leading edge up.
+        thickness: (S,) largest thickness.
+        camber: Height of the mean line over the chord.
+        clockwise: Mirror it for a propeller turning the other way.
+    """
+    x, c, y0, pitch, thick = (np.asarray(q, np.float64) for q in (span, chord, lead, pitch_rad, thickness))
+    # A loop over the aerofoil: from the leading edge along the top to the trailing edge and back below.
+    s = np.array([0.0, 0.12, 0.35, 0.65, 1.0])
+    half = np.array([0.0, 0.38, 0.5, 0.34, 0.06])
+    mean = 4 * camber * s * (1 - s)
+    loop_s = np.concatenate([s, s[:0:-1]])
+    loop_half = np.concatenate([half, -half[:0:-1]])
+    loop_mean = np.concatenate([mean, mean[:0:-1]])
+    along = -c[:, None] * loop_s
+    height = c[:, None] * loop_mean + thick[:, None] * loop_half
+    mid = 0.4 * c[:, None]
+    cos, sin = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
+    rings = np.empty((len(x), len(loop_s), 3))
+    rings[:, :, 0] = x[:, None]
+    rings[:, :, 1] = y0[:, None] - mid + cos * (along + mid) - sin * height
+    rings[:, :, 2] = sin * (along + mid) + cos * height
+    # Leading edge -> top -> trailing edge runs +Y to -Y above: counter-clockwise seen from +X.
+    solid = loft(rings)
+    return mirrored(solid, 1) if clockwise else solid
+
+
+def moved(solid: Solid, offset: ArrayLike) -> Solid:
+    """The solid shifted by (3,) `offset`."""
+    return Solid(solid.vertices + np.asarray(offset, np.float64), solid.triangles)
+
+
+def placed(solid: Solid, rotation: FloatArray, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
+    """The solid turned by a (3, 3) rotation, then shifted."""
+    return Solid(solid.vertices @ rotation.T + np.asarray(offset, np.float64), solid.triangles)
+
+
+def mirrored(solid: Solid, axis: int) -> Solid:
+    """The solid mirrored in the plane through the origin across `axis`, still oriented outward."""
+    v = solid.vertices.copy()
+    v[:, axis] *= -1.0
+    return Solid(v, np.ascontiguousarray(solid.triangles[:, ::-1]))
+
+
+def turn_z(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about +Z, counter-clockwise seen from above."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turn_y(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about +Y: positive turns +X down to -Z and +Z forward to +X."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def turn_x(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about +X: positive turns +Y up to +Z and +Z to -Y."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def volume(solid: Solid) -> float:
+    """Enclosed volume; positive if the triangles face outward."""
+    a, b, c = (solid.vertices[solid.triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -1,0 +1,213 @@
+"""The quadrotor: its mesh is sound, its parameters mean what they say, its options are honoured or refused."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from infrablend.assets import drone, shapes
+from infrablend.assets.drone import CHOICES, DRAWN, MODEL, NOMINAL
+from infrablend.core.mesh import Mesh
+from infrablend.core.rng import stream
+from infrablend.errors import ModelError
+
+DRAWS = [MODEL.sample(stream(7, "drone", k), {}) for k in range(24)]
+
+
+def measured_motors_m(mesh: Mesh) -> np.ndarray:
+    """(4, 2) centres of the stators as they stand in the mesh."""
+    rows = mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("winding")]
+    xy = mesh.vertices_m[np.unique(rows)][:, :2]
+    return np.array([(c.min(axis=0) + c.max(axis=0)) / 2 for c in np.split(xy, 4)])
+
+
+@pytest.mark.parametrize("k", range(len(DRAWS)))
+def test_drawn_drone_is_sound(k: int) -> None:
+    params = DRAWS[k]
+    mesh = MODEL.build(params)
+    assert 4_000 <= len(mesh.triangles) <= 13_000
+    assert set(mesh.part_names) <= set(MODEL.parts)
+    counts = np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names))
+    assert (counts > 0).all()
+
+    corners = mesh.vertices_m[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert area.min() > 1e-8 * params["size_m"] ** 2
+
+    body = ~np.isin(np.array(mesh.part_names)[mesh.part_of_triangle], sorted(drone.OUTSIDE_ORIGIN_BOX))
+    v = mesh.vertices_m[np.unique(mesh.triangles[body])]
+    assert v.min(axis=0) + v.max(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
+    assert (mesh.size_m < 2.0 * params["size_m"]).all()
+    assert mesh.size_m[2] > 0.15 * params["size_m"]
+
+
+@pytest.mark.parametrize("k", range(0, len(DRAWS), 2))
+def test_every_piece_is_closed_and_faces_outward(k: int) -> None:
+    found = drone._build_pieces(DRAWS[k])
+    assert len(found) > 60
+    assert sum(len(t) for _, _, t, _ in found) == len(MODEL.build(DRAWS[k]).triangles)
+    for part, vertices, triangles, _ in found:
+        # Vertices are doubled at sharp edges: a piece is closed by position.
+        _, index = np.unique(vertices, axis=0, return_inverse=True)
+        t = index.reshape(-1)[triangles]
+        edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+        key, back = edges[:, 0] * 10**6 + edges[:, 1], edges[:, 1] * 10**6 + edges[:, 0]
+        assert (edges[:, 0] != edges[:, 1]).all(), part
+        assert len(np.unique(key)) == len(key), part
+        assert np.array_equal(np.sort(key), np.sort(back)), part
+        assert shapes.volume(shapes.Solid(vertices, triangles)) > 0, part
+
+
+@pytest.mark.parametrize(
+    ("layout", "body", "arm"), list(itertools.product(CHOICES["layout"], CHOICES["body"], CHOICES["arm"]))
+)
+def test_every_combination_builds_with_the_diagonal_asked_for(layout: str, body: str, arm: str) -> None:
+    for n, (legs, batteries) in enumerate(itertools.product(CHOICES["legs"], CHOICES["batteries"])):
+        mesh = MODEL.build(
+            {
+                **NOMINAL,
+                "size_m": 0.3 + 0.1 * n,
+                "layout": layout,
+                "body": body,
+                "arm": arm,
+                "legs": legs,
+                "batteries": batteries,
+                "antennas": n % 3,
+                "mast": n % 2 == 0,
+                "camera": n % 2 == 1,
+                "blades": 2 + n % 2,
+                "arm_spread": n / 5,
+            }
+        )
+        motors = measured_motors_m(mesh)
+        for a, b in ((0, 2), (1, 3)):
+            assert np.linalg.norm(motors[a] - motors[b]) == pytest.approx(0.3 + 0.1 * n, rel=0.01)
+        # Left and right alike, heading along +X.
+        assert motors[:, 1].sum() == pytest.approx(0, abs=1e-6)
+        assert {"battery", "motor", "arm", "propeller", "leg"} <= set(mesh.part_names)
+        assert ("gimbal" in mesh.part_names) == (n % 2 == 1)
+
+
+def test_propellers_clear_one_another_and_the_body() -> None:
+    for params in DRAWS:
+        plan = drone._plan(params)
+        gaps = np.linalg.norm(plan.motors_xy[:, None] - plan.motors_xy[None], axis=2)[~np.eye(4, dtype=bool)]
+        assert 0.12 < plan.propeller_radius < gaps.min() / 2
+        beyond = np.maximum(np.abs(plan.motors_xy) - (plan.half_length, plan.half_width), 0)
+        assert (np.linalg.norm(beyond, axis=1) > plan.propeller_radius).all()
+
+
+def test_motor_positions_are_those_of_the_mesh() -> None:
+    for params in DRAWS[:6]:
+        wanted = drone.motor_positions_m(params)
+        found = measured_motors_m(MODEL.build(params))
+        offset = (found - wanted).mean(axis=0)
+        assert found == pytest.approx(wanted + offset, abs=1e-6)
+
+
+def test_a_propeller_turns_by_its_angle() -> None:
+    def blades(angle: float) -> np.ndarray:
+        mesh = MODEL.build({**NOMINAL, "propeller_angle_deg": [angle, 0.0, 0.0, 0.0]})
+        rows = mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("propeller")]
+        v = mesh.vertices_m[np.unique(rows)]
+        centre = measured_motors_m(mesh)[0]
+        reach = np.linalg.norm(v[:, :2] - centre, axis=1) / NOMINAL["size_m"]
+        # Of this motor's propeller, without its hub, which is round.
+        return v[(reach > 0.05) & (reach < 0.33)] - np.array([*centre, 0.0])
+
+    at_0, at_90 = blades(0.0), blades(90.0)
+    assert np.ptp(at_0[:, 0]) > 3 * np.ptp(at_0[:, 1])
+    assert at_90 == pytest.approx(at_0[:, [1, 0, 2]] * (-1, 1, 1), abs=1e-9)
+
+
+def test_same_params_same_bytes_after_a_json_round_trip() -> None:
+    for params in DRAWS[:4]:
+        a, b = MODEL.build(params), MODEL.build(json.loads(json.dumps(params)))
+        assert a.part_names == b.part_names
+        for x, y in (
+            (a.vertices_m, b.vertices_m),
+            (a.triangles, b.triangles),
+            (a.part_of_triangle, b.part_of_triangle),
+        ):
+            assert x.tobytes() == y.tobytes()
+
+
+def test_size_scales_and_nothing_else() -> None:
+    small, large = (MODEL.build({**NOMINAL, "size_m": s}) for s in (0.4, 0.8))
+    assert large.vertices_m == pytest.approx(2 * small.vertices_m, rel=1e-12)
+
+
+def test_draws_are_in_range_varied_and_repeatable() -> None:
+    draws = [MODEL.sample(stream(3, "many", k), {}) for k in range(400)]
+    assert draws[5] == MODEL.sample(stream(3, "many", 5), {})
+    for name, (low, high) in DRAWN.items():
+        values = np.array([d[name] for d in draws])
+        assert low <= values.min() and values.max() <= high
+        assert np.ptp(values) > 0.9 * (high - low)
+    for name, allowed in CHOICES.items():
+        assert {d[name] for d in draws} == set(allowed)
+    # Log-uniform: half of the sizes lie below the geometric mean.
+    below = np.mean([d["size_m"] < np.sqrt(0.3 * 0.9) for d in draws])
+    assert below == pytest.approx(0.5, abs=0.08)
+
+
+def test_options_are_honoured_and_leave_other_draws_alone() -> None:
+    options = {"size_m": [0.5, 0.6], "layout": "h", "body": ["plate", "shell"], "propeller_angle_deg": [1, 2, 3, 4]}
+    for k in range(30):
+        drawn = MODEL.sample(stream(k, "o"), options)
+        assert 0.5 <= drawn["size_m"] <= 0.6
+        assert drawn["layout"] == "h" and drawn["body"] in ("plate", "shell")
+        assert drawn["propeller_angle_deg"] == [1.0, 2.0, 3.0, 4.0]
+    free, fixed = (MODEL.sample(stream(1, "o"), o) for o in ({}, {"layout": "plus", "arm_rise": 0.5}))
+    assert fixed["layout"] == "plus" and fixed["arm_rise"] == 0.5
+    assert {**free, "layout": "plus", "arm_rise": 0.5} == fixed
+    assert MODEL.sample(stream(1, "o"), {"size_m": 0.45, "propeller_angle_deg": 30})["size_m"] == 0.45
+    assert MODEL.sample(stream(1, "o"), {"propeller_angle_deg": 30})["propeller_angle_deg"] == [30.0] * 4
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"size": 0.4}, r"unknown option 'size'; expected one of .*size_m"),
+        ({"size_m": -1}, r"'size_m': found -1, expected a number in \[0.05, 5\]"),
+        ({"size_m": float("nan")}, r"'size_m': found nan"),
+        ({"size_m": True}, r"'size_m': found True"),
+        ({"size_m": [0.6, 0.5]}, r"'size_m': found \[0.6, 0.5\].*\[low, high\]"),
+        ({"layout": "y"}, r"'layout': found 'y', expected one of 'x', 'h', 'plus', 'deadcat'"),
+        ({"layout": []}, r"'layout': found \[\]"),
+        ({"body": 3}, r"'body': found 3"),
+        ({"blades": True}, r"'blades': found True"),
+        ({"propeller_angle_deg": "fast"}, r"'propeller_angle_deg': found 'fast', expected an angle"),
+        ({"propeller_angle_deg": [1, 2, 3]}, r"'propeller_angle_deg': found \[1, 2, 3\]"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, object], expected: str) -> None:
+    with pytest.raises(ModelError, match=expected):
+        MODEL.sample(stream(0), options)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"size_m": 0.0}, "'size_m': found 0.0"),
+        ({"layout": None}, "'layout': found None"),
+        ({"propeller_angle_deg": [0, 0, 0]}, "four angles"),
+        ({"colour": 1}, "unknown parameter 'colour'"),
+    ],
+)
+def test_bad_params_are_named(change: dict[str, object], expected: str) -> None:
+    with pytest.raises(ModelError, match=expected):
+        MODEL.build({**NOMINAL, **change})
+    with pytest.raises(ModelError, match="parameter 'legs' is missing"):
+        MODEL.build({k: v for k, v in NOMINAL.items() if k != "legs"})
+
+
+def test_parts_have_sane_thermal_roles() -> None:
+    for role in MODEL.parts.values():
+        assert role.delta_t_k[0] <= role.delta_t_k[1] <= 60
+        assert 0.8 <= role.emissivity[0] <= role.emissivity[1] <= 1
+        assert role.what
+    hot, cold = ("battery", "motor", "winding", "esc"), ("frame", "arm", "propeller", "leg")
+    assert min(MODEL.parts[h].delta_t_k[0] for h in hot) > max(MODEL.parts[c].delta_t_k[1] for c in cold)
+    assert all(role in {p for d in DRAWS for p in MODEL.build(d).part_names} for role in MODEL.parts)
