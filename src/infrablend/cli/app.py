@@ -1,0 +1,98 @@
+"""The command tree. Commands live in modules of their own; here they only get their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from infrablend.cli import asset, doctor, exits, generate, models, preview, recipes, rerender, world
+from infrablend.cli.session import open_session
+
+_EPILOG = (
+    "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
+    "or data; 3 the environment (libraries, devices, disk); 130 stopped. 70 is a bug."
+)
+
+
+class _Commands(TyperGroup):
+    """The root: whatever a command raises is told in one place."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (typer.Exit, typer.Abort, BrokenPipeError):
+            raise
+        except (Exception, KeyboardInterrupt) as e:
+            if hasattr(e, "exit_code"):  # wrong usage: the parser tells that itself
+                raise
+            raise typer.Exit(_tell(e, ctx)) from e
+
+
+def _tell(error: BaseException, ctx: Any) -> int:
+    session = ctx.obj
+    code = exits.tell(error, session.log_path if session else None)
+    if session and session.json and code != exits.INTERRUPTED:
+        from infrablend.cli.results import say_json
+
+        problems = [p.to_json() for p in getattr(error, "problems", ())]
+        message = getattr(error, "message", str(error))
+        say_json({"error": type(error).__name__, "message": message, "problems": problems, "exit_code": code})
+    return code
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from infrablend import __version__
+
+        typer.echo(f"infrablend {__version__}")
+        raise typer.Exit
+
+
+def _root(
+    ctx: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log more on stderr.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")] = False,
+    log: Annotated[
+        Path | None, typer.Option(help="Log file [default: $INFRABLEND_LOG or the user's state folder].")
+    ] = None,
+) -> None:
+    """Put rendered thermal objects into real thermal aerial images, with boxes, oriented boxes and masks."""
+    ctx.obj = ctx.with_resource(open_session(verbose, quiet, log))
+
+
+def build_app() -> typer.Typer:
+    """The whole command line."""
+    app = typer.Typer(
+        name="infrablend",
+        cls=_Commands,
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        epilog=_EPILOG,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    app.command("generate")(generate.generate)
+    app.command("preview")(preview.preview)
+    app.command("rerender")(rerender.rerender)
+    app.command("world")(world.world)
+    app.command("doctor")(doctor.doctor)
+    groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
+        ("models", {"list": models.list_models, "show": models.show_model}, "Object models that can be inserted."),
+        ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Recipes that are shipped."),
+        ("asset", {"infrared-effect": asset.infrared_effect}, "Blender assets, made on request."),
+    )
+    for name, commands, what in groups:
+        group = typer.Typer(name=name, help=what, no_args_is_help=True, rich_markup_mode=None)
+        for command, function in commands.items():
+            group.command(command)(function)
+        app.add_typer(group)
+    return app

@@ -1,0 +1,84 @@
+"""Exit codes, and errors told to people.
+
+0    done
+1    done, but some backgrounds or frames were skipped or failed; they are listed
+2    the command, the recipe or the data are wrong; nothing was made
+3    the environment is: a library, a device, the disk, or Blender itself
+70   a bug in InfraBlend; the log file has the details
+130  stopped by Ctrl-C or SIGTERM
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+import typer
+
+from infrablend.errors import (
+    InfraBlendError,
+    Interrupted,
+    MissingDependencyError,
+    OutputError,
+    Problem,
+    RenderError,
+)
+
+OK = 0
+PARTIAL = 1
+USAGE = 2
+ENVIRONMENT = 3
+BUG = 70
+INTERRUPTED = 130
+
+SHOWN_PROBLEMS = 20
+
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS}
+
+logger = logging.getLogger(__name__)
+
+
+def exit_code(error: BaseException) -> int:
+    """The exit code of an exception that ended the command."""
+    match error:
+        case KeyboardInterrupt() | Interrupted():
+            return INTERRUPTED
+        case MissingDependencyError() | RenderError():
+            return ENVIRONMENT
+        case OutputError():
+            # A folder that is not empty is the user's choice, a full disk is not.
+            cause = error.__cause__
+            return ENVIRONMENT if isinstance(cause, OSError) and cause.errno in _DISK else USAGE
+        case InfraBlendError():
+            return USAGE
+        case _:
+            return BUG
+
+
+def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
+    """One line for each problem, the first 20, then how many more there are and where they stand."""
+    all_of_them = list(problems)
+    lines = [f"  - {p}" for p in all_of_them[:SHOWN_PROBLEMS]]
+    more = len(all_of_them) - SHOWN_PROBLEMS
+    if more > 0:
+        lines.append(f"  ... and {more} more" + (f"; all of them in {log_path}" if log_path else ""))
+    return lines
+
+
+def tell(error: BaseException, log_path: Path | None) -> int:
+    """Say on stderr what went wrong, put everything into the log, and give the exit code."""
+    code = exit_code(error)
+    if isinstance(error, KeyboardInterrupt):
+        typer.echo("Stopped.", err=True)
+    elif isinstance(error, InfraBlendError):
+        logger.info("%s: %s", type(error).__name__, error, exc_info=error)
+        head = "" if isinstance(error, Interrupted) else typer.style("Error: ", fg="red", bold=True)
+        typer.echo("\n".join([head + error.message, *problem_lines(error.problems, log_path)]), err=True)
+    else:
+        logger.info("unexpected", exc_info=error)
+        where = f" Details are in {log_path}" if log_path else ""
+        bug = typer.style("Unexpected error: ", fg="red", bold=True)
+        typer.echo(f"{bug}{type(error).__name__}: {error}\nThis is a bug in InfraBlend.{where}", err=True)
+    return code

@@ -1,0 +1,131 @@
+"""`infrablend generate`: a dataset in, the same dataset with inserted objects out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.options import Device, DeviceOption, JsonOption, SeedOption, WorkersOption, comma_list
+
+if TYPE_CHECKING:
+    from infrablend.api import RunReport
+    from infrablend.cli.session import Session
+
+
+def generate(
+    ctx: typer.Context,
+    recipe: Annotated[
+        str, typer.Argument(metavar="RECIPE", help="A shipped name (see `recipes list`) or a YAML file.")
+    ],
+    data: Annotated[Path, typer.Option(metavar="DIR", help="The background dataset.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The run folder to write.")],
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first N backgrounds in sorted order.")] = None,
+    split: Annotated[str | None, typer.Option(metavar="LIST", help="Some of train,val,test [default: all].")] = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    device: DeviceOption = Device.AUTO,
+    formats: Annotated[
+        str | None,
+        typer.Option("--format", metavar="LIST", help="Some of yolo,yolo-obb,... [default: all]."),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(help="Read only this form of the dataset, e.g. rotate_json [default: detected]."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set a recipe field, e.g. output.image=png; repeatable."),
+    ] = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Say what would be made; make nothing.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Finish the run in OUT.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in OUT.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Insert rendered objects into a dataset; merged labels in every format."""
+    session: Session = ctx.obj
+    session.json = as_json
+    if resume and overwrite:
+        raise typer.BadParameter("--resume and --overwrite exclude each other; give one of them")
+    splits = _splits(split)
+    format_names = comma_list(formats, "--format")
+
+    from infrablend import api
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import facts, say, say_json, table
+
+    if plan:
+        planned = api.plan(
+            recipe,
+            data,
+            out,
+            limit=limit,
+            splits=splits,
+            seed=seed,
+            workers=workers,
+            device=device.value,
+            formats=format_names,
+            form=form,
+            settings=settings or [],
+        ).to_json()
+        if as_json:
+            say_json(planned)
+        else:
+            say(table(facts(planned)))
+        return
+    with shown_progress(session, "generating") as on_progress:
+        report = api.generate(
+            recipe,
+            data,
+            out,
+            limit=limit,
+            splits=splits,
+            seed=seed,
+            workers=workers,
+            device=device.value,
+            formats=format_names,
+            form=form,
+            settings=settings or [],
+            resume=resume,
+            overwrite=overwrite,
+            on_progress=on_progress,
+        )
+    _show(report, session)
+
+
+def _splits(text: str | None) -> tuple[str, ...] | None:
+    from infrablend.core.dataset import SPLITS
+
+    splits = comma_list(text, "--split")
+    unknown = [s for s in splits or () if s not in SPLITS]
+    if unknown:
+        raise typer.BadParameter(
+            f"{', '.join(unknown)}: no such split; choose from {','.join(SPLITS)}", param_hint="--split"
+        )
+    return splits
+
+
+def _show(report: RunReport, session: Session) -> None:
+    """The report on stdout, its problems on stderr, and exit code 1 if something was skipped or failed."""
+    import logging
+
+    from infrablend.cli.exits import PARTIAL, problem_lines
+    from infrablend.cli.results import facts, say, say_json, table
+
+    log = logging.getLogger(__name__)
+    for p in report.problems:
+        log.info("%s: %s", p.severity, p)
+    errors = [p for p in report.problems if p.severity == "error"]
+    warnings = len(report.problems) - len(errors)
+    if errors:
+        typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, session.log_path)]), err=True)
+    if warnings:
+        typer.echo(f"{warnings} warning(s), listed in {session.log_path}", err=True)
+    if session.json:
+        say_json(report.to_json())
+    else:
+        say(table(facts(report.counts)))
+        say(str(report.out))
+    if not report.ok:
+        raise typer.Exit(PARTIAL)

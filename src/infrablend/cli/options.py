@@ -1,0 +1,42 @@
+"""Options that several commands share, and texts that hold lists."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Device(StrEnum):
+    """Where Cycles renders."""
+
+    AUTO = "auto"
+    CPU = "cpu"
+    CUDA = "cuda"
+    OPTIX = "optix"
+    HIP = "hip"
+    METAL = "metal"
+    ONEAPI = "oneapi"
+
+
+DeviceOption = Annotated[Device, typer.Option(help="Where Cycles renders; auto takes a GPU if there is one.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Render processes [default: one per core].")]
+SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that `generate` wrote.")]
+
+
+def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
+    """`"a, b"` as `("a", "b")`, without repeats; None for None.
+
+    Raises:
+        typer.BadParameter: If an item is empty; it names `option`.
+    """
+    if text is None:
+        return None
+    items = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    if not all(items):
+        raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c", param_hint=option)
+    return items

@@ -1,0 +1,28 @@
+"""`infrablend preview`: a contact sheet of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from infrablend.cli.options import RunArgument
+
+
+def preview(
+    run: RunArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Where to write it [default: RUN/preview.png].")
+    ] = None,
+    count: Annotated[int, typer.Option(min=1, max=400, help="How many frames.")] = 12,
+    boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
+    obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
+    masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
+) -> None:
+    """Write a picture with frames of a run and their labels; all kinds of labels unless some are chosen."""
+    from infrablend import api
+    from infrablend.cli.results import say
+
+    chosen = tuple(name for name, on in (("boxes", boxes), ("obb", obb), ("masks", masks)) if on)
+    say(str(api.preview(run, out or run / "preview.png", count, chosen or ("boxes", "obb", "masks"))))

@@ -1,0 +1,84 @@
+"""Progress on stderr: a live bar on a terminal, a plain line every few seconds anywhere else."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from infrablend.cli.results import human_seconds
+from infrablend.core.tasks import OnProgress, Progress
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+LINE_EVERY_S = 5.0
+
+
+def progress_line(p: Progress) -> str:
+    """`120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
+    parts = [f"{p.done}/{p.total} frames", f"{p.frames_per_s:.1f} frames/s"]
+    if p.eta_s is not None and p.done < p.total:
+        parts.append(f"{human_seconds(p.eta_s)} to go")
+    return ", ".join(parts + [f"{name} {n}" for name, n in p.counts.items()])
+
+
+class LineProgress:
+    """Gives a line to `write` with the first frame, every few seconds, and with the last."""
+
+    def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._write = write
+        self._clock = clock
+        self._next_at = clock()
+        self._finished = False
+
+    def __call__(self, p: Progress) -> None:
+        """Take the news."""
+        last = p.done >= p.total and not self._finished
+        if last or (self._clock() >= self._next_at and not self._finished):
+            self._write(progress_line(p))
+            self._next_at = self._clock() + LINE_EVERY_S
+        self._finished = p.done >= p.total
+
+
+@contextlib.contextmanager
+def shown_progress(session: Session, what: str) -> Iterator[OnProgress | None]:
+    """While entered, what is given to the callable is shown; None when nothing shall be."""
+    if session.quiet:
+        yield None
+    elif not session.console.is_terminal:
+        console = session.console
+        yield LineProgress(lambda line: console.print(line, markup=False, soft_wrap=True))
+    else:
+        with _live_bar(session, what) as show:
+            yield show
+
+
+@contextlib.contextmanager
+def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
+    from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    bar = Bar(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[pace]}"),
+        TextColumn("{task.fields[counts]}"),
+        console=session.console,
+        transient=False,
+        refresh_per_second=8,
+    )
+    with bar:
+        row = bar.add_task(what, total=None, pace="reading", counts="")
+
+        def show(p: Progress) -> None:
+            pace = f"{p.frames_per_s:.1f} frames/s"
+            if p.eta_s is not None and p.done < p.total:
+                pace += f", {human_seconds(p.eta_s)} to go"
+            counts = " ".join(f"{name} {n}" for name, n in p.counts.items())
+            bar.update(row, completed=p.done, total=p.total, pace=pace, counts=counts)
+
+        yield show

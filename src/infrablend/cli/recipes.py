@@ -1,0 +1,23 @@
+"""`infrablend recipes`: what is shipped."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def list_recipes() -> None:
+    """List the shipped recipes."""
+    from infrablend import api
+    from infrablend.cli.results import say, table
+
+    say(table(api.list_recipes()))
+
+
+def show_recipe(name: Annotated[str, typer.Argument(metavar="NAME", help="Of a shipped recipe.")]) -> None:
+    """Print a recipe, to be saved and changed."""
+    from infrablend import api
+    from infrablend.cli.results import say
+
+    say(api.show_recipe(name).rstrip("\n"))

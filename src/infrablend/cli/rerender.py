@@ -1,0 +1,27 @@
+"""`infrablend rerender`: one frame of a run again, from its scene file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from infrablend.cli.options import RunArgument
+
+
+def rerender(
+    run: RunArgument,
+    frame: Annotated[
+        str, typer.Argument(metavar="FRAME", help="Its id, e.g. test/1_60_80_0_06117_c0 (see RUN/scenes).")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture to write [default: the frame's name + .png, here]."),
+    ] = None,
+) -> None:
+    """Make one frame of a run again, alone."""
+    from infrablend import api
+    from infrablend.cli.results import say
+
+    say(str(api.rerender(run, frame, out or Path(f"{frame.rsplit('/', 1)[-1]}.png"))))

@@ -1,0 +1,80 @@
+"""Results on stdout: for people as aligned lines, for programs as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+
+
+def say(text: str) -> None:
+    """A line of result on stdout."""
+    typer.echo(text)
+
+
+def say_json(data: Any) -> None:
+    """A result as JSON on stdout; paths become text."""
+    typer.echo(json.dumps(data, indent=2, default=str, ensure_ascii=False))
+
+
+def table(rows: Mapping[str, str]) -> str:
+    """Lines of two aligned columns; empty for no rows."""
+    width = max((len(k) for k in rows), default=0)
+    return "\n".join(f"{k:<{width}}  {v}".rstrip() for k, v in rows.items())
+
+
+def facts(data: Mapping[str, Any]) -> dict[str, str]:
+    """What a mapping of plain values says, for `table`: units from the names, lists as their lengths.
+
+    Nested mappings are joined into one line; None is left out.
+    """
+    rows = {}
+    for key, value in data.items():
+        if value is None:
+            continue
+        name, text = _fact(key, value)
+        rows[name] = text
+    return rows
+
+
+def _fact(key: str, value: Any) -> tuple[str, str]:
+    stem, _, unit = key.rpartition("_")
+    numeric = isinstance(value, int | float) and not isinstance(value, bool)
+    if numeric and stem and unit == "bytes":
+        return _words(stem), human_bytes(value)
+    if numeric and stem and unit == "s" and not stem.endswith("_per"):
+        return _words(stem), human_seconds(value)
+    if isinstance(value, Mapping):
+        return _words(key), ", ".join(f"{k} {_fact(str(k), v)[1]}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        if all(isinstance(v, str | int | float) for v in value) and len(value) <= 8:
+            return _words(key), ", ".join(str(v) for v in value)
+        return _words(key), str(len(value))
+    if isinstance(value, bool):
+        return _words(key), "yes" if value else "no"
+    return _words(key), f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _words(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def human_bytes(n: float) -> str:
+    """`1.4 GiB` and the like."""
+    for unit in ("B", "KiB", "MiB", "GiB"):
+        if abs(n) < 1024:
+            return f"{n:.0f} {unit}" if unit == "B" else f"{n:.1f} {unit}"
+        n /= 1024
+    return f"{n:.1f} TiB"
+
+
+def human_seconds(s: float) -> str:
+    """`8.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    if s < 60:
+        return f"{s:.1f} s"
+    whole = round(s)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

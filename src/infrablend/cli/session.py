@@ -1,0 +1,109 @@
+"""What all commands of one call share: where the log goes, how much is said, and whether to people or to programs."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+LOG_SIZE_BYTES = 5_000_000  # a longer log is put aside and begun anew
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class Session:
+    """One call of the program.
+
+    Attributes:
+        console: On stderr.
+        log_path: The log file, or None if none could be opened.
+        quiet: No progress on stderr.
+        json: Results, and errors too, go to stdout as JSON.
+    """
+
+    console: Console
+    log_path: Path | None
+    quiet: bool = False
+    json: bool = False
+
+
+class _ConsoleHandler(logging.Handler):
+    """Log lines through the console that may hold a live progress bar, so that they do not tear it."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self._console = console
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            self._console.print(self.format(record), markup=False, highlight=False, soft_wrap=True)
+        except Exception:
+            self.handleError(record)
+
+
+@contextlib.contextmanager
+def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Session]:
+    """The session, with logging set up while it lasts: INFO and above to the file, warnings to stderr."""
+    from rich.console import Console
+
+    console = Console(stderr=True, highlight=False)
+    root = logging.getLogger()
+    level_before = root.level
+    root.setLevel(logging.INFO)
+    screen = _ConsoleHandler(console)
+    screen.setLevel(logging.INFO if verbose else logging.WARNING)
+    screen.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    handlers: list[logging.Handler] = [screen]
+    log_path = _usable(log or default_log_path())
+    if log_path is not None:
+        file = logging.FileHandler(log_path, encoding="utf-8")
+        file.setFormatter(logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
+        handlers.append(file)
+    for h in handlers:
+        root.addHandler(h)
+    logging.captureWarnings(True)
+    try:
+        logger.info("infrablend %s", " ".join(sys.argv[1:]))
+        yield Session(console, log_path, quiet)
+    finally:
+        logging.captureWarnings(False)
+        for h in handlers:
+            root.removeHandler(h)
+            h.close()
+        root.setLevel(level_before)
+
+
+def default_log_path() -> Path:
+    """`$INFRABLEND_LOG`, or `infrablend/infrablend.log` in the user's state folder."""
+    if given := os.environ.get("INFRABLEND_LOG"):
+        return Path(given)
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "infrablend" / "infrablend.log"
+
+
+def _usable(path: Path) -> Path | None:
+    """The path once it can be written to, else a file in the temporary folder, else None."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab") as f:
+            size_bytes = f.tell()
+        if size_bytes > LOG_SIZE_BYTES:
+            path.replace(path.with_name(path.name + ".1"))
+        return path
+    except OSError:
+        try:
+            fd, name = tempfile.mkstemp(prefix="infrablend-", suffix=".log")
+        except OSError:
+            return None
+        os.close(fd)
+        return Path(name)

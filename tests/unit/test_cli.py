@@ -1,0 +1,450 @@
+"""The command line: what it passes to the API, what it says, how it ends. The API is a stand-in here."""
+
+import dataclasses
+import importlib.util
+import inspect
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import infrablend
+from infrablend import errors
+from infrablend.cli import main
+from infrablend.cli.exits import exit_code
+from infrablend.cli.progress import LineProgress, progress_line, shown_progress
+from infrablend.cli.results import facts, human_bytes, human_seconds, table
+from infrablend.cli.session import LOG_SIZE_BYTES, Session
+from infrablend.core.tasks import Progress
+from infrablend.errors import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Report:
+    """As `api.RunReport` looks from here."""
+
+    out: Path
+    counts: dict
+    problems: tuple = ()
+    ok: bool = True
+
+    def to_json(self):
+        return {"out": str(self.out), "counts": self.counts, "problems": [p.to_json() for p in self.problems]}
+
+
+@dataclasses.dataclass(frozen=True)
+class Check:
+    name: str
+    status: str
+    found: str
+    todo: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    checks: tuple
+    ok: bool
+
+    def to_json(self):
+        return dataclasses.asdict(self)
+
+
+class Plan:
+    def to_json(self):
+        return {"frames": 3738, "disk_bytes": 3 * 2**30, "estimated_s": 400.0, "formats": ["coco", "yolo"]}
+
+
+class FakeApi(types.ModuleType):
+    """Records calls; `answers[name]` is returned, raised, or called."""
+
+    def __init__(self):
+        super().__init__("infrablend.api")
+        self.calls = {}
+        self.answers = {"plan": Plan(), "list_models": {}, "list_recipes": {}}
+
+    def __getattr__(self, name):
+        if name.startswith("_"):
+            raise AttributeError(name)
+
+        def call(*args, **kwargs):
+            self.calls[name] = (args, kwargs)
+            answer = self.answers.get(name, Path("made") / name)
+            if isinstance(answer, BaseException):
+                raise answer
+            return answer(*args, **kwargs) if inspect.isfunction(answer) else answer
+
+        return call
+
+
+@pytest.fixture
+def api(monkeypatch):
+    fake = FakeApi()
+    fake.answers["generate"] = Report(Path("runs/a"), {"inserted": 8, "skipped": 0})
+    monkeypatch.setitem(sys.modules, "infrablend.api", fake)
+    monkeypatch.setattr(infrablend, "api", fake, raising=False)
+    return fake
+
+
+@pytest.fixture(autouse=True)
+def log_path(monkeypatch, tmp_path):
+    path = tmp_path / "state" / "log.txt"
+    monkeypatch.setenv("INFRABLEND_LOG", str(path))
+    monkeypatch.setenv("NO_COLOR", "1")
+    return path
+
+
+GENERATE = ["generate", "hit-uav-drone", "--data", "in", "--out", "runs/a"]
+EVERY_COMMAND = [
+    [*GENERATE],
+    [*GENERATE, "--plan"],
+    ["preview", "runs/a"],
+    ["rerender", "runs/a", "test/x_c0"],
+    ["models", "list"],
+    ["models", "show", "drone"],
+    ["recipes", "list"],
+    ["recipes", "show", "hit-uav-drone"],
+    ["world", "--out", "w"],
+    ["asset", "infrared-effect", "--out", "e.blend"],
+]
+
+
+def test_generate_passes_its_options_on(api, capsys):
+    options = "--limit 5 --split test,train --seed 0 --workers 2 --device cpu --format coco,yolo-obb --form rotate_json"
+    sets = ["--set", "output.image=png", "--set", "camera.pitch={fixed_deg: 0}"]
+    assert main([*GENERATE, *options.split(), *sets, "--resume"]) == 0
+    args, kwargs = api.calls["generate"]
+    assert args == ("hit-uav-drone", Path("in"), Path("runs/a"))
+    assert callable(kwargs.pop("on_progress"))
+    assert kwargs == {
+        "limit": 5,
+        "splits": ("test", "train"),
+        "seed": 0,
+        "workers": 2,
+        "device": "cpu",
+        "formats": ("coco", "yolo-obb"),
+        "form": "rotate_json",
+        "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}"],
+        "resume": True,
+        "overwrite": False,
+    }
+    assert type(kwargs["device"]) is str
+    assert capsys.readouterr().out.splitlines() == ["inserted  8", "skipped   0", "runs/a"]
+
+
+def test_generate_defaults(api):
+    assert main(GENERATE) == 0
+    kwargs = api.calls["generate"][1]
+    assert kwargs["limit"] is kwargs["splits"] is kwargs["workers"] is kwargs["formats"] is kwargs["form"] is None
+    assert (kwargs["seed"], kwargs["device"], kwargs["settings"]) == (0, "auto", [])
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (["--resume", "--overwrite"], "exclude each other"),
+        (["--split", "trian"], "trian: no such split; choose from train,val,test"),
+        (["--format", "coco,,yolo"], "empty item"),
+        (["--device", "gpu"], "'gpu' is not one of"),
+        (["--limit", "0"], "--limit"),
+        (["--no-such"], "No such option"),
+    ],
+)
+def test_wrong_usage_is_code_2_and_calls_nothing(api, capsys, extra, words):
+    assert main([*GENERATE, *extra]) == 2
+    out, err = capsys.readouterr()
+    assert words in " ".join(err.split())
+    assert out == ""
+    assert api.calls == {}
+
+
+def test_plan_makes_nothing(api, capsys):
+    assert main([*GENERATE, "--plan"]) == 0
+    assert list(api.calls) == ["plan"]
+    assert (
+        capsys.readouterr().out
+        == table({"frames": "3738", "disk": "3.0 GiB", "estimated": "6 min 40 s", "formats": "coco, yolo"}) + "\n"
+    )
+    main([*GENERATE, "--plan", "--json"])
+    assert json.loads(capsys.readouterr().out)["frames"] == 3738
+
+
+def test_something_skipped_is_code_1_and_named(api, capsys):
+    problems = [Problem(f"bg{i}.jpg", "image-truncated", "only 9 bytes") for i in range(23)]
+    problems.append(Problem("bg99.jpg", "size", "a warning", severity="warning"))
+    api.answers["generate"] = Report(Path("runs/a"), {"inserted": 1, "skipped": 23}, tuple(problems), ok=False)
+    assert main([*GENERATE, "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)["counts"] == {"inserted": 1, "skipped": 23}
+    assert "23 problem(s)" in err
+    assert "bg19.jpg: only 9 bytes" in err
+    assert "bg20.jpg" not in err
+    assert "and 3 more" in err
+    assert "1 warning(s)" in err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (errors.RecipeError("bad"), 2),
+        (errors.UnknownFormatError("bad"), 2),
+        (errors.ModelError("bad"), 2),
+        (errors.OutputError("bad"), 2),
+        (errors.RenderError("bad"), 3),
+        (errors.WorkerDiedError("bad"), 3),
+        (errors.MissingDependencyError("bad"), 3),
+        (errors.Interrupted("bad"), 130),
+        (KeyboardInterrupt(), 130),
+        (ZeroDivisionError("bad"), 70),
+    ],
+)
+def test_exit_codes(api, capsys, error, code):
+    api.answers["generate"] = error
+    assert main(GENERATE) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.strip()
+
+
+def test_full_disk_is_the_environment():
+    error = errors.OutputError("no room")
+    error.__cause__ = OSError(28, "No space left on device")
+    assert exit_code(error) == 3
+
+
+def test_every_error_of_ours_has_a_code():
+    for kind in vars(errors).values():
+        if isinstance(kind, type) and issubclass(kind, errors.InfraBlendError):
+            assert exit_code(kind("x")) in {2, 3, 130}
+
+
+def test_all_problems_are_told_20_on_screen_the_rest_in_the_log(api, capsys, log_path):
+    problems = [Problem(f"recipe: field{i:02}", "range", "too big", "at most 1") for i in range(27)]
+    api.answers["generate"] = errors.RecipeError("The recipe has 27 bad fields.", problems)
+    assert main(GENERATE) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("Error: The recipe has 27 bad fields.\n  - recipe: field00: too big; expected at most 1\n")
+    assert "field19" in err
+    assert "field20" not in err
+    assert f"... and 7 more; all of them in {log_path}" in err
+    assert "field26" in log_path.read_text()
+
+
+def test_errors_as_json(api, capsys):
+    api.answers["generate"] = errors.RecipeError("bad", [Problem("w", "c", "f")])
+    assert main([*GENERATE, "--json"]) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert (told["error"], told["message"], told["exit_code"]) == ("RecipeError", "bad", 2)
+    assert told["problems"][0]["code"] == "c"
+
+
+def test_a_bug_is_short_on_screen_and_long_in_the_log(api, capsys, log_path):
+    api.answers["generate"] = lambda *a, **k: 1 // 0
+    assert main(GENERATE) == 70
+    err = capsys.readouterr().err
+    assert "ZeroDivisionError" in err
+    assert str(log_path) in err
+    assert len(err.splitlines()) <= 3
+    assert "Traceback" in log_path.read_text()
+
+
+def test_sigterm_ends_as_ctrl_c_does_and_the_handler_goes(api):
+    before = signal.getsignal(signal.SIGTERM)
+    api.answers["generate"] = lambda *a, **k: os.kill(os.getpid(), signal.SIGTERM)
+    assert main(GENERATE) == 130
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_warnings_of_the_run_reach_stderr_not_stdout(api, capsys):
+    import logging
+
+    def noisy(*a, **k):
+        logging.getLogger("infrablend.pipeline").warning("worker 3 was replaced [yes]")
+        logging.getLogger("infrablend.pipeline").info("too much detail")
+        return Report(Path("runs/a"), {})
+
+    api.answers["generate"] = noisy
+    handlers_before = list(logging.getLogger().handlers)
+    assert main(GENERATE) == 0
+    out, err = capsys.readouterr()
+    assert err == "WARNING: worker 3 was replaced [yes]\n"
+    assert out.strip() == "runs/a"
+    main(["-v", *GENERATE])
+    assert "too much detail" in capsys.readouterr().err
+    assert logging.getLogger().handlers == handlers_before
+
+
+@pytest.mark.parametrize(
+    ("argv", "name", "args"),
+    [
+        (["preview", "r"], "preview", (Path("r"), Path("r/preview.png"), 12, ("boxes", "obb", "masks"))),
+        (
+            ["preview", "r", "--obb", "--count", "3", "--out", "p.png"],
+            "preview",
+            (Path("r"), Path("p.png"), 3, ("obb",)),
+        ),
+        (["rerender", "r", "test/a_c1"], "rerender", (Path("r"), "test/a_c1", Path("a_c1.png"))),
+        (["models", "show", "my/deer.yaml"], "show_model", ("my/deer.yaml", Path("deer.png"))),
+        (["asset", "infrared-effect", "--out", "x.blend"], "write_infrared_effect", (Path("x.blend"),)),
+    ],
+)
+def test_small_commands_print_the_path_they_made(api, capsys, argv, name, args):
+    assert main(argv) == 0
+    assert api.calls[name][0] == args
+    assert capsys.readouterr().out == f"made/{name}\n"
+
+
+def test_lists(api, capsys):
+    api.answers["list_models"] = {"deer": "A deer.", "drone": "A quadrotor."}
+    api.answers["show_recipe"] = "name: x\n"
+    assert main(["models", "list"]) == 0
+    assert capsys.readouterr().out == "deer   A deer.\ndrone  A quadrotor.\n"
+    assert main(["recipes", "show", "x"]) == 0
+    assert capsys.readouterr().out == "name: x\n"
+
+
+def test_world(api, capsys):
+    assert main(["world", "--out", "w", "--count", "4", "--seed", "7"]) == 0
+    args, kwargs = api.calls["make_world"]
+    assert args == (Path("w"), 4, 7)
+    assert callable(kwargs.pop("on_progress"))
+    assert kwargs == {"workers": None, "device": "auto"}
+
+
+def test_asset_wants_a_blend_file(api, capsys):
+    assert main(["asset", "infrared-effect", "--out", "x.png"]) == 2
+    assert ".blend" in capsys.readouterr().err
+
+
+def test_doctor(api, capsys):
+    api.answers["diagnose"] = Diagnosis(
+        (Check("bpy", "ok", "4.5.15"), Check("libX11", "error", "missing", "apt-get install libx11-6")), ok=False
+    )
+    assert main(["doctor"]) == 3
+    out = capsys.readouterr().out
+    assert "error    libX11  missing" in out
+    assert "-> libX11: apt-get install libx11-6" in out
+    assert main(["doctor", "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["checks"][0]["found"] == "4.5.15"
+
+
+def test_version_and_help(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"infrablend {infrablend.__version__}\n"
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(c in out for c in ("generate", "preview", "rerender", "models", "recipes", "world", "doctor", "asset"))
+    assert "130" in out
+
+
+@pytest.mark.skipif(importlib.util.find_spec("infrablend.api") is None, reason="infrablend.api does not exist yet")
+@pytest.mark.parametrize("argv", EVERY_COMMAND, ids=" ".join)
+def test_calls_fit_the_real_api(monkeypatch, capsys, argv):
+    from infrablend import api as real
+
+    fake = FakeApi()
+    fake.answers["generate"] = Report(Path("runs/a"), {})
+    monkeypatch.setitem(sys.modules, "infrablend.api", fake)
+    monkeypatch.setattr(infrablend, "api", fake)
+    if argv[:2] == ["recipes", "show"]:
+        fake.answers["show_recipe"] = ""
+    assert main(argv) == 0
+    ((name, (args, kwargs)),) = fake.calls.items()
+    inspect.signature(getattr(real, name)).bind(*args, **kwargs)
+
+
+def test_starting_is_light():
+    """`--version` and `--help` must not wait for numpy or Blender."""
+    code = (
+        "import sys; from infrablend.cli import main; main(['--help']); "
+        "sys.exit(sorted({'numpy', 'bpy', 'cv2', 'PIL', 'pydantic'} & set(sys.modules)).__repr__().strip('[]') or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_python_m_infrablend():
+    done = subprocess.run([sys.executable, "-m", "infrablend", "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"infrablend {infrablend.__version__}\n")
+
+
+# ---- the log file
+
+
+def test_log_option_and_unusable_log(api, capsys, tmp_path, monkeypatch):
+    assert main(["--log", str(tmp_path / "own.log"), *GENERATE]) == 0
+    assert "infrablend" in (tmp_path / "own.log").read_text()
+    blocked = tmp_path / "file"
+    blocked.touch()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["--log", str(blocked / "x.log"), *GENERATE]) == 0
+    assert list(tmp_path.glob("infrablend-*.log"))
+
+
+def test_long_log_is_put_aside(api, log_path):
+    log_path.parent.mkdir()
+    log_path.write_bytes(b"x" * (LOG_SIZE_BYTES + 1))
+    main(GENERATE)
+    assert log_path.stat().st_size < 10_000
+    assert log_path.with_name("log.txt.1").stat().st_size > LOG_SIZE_BYTES
+
+
+# ---- progress
+
+
+def test_progress_line():
+    line = progress_line(Progress(120, 3738, 9.8, 369.2, {"inserted": 118, "skipped": 2, "failed": 0}))
+    assert line == "120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2, failed 0"
+    assert progress_line(Progress(0, 5)) == "0/5 frames, 0.0 frames/s"
+
+
+def test_lines_come_every_few_seconds_and_at_the_end_once():
+    now = 100.0
+    lines = []
+    show = LineProgress(lines.append, clock=lambda: now)
+    for done in range(1, 31):
+        now += 0.5
+        show(Progress(done, 30))
+    show(Progress(30, 30))
+    assert [line.split()[0] for line in lines] == ["1/30", "11/30", "21/30", "30/30"]
+
+
+def test_live_bar_on_a_terminal():
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=120, color_system=None)
+    with shown_progress(Session(console, None), "generating") as show:
+        show(Progress(3, 10, 2.5, 2.8, {"inserted": 3, "skipped": 1}))
+    text = screen.getvalue()
+    for part in ("generating", "3/10", "2.5 frames/s", "2.8 s to go", "inserted 3", "skipped 1"):
+        assert part in text
+
+
+def test_quiet_shows_nothing(api):
+    main(["-q", *GENERATE])
+    assert api.calls["generate"][1]["on_progress"] is None
+
+
+# ---- texts
+
+
+def test_units_for_people():
+    assert [human_bytes(n) for n in (0, 1023, 1536, 5 * 2**40)] == ["0 B", "1023 B", "1.5 KiB", "5.0 TiB"]
+    assert [human_seconds(s) for s in (0.04, 59.94, 185, 7800)] == ["0.0 s", "59.9 s", "3 min 05 s", "2 h 10 min"]
+
+
+def test_facts_read_units_from_names():
+    assert facts({"a_b": 1, "free_bytes": 2048, "took_s": 3.0, "none": None, "on": True, "m": {"x": 1, "y": 2}}) == {
+        "a b": "1",
+        "free": "2.0 KiB",
+        "took": "3.0 s",
+        "on": "yes",
+        "m": "x 1, y 2",
+    }
+    assert facts({"frames_per_s": 9.5, "rows": [{}] * 3}) == {"frames per s": "9.5", "rows": "3"}
