@@ -1,0 +1,255 @@
+"""What all formats share: how a box is judged, oriented boxes, detection results, what a writer returns."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import cxcywha_of_corners
+from infrablend.core.dataset import SPLITS, Category, ImageRecord, Split
+from infrablend.errors import DatasetError, Problem
+
+# Oriented boxes may overhang the frame by this much without a word: HIT-UAV's own reach 0.5 px.
+OVERHANG_PX = 0.5
+
+LOSSES: Mapping[str, str] = {
+    "obb_dropped": "oriented box known, the format holds axis-aligned boxes only",
+    "obb_from_box": "no oriented box known, the axis-aligned one was written as one",
+    "obb_not_rectangle": "four corners that form no rectangle were written as the nearest one",
+    "corners_clamped": "oriented box with a corner outside the frame, moved onto its edge",
+    "mask_dropped": "mask known, the format holds none",
+    "without_mask_omitted": "object without a mask, left out of a format of masks",
+    "mask_from_obb": "object without a mask, its oriented box was written as polygon",
+    "mask_raster_px": "pixels by which the polygon, rasterised as Ultralytics does, differs from the mask",
+    "ignore_dropped": "object of an ignored or unwanted category left out",
+    "truncated_dropped": "object flagged as truncated, the format holds no such flag",
+    "difficult_dropped": "object flagged as difficult, the format holds no such flag",
+    "visibility_dropped": "visibility known, the format holds none",
+    "fraction_truncated": "box with fractional coordinates, truncated toward zero",
+    "box_widened": "box narrower than a pixel, widened to one pixel",
+    "box_clipped": "box reaching outside the frame, clipped",
+    "box_outside": "box with no part inside the frame, left out",
+}
+"""Every kind of loss a writer counts, and what it means."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Whether a folder looks like one format, and why (or why not)."""
+
+    format: str
+    ok: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a writer did: the files, the losses by kind (see `LOSSES`), what to warn about."""
+
+    files: tuple[Path, ...] = ()
+    losses: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+    def __add__(self, other: Written) -> Written:
+        losses = Counter(self.losses)
+        losses.update(other.losses)
+        return Written(self.files + other.files, dict(sorted(losses.items())), self.problems + other.problems)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A file's text and the losses counted while making it."""
+
+    text: str
+    losses: Mapping[str, int] = field(default_factory=dict)
+
+
+def read_json(path: Path) -> Any:
+    """The JSON value in a UTF-8 file (a byte order mark is accepted).
+
+    Raises:
+        DatasetError: Not there, not readable, not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        found, code = error.strerror or str(error), "annotation-missing"
+    except (ValueError, RecursionError) as error:
+        found, code = f"no JSON ({error or type(error).__name__})", "annotation-not-json"
+    problem = Problem(path.name, code, found, "a JSON file", "fetch the file again or leave it out")
+    raise DatasetError(f"{path}: {found}", [problem])
+
+
+def check_splits(splits: Iterable[str] | None) -> tuple[Split, ...]:
+    """The wanted splits in canonical order; None means all.
+
+    Raises:
+        DatasetError: A name that is no split, or none at all.
+    """
+    if splits is None:
+        return SPLITS
+    wanted = set(splits)
+    unknown = sorted(wanted - set(SPLITS))
+    if unknown or not wanted:
+        raise DatasetError(f"splits: found {unknown or 'none'}, expected some of train, val, test")
+    return tuple(s for s in SPLITS if s in wanted)
+
+
+def is_ignored_name(name: str) -> bool:
+    """True for the name of an ignore region, such as HIT-UAV's DontCare."""
+    return name.replace("_", "").replace("-", "").replace(" ", "").casefold() == "dontcare"
+
+
+def few(problems: Sequence[Problem], each: int = 5) -> list[Problem]:
+    """The first `each` problems of every code, and one that counts the rest: an error message has to be readable."""
+    seen: Counter[str] = Counter()
+    kept: list[Problem] = []
+    for p in problems:
+        seen[p.code] += 1
+        if seen[p.code] <= each:
+            kept.append(p)
+    rest = {code: n - each for code, n in sorted(seen.items()) if n > each}
+    if rest:
+        found = ", ".join(f"{n} more {code}" for code, n in rest.items())
+        kept.append(Problem("elsewhere", "more", found))
+    return kept
+
+
+def to_floats(value: object, count: int) -> tuple[float, ...] | None:
+    """`count` numbers from a list of numbers or of strings holding them; None if it is anything else.
+
+    NaN and infinity pass: `check_box` names them.
+    """
+    if not isinstance(value, list | tuple) or len(value) != count:
+        return None
+    try:
+        if any(isinstance(v, bool) for v in value):
+            return None
+        return tuple(float(v) for v in value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def to_int(value: object) -> int | None:
+    """The whole number a JSON or XML field means (4, "4", 4.0), or None."""
+    if isinstance(value, bool) or value is None:
+        return None
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return int(number) if math.isfinite(number) and number == int(number) else None
+
+
+def to_bool(value: object) -> bool | None:
+    """The flag a JSON or XML field means (true, 1, "1", "True"), or None."""
+    text = str(value).strip().casefold()
+    return {"1": True, "true": True, "0": False, "false": False}.get(text)
+
+
+def to_size(width: object, height: object) -> tuple[int, int] | None:
+    """(width, height) in px if both are whole numbers above 0, else None."""
+    w, h = to_int(width), to_int(height)
+    return (w, h) if w is not None and h is not None and w > 0 and h > 0 else None
+
+
+def check_box(
+    xyxy: Sequence[float], size_wh: tuple[int, int] | None, where: str
+) -> tuple[NDArray[np.float64] | None, Problem | None]:
+    """Judge one axis-aligned box.
+
+    Returns:
+        The box, unchanged or clipped to the frame, or None if it has to be dropped; and what is wrong, if anything:
+        `box-not-finite`, `box-empty`, `box-outside` (errors, dropped), `box-clipped` (warning, kept).
+    """
+    x0, y0, x1, y1 = xyxy
+    if not (math.isfinite(x0) and math.isfinite(y0) and math.isfinite(x1) and math.isfinite(y1)):
+        return None, Problem(where, "box-not-finite", f"box {_show(xyxy)}", "finite numbers", "correct the annotation")
+    if x1 <= x0 or y1 <= y0:
+        found = f"box {_show(xyxy)} of size {x1 - x0:g}x{y1 - y0:g}"
+        return None, Problem(where, "box-empty", found, "a width and height above 0", "correct the annotation")
+    if size_wh is None:
+        return np.array((x0, y0, x1, y1), np.float64), None
+    w, h = size_wh
+    if x0 >= 0 and y0 >= 0 and x1 <= w and y1 <= h:
+        return np.array((x0, y0, x1, y1), np.float64), None
+    if x0 >= w or y0 >= h or x1 <= 0 or y1 <= 0:
+        found = f"box {_show(xyxy)} outside the frame"
+        return None, Problem(where, "box-outside", found, f"a box inside {w}x{h} px", "correct the annotation")
+    box = np.array((max(x0, 0.0), max(y0, 0.0), min(x1, float(w)), min(y1, float(h))), np.float64)
+    found = f"box {_show(xyxy)} reaches out of the frame, clipped to {_show(box.tolist())}"
+    return box, Problem(where, "box-clipped", found, f"a box inside {w}x{h} px", severity="warning")
+
+
+def _show(numbers: Sequence[float]) -> str:
+    return "[" + ", ".join(f"{v:g}" for v in numbers) + "]"
+
+
+def overhang_px(points_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> float:
+    """How far the outermost of (n, 2) points lies outside the frame; 0 if none does."""
+    out = np.maximum(-points_xy, points_xy - np.array(size_wh, np.float64))
+    return float(max(out.max(), 0.0))
+
+
+def obb_from_corners(corners_xy: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    """`cx, cy, w, h, angle` of four corners that run clockwise on screen; angle in radians, in [0, pi).
+
+    A box turned by pi is the same box: its corners come back in the same order, begun at the opposite one.
+    """
+    cx, cy, w, h, angle = (float(v) for v in cxcywha_of_corners(corners_xy))
+    angle %= math.pi
+    # A hair below 0 becomes a hair below pi, which rounds to pi: that is 0.
+    return cx, cy, w, h, 0.0 if math.pi - angle < 1e-12 else angle
+
+
+def sort_images(images: Iterable[ImageRecord]) -> tuple[ImageRecord, ...]:
+    """Images by (split order, id), the order of a `Dataset` and of every file written."""
+    return tuple(sorted(images, key=lambda image: (SPLITS.index(image.split), image.id)))
+
+
+def require_size(image: ImageRecord) -> tuple[int, int]:
+    """`image.size_wh`; ValueError if it is not set, which a writer cannot do without."""
+    if image.size_wh is None:
+        raise ValueError(f"{image.id}: size_wh must be known to write labels")
+    return image.size_wh
+
+
+def number_ids(
+    images: Sequence[ImageRecord], ids: Literal["source", "new"], first: int
+) -> tuple[list[int], list[list[int]]]:
+    """Image ids and annotation ids for sorted images, counted from `first` over all splits, or the source's own.
+
+    Raises:
+        ValueError: `ids="source"` and the source's ids are missing, no integers, or not unique.
+    """
+    if ids == "source":
+        image_ids = [i.source_id for i in images]
+        object_ids = [[o.source_id for o in i.instances] for i in images]
+        flat = [o for row in object_ids for o in row]
+        for values in (image_ids, flat):
+            if any(type(v) is not int for v in values) or len(set(values)) != len(values):
+                raise ValueError('ids="source" needs every source_id to be a unique integer; use ids="new"')
+        return image_ids, object_ids  # type: ignore[return-value]
+    new_ids, start = [], first
+    for image in images:
+        new_ids.append(list(range(start, start + len(image.instances))))
+        start += len(image.instances)
+    return list(range(first, first + len(images))), new_ids
+
+
+def category_ids(categories: Iterable[Category]) -> dict[str, int]:
+    """Native id by category name; ValueError for a name or an id given twice."""
+    ids: dict[str, int] = {}
+    for c in categories:
+        if c.name in ids or c.id in ids.values():
+            raise ValueError(f"category {c.id} {c.name!r} is given twice")
+        ids[c.name] = c.id
+    return ids

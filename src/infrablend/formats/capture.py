@@ -1,0 +1,172 @@
+"""How a picture was taken: camera pitch, altitude, day or night, from its file name or from a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from infrablend.core.dataset import TimeOfDay
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import read_json
+
+TABLE_NAMES = ("metadata.csv", "metadata.json")
+_FIELDS = ("pitch_deg", "altitude_m", "time_of_day")
+_KEYS = ("file", "stem")
+# HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
+_NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What is known of how a picture was taken; None where nothing is.
+
+    Attributes:
+        pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
+        altitude_m: Above ground as the source says.
+        time_of_day: Day or night.
+    """
+
+    pitch_deg: float | None = None
+    altitude_m: float | None = None
+    time_of_day: TimeOfDay | None = None
+
+    def over(self, other: Capture) -> Capture:
+        """These values, and `other`'s where one is unknown."""
+        return Capture(
+            other.pitch_deg if self.pitch_deg is None else self.pitch_deg,
+            other.altitude_m if self.altitude_m is None else self.altitude_m,
+            other.time_of_day if self.time_of_day is None else self.time_of_day,
+        )
+
+    def conflicts(self, other: Capture) -> list[str]:
+        """`field: this, that` for every field both know differently."""
+        pairs = ((f, getattr(self, f), getattr(other, f)) for f in _FIELDS)
+        return [f"{f}: {a} and {b}" for f, a, b in pairs if a is not None and b is not None and a != b]
+
+
+@dataclass(frozen=True)
+class NameFacts:
+    """A file name in HIT-UAV's grammar taken apart."""
+
+    capture: Capture
+    weather: int
+    frame: int
+    configuration: int | None
+
+
+def facts_from_name(name: str) -> NameFacts | None:
+    """Facts from a name `T_HHH_AA_W_NNNNN[_c<k>][.ext]` (folders before it are ignored), or None if it is no such."""
+    base = PurePosixPath(name).name
+    stem = base.rpartition(".")[0] if "." in base else base
+    match = _NAME.fullmatch(stem)
+    if match is None or int(match[3]) > 90:
+        return None
+    capture = Capture(float(match[3]), float(match[2]), "night" if match[1] == "1" else "day")
+    return NameFacts(capture, int(match[4]), int(match[5]), None if match[6] is None else int(match[6]))
+
+
+def find_table(root: Path) -> Path | None:
+    """`metadata.csv` or `metadata.json` in the folder, in this order, or None."""
+    return next((root / n for n in TABLE_NAMES if (root / n).is_file()), None)
+
+
+@dataclass(frozen=True)
+class CaptureTable:
+    """A table of captures by file path, file name or stem."""
+
+    rows: Mapping[str, Capture]
+    problems: tuple[Problem, ...]
+
+    def find(self, name: str) -> Capture | None:
+        """The row for a relative path: by the path, then by the file name, then by the stem."""
+        path = PurePosixPath(name)
+        keys = (name, str(path.with_suffix("")), path.name, path.stem)
+        return next((self.rows[k] for k in keys if k in self.rows), None)
+
+    def unused(self, names: list[str]) -> list[str]:
+        """Keys that name none of the relative paths."""
+        paths = [PurePosixPath(n) for n in names]
+        known = {k for n, p in zip(names, paths, strict=True) for k in (n, str(p.with_suffix("")), p.name, p.stem)}
+        return sorted(k for k in self.rows if k not in known)
+
+
+def read_table(path: Path) -> CaptureTable:
+    """Read a CSV or JSON table with `file` or `stem` and some of `pitch_deg`, `altitude_m`, `time_of_day`.
+
+    CSV: a header line. JSON: a list of records, or one object with the file names or stems as keys. Rows with a bad
+    value are skipped as errors; empty fields are unknown.
+
+    Raises:
+        DatasetError: The file cannot be read, or has no such columns.
+    """
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
+    columns = {k for _, row in rows for k in row}
+    if not rows or not columns & set(_KEYS) or not columns & set(_FIELDS):
+        found = f"columns {', '.join(sorted(columns)) or 'none'}"
+        expected = f"one of {', '.join(_KEYS)} and some of {', '.join(_FIELDS)}"
+        problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
+        raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
+    problems: list[Problem] = []
+    unknown = sorted(columns - set(_KEYS) - set(_FIELDS))
+    if unknown:
+        found = f"unknown columns {', '.join(unknown)}, ignored"
+        problems.append(Problem(path.name, "table-columns", found, severity="warning"))
+    captures: dict[str, Capture] = {}
+    for where, row in rows:
+        key = str(row.get("file") or row.get("stem") or "").strip()
+        capture, fault = _capture(row)
+        if not key:
+            fault = ("table-value", "no file and no stem", "the name of a picture")
+        elif fault is None and key in captures:
+            fault = ("table-duplicate", f"a second row for {key!r}", "one row for each picture")
+        if fault is not None:
+            problems.append(Problem(f"{path.name}: {where}", *fault, "correct the table"))
+            continue
+        captures[key.removeprefix("./")] = capture
+    return CaptureTable(captures, tuple(problems))
+
+
+def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        return [(f"line {reader.line_num}", {(k or "").strip(): v for k, v in row.items()}) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        problem = Problem(path.name, "table-unreadable", str(error).replace(str(path), path.name), "a CSV table")
+        raise DatasetError(f"{path}: cannot be read", [problem]) from error
+
+
+def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    value = read_json(path)
+    if isinstance(value, dict):
+        value = [{"file": k, **v} for k, v in sorted(value.items()) if isinstance(v, dict)]
+    if not isinstance(value, list):
+        return []
+    return [(f"record {i}", r) for i, r in enumerate(value) if isinstance(r, dict)]
+
+
+def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | None]:
+    values: dict[str, float | None] = {}
+    for name, low, high, unit in (("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres")):
+        raw = row.get(name)
+        if raw is None or str(raw).strip() == "":
+            values[name] = None
+            continue
+        try:
+            number = float(raw)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not low <= number <= high:
+            return Capture(), ("table-value", f"{name} {raw!r}", f"{low:g} to {high:g} {unit}")
+        values[name] = number
+    time = str(row.get("time_of_day") or "").strip().casefold()
+    if time not in ("", "day", "night"):
+        return Capture(), ("table-value", f"time_of_day {row['time_of_day']!r}", "day, night or nothing")
+    of_day: TimeOfDay | None = "day" if time == "day" else "night" if time == "night" else None
+    return Capture(values["pitch_deg"], values["altitude_m"], of_day), None

@@ -1,0 +1,139 @@
+"""Finding picture files: listings, names that must stay inside the dataset, ids."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from PIL import Image
+
+from infrablend.errors import Problem
+
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
+
+
+def is_hidden(name: str) -> bool:
+    """True for `.DS_Store`, `._x.jpg`, half-written files and their like."""
+    return name.startswith(".")
+
+
+def is_picture_name(name: str) -> bool:
+    """True for a visible name with a picture's suffix."""
+    return not is_hidden(name) and name.lower().endswith(PICTURE_SUFFIXES)
+
+
+def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
+    """Pictures below `folder` by POSIX path relative to it, sorted; empty if the folder is not there.
+
+    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out.
+    """
+    found: dict[str, Path] = {}
+    for base, folders, names in os.walk(folder):
+        folders[:] = sorted(d for d in folders if not is_hidden(d) and d not in skip)
+        here = Path(base)
+        prefix = "" if here == folder else here.relative_to(folder).as_posix() + "/"
+        found.update({prefix + n: here / n for n in names if is_picture_name(n)})
+    return dict(sorted(found.items()))
+
+
+def check_name(name: object, where: str) -> Problem | None:
+    """What is wrong with a picture's name as an annotation gives it: only a relative path that stays inside will do."""
+    expected = "a relative file name inside the picture folder"
+    if not isinstance(name, str) or not name.strip() or "\0" in name:
+        return Problem(where, "name-missing", f"picture name {name!r}", expected, "correct the annotation")
+    posix, windows = PurePosixPath(name), PureWindowsPath(name)
+    climbs = ".." in posix.parts or ".." in windows.parts
+    if climbs or posix.is_absolute() or windows.drive or windows.root:
+        found = f"picture name {name!r} leads out of the dataset"
+        return Problem(where, "name-climbs", found, expected, "correct the annotation")
+    return None
+
+
+def check_link(path: Path, folder: Path, where: str) -> Problem | None:
+    """A problem if `path`, named by an annotation, is a link that leaves the picture folder."""
+    real, inside = os.path.realpath(path), os.path.realpath(folder)
+    if os.path.commonpath([real, inside]) == inside:
+        return None
+    return Problem(
+        where,
+        "name-climbs",
+        f"picture {path.name!r} is a link out of the picture folder",
+        "a file inside it",
+        "copy the picture, or link the whole picture folder instead",
+    )
+
+
+@dataclass(frozen=True)
+class PictureFolder:
+    """One folder of pictures that annotations name: what it holds, by name and by stem."""
+
+    folder: Path
+    by_name: dict[str, Path]
+    by_stem: dict[str, str]
+
+    @classmethod
+    def scan(cls, folder: Path) -> PictureFolder:
+        """List `folder`; a missing one is empty."""
+        by_name = list_pictures(folder)
+        by_stem: dict[str, str] = {}
+        for name in by_name:
+            by_stem.setdefault(name.rpartition(".")[0], name)
+        return cls(folder, by_name, by_stem)
+
+    def find(self, name: str, where: str) -> tuple[str, Path | None, Problem | None]:
+        """The name with its extension, the file (None if missing), and a problem if it is a link leading out.
+
+        A name without a picture's suffix, as in HIT-UAV's rotate_xml, is looked up by stem.
+        """
+        if name not in self.by_name and not is_picture_name(name):
+            name = self.by_stem.get(name, name)
+        path = self.by_name.get(name)
+        if path is None:
+            return name, None, None
+        linked = path.is_symlink() or "/" in name
+        return name, path, check_link(path, self.folder, where) if linked else None
+
+
+def assign_ids(names: Iterable[str]) -> dict[str, str]:
+    """A unique id for every relative path: the stem where that is unique, else the path with `__` for `/`.
+
+    Pictures that differ in the suffix only get it appended, and numbers settle what is left; the result depends
+    on the set of names alone.
+    """
+    ordered = sorted(names)
+    stems = {n: PurePosixPath(n).stem for n in ordered}
+    paths = {n: str(PurePosixPath(n).with_suffix("")).replace("/", "__") for n in ordered}
+    suffixed = {n: f"{paths[n]}_{PurePosixPath(n).suffix[1:].lower()}" for n in ordered}
+    ids: dict[str, str] = {}
+    taken: set[str] = set()
+    left = ordered
+    for choice in (stems, paths, suffixed):
+        counts = Counter(choice[n] for n in left)
+        for n in left:
+            if counts[choice[n]] == 1 and choice[n] not in taken:
+                ids[n] = choice[n]
+        taken |= set(ids.values())
+        left = [n for n in left if n not in ids]
+    for n in left:
+        k = 2
+        while f"{suffixed[n]}_{k}" in taken:
+            k += 1
+        ids[n] = f"{suffixed[n]}_{k}"
+        taken.add(ids[n])
+    return {n: ids[n] for n in ordered}
+
+
+def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:
+    """(width, height) from the file's header, without decoding; or None and what is wrong."""
+    try:
+        with Image.open(path, formats=PICTURE_FORMATS) as picture:
+            return (int(picture.width), int(picture.height)), None
+    except Exception as error:  # PIL's decoders raise what they like on broken headers
+        found = f"no readable picture ({error or type(error).__name__})".replace(str(path), path.name)
+    return None, Problem(
+        where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
+    )
