@@ -1,0 +1,361 @@
+"""Triangles on a lattice of point samples: silhouettes, depth, visibility.
+
+A sample belongs to a triangle if it lies inside, left and upper edges included, right and lower ones not.
+Triangles that share an edge therefore share no sample and leave no gap, and a shape is neither dilated nor
+eroded: its sample count is an unbiased measure of its area. All is done on spans (one triangle on one row of
+samples), without a loop over triangles.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import clip_triangles_near
+from infrablend.core.camera import CameraSpec
+from infrablend.core.mesh import FloatArray, IntArray
+
+BoolArray = NDArray[np.bool_]
+
+NEAR_M = 0.05
+
+
+@dataclass(frozen=True)
+class SampleGrid:
+    """A lattice of samples: sample (row r, column c) is at `origin_xy` + (c + 0.5, r + 0.5) * `pitch_px`."""
+
+    origin_xy: tuple[float, float]
+    shape_hw: tuple[int, int]
+    pitch_px: float
+
+    @classmethod
+    def over_pixels(cls, offset_xy: tuple[int, int], size_wh: tuple[int, int], supersample: int) -> SampleGrid:
+        """`supersample` squared samples in each pixel of a crop."""
+        w, h = size_wh
+        return cls((float(offset_xy[0]), float(offset_xy[1])), (h * supersample, w * supersample), 1 / supersample)
+
+    @classmethod
+    def over_box(cls, box_xyxy: FloatArray, longest: int) -> SampleGrid:
+        """A lattice that spans a box with `longest` samples along its longer side."""
+        x0, y0, x1, y1 = (float(v) for v in box_xyxy)
+        pitch = max(x1 - x0, y1 - y0, 1e-9) / longest
+        return cls((x0, y0), (max(1, math.ceil((y1 - y0) / pitch)), max(1, math.ceil((x1 - x0) / pitch))), pitch)
+
+    def to_samples(self, xy: FloatArray) -> FloatArray:
+        """Positions (..., 2) in pixels as positions in samples."""
+        return np.asarray((xy - np.array(self.origin_xy)) / self.pitch_px)
+
+    def columns_x(self) -> FloatArray:
+        """(columns,) x of the samples, pixels."""
+        return self.origin_xy[0] + (np.arange(self.shape_hw[1]) + 0.5) * self.pitch_px
+
+    def rows_y(self) -> FloatArray:
+        """(rows,) y of the samples, pixels."""
+        return self.origin_xy[1] + (np.arange(self.shape_hw[0]) + 0.5) * self.pitch_px
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedTriangles:
+    """Triangles in the image, cut at the near plane.
+
+    Attributes:
+        xy: (T, 3, 2) corners, pixels.
+        inverse_depth: (T, 3) 1 / depth of the corners, 1/m; linear across the triangle in the image.
+        source: (T,) which of the given triangles each one is (a piece of).
+        cut: True if some triangle reached nearer than the near plane.
+    """
+
+    xy: FloatArray
+    inverse_depth: FloatArray
+    source: NDArray[np.intp]
+    cut: bool
+
+    def select(self, keep: NDArray[np.bool_]) -> ProjectedTriangles:
+        """Those with `keep` (T,) True."""
+        return ProjectedTriangles(self.xy[keep], self.inverse_depth[keep], self.source[keep], self.cut)
+
+
+def project_triangles(
+    camera: CameraSpec, vertices_world_m: FloatArray, triangles: IntArray, near_m: float = NEAR_M
+) -> ProjectedTriangles:
+    """Triangles (T, 3), indices into world vertices (V, 3), as the camera sees them at depth >= `near_m`."""
+    xyz = camera.to_camera(vertices_world_m)
+    centre = np.array(camera.size_wh) / 2
+    if float(xyz[:, 2].min()) >= near_m:
+        inverse = 1.0 / xyz[:, 2]
+        xy = xyz[:, :2] * inverse[:, None] * camera.focal_px + centre
+        return ProjectedTriangles(xy[triangles], inverse[triangles], np.arange(len(triangles)), False)
+    corners = xyz[triangles]
+    cut = bool((corners[:, :, 2] < near_m).any())
+    corners, source = clip_triangles_near(corners, near_m)
+    inverse = 1.0 / corners[:, :, 2]
+    xy = corners[:, :, :2] * inverse[:, :, None] * camera.focal_px + centre
+    return ProjectedTriangles(xy, inverse, source, cut)
+
+
+@dataclass(frozen=True, eq=False)
+class _Spans:
+    """One triangle on one row of samples: columns `start` to `stop` (excluded) of row `row`."""
+
+    triangle: NDArray[np.intp]
+    row: NDArray[np.int64]
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+
+
+def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
+    """Spans of triangles (T, 3, 2) given in sample positions; empty ones left out."""
+    rows, columns = shape_hw
+    x, y = corners[:, :, 0], corners[:, :, 1]
+    # Corners by height. Every edge then runs downwards, so two triangles compute a shared edge with the same
+    # bits.
+    order = np.argsort(y, axis=1, kind="stable")
+    x, y = np.take_along_axis(x, order, axis=1), np.take_along_axis(y, order, axis=1)
+    first = np.clip(np.ceil(y[:, 0] - 0.5), 0, rows).astype(np.int64)
+    last = np.clip(np.ceil(y[:, 2] - 0.5), 0, rows).astype(np.int64)
+    count = np.maximum(last - first, 0)
+    used = np.flatnonzero((count > 0) & (x.max(axis=1) > 0.5) & (x.min(axis=1) <= columns - 0.5))
+    x, y, first, count = x[used], y[used], first[used], count[used]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        long_slope = (x[:, 2] - x[:, 0]) / (y[:, 2] - y[:, 0])
+        top_slope = (x[:, 1] - x[:, 0]) / (y[:, 1] - y[:, 0])
+        low_slope = (x[:, 2] - x[:, 1]) / (y[:, 2] - y[:, 1])
+    triangle = np.repeat(np.arange(len(used)), count)
+    row = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count) + first[triangle]
+    at = row + 0.5
+    x0, y0, x1, y1 = x[triangle, 0], y[triangle, 0], x[triangle, 1], y[triangle, 1]
+    on_long = x0 + (at - y0) * long_slope[triangle]
+    below = at >= y1
+    on_short = np.where(below, x1, x0) + (at - np.where(below, y1, y0)) * np.where(
+        below, low_slope[triangle], top_slope[triangle]
+    )
+    start = np.clip(np.ceil(np.minimum(on_long, on_short) - 0.5), 0, columns).astype(np.int64)
+    stop = np.clip(np.ceil(np.maximum(on_long, on_short) - 0.5), 0, columns).astype(np.int64)
+    kept = stop > start
+    return _Spans(used[triangle[kept]], row[kept], start[kept], stop[kept])
+
+
+def covered_samples(triangles_xy: FloatArray, grid: SampleGrid) -> BoolArray:
+    """(rows, columns) True where a sample lies in the union of triangles (T, 3, 2), pixels."""
+    rows, columns = grid.shape_hw
+    spans = _spans(grid.to_samples(triangles_xy), grid.shape_hw)
+    width = columns + 1
+    base = spans.row * width
+    # +1 where a span starts, -1 where it stops; the running sum counts the spans over a sample. Each row's
+    # sum is 0 at its extra last column, so one sum runs through all rows.
+    change = np.bincount(base + spans.start, minlength=rows * width)
+    change -= np.bincount(base + spans.stop, minlength=rows * width)
+    return np.asarray(np.cumsum(change, dtype=np.int32).reshape(rows, width)[:, :columns] > 0)
+
+
+def share_per_pixel(samples: BoolArray, supersample: int) -> NDArray[np.float32]:
+    """(h, w) float32 share of True samples in each block of `supersample` squared."""
+    rows, columns = samples.shape
+    size_wh = (columns // supersample, rows // supersample)
+    return np.asarray(cv2.resize(samples.astype(np.float32), size_wh, interpolation=cv2.INTER_AREA))
+
+
+def silhouette(
+    triangles_xy: FloatArray, offset_xy: tuple[int, int], size_wh: tuple[int, int], supersample: int = 8
+) -> NDArray[np.float32]:
+    """(h, w) share of each pixel covered by the union of triangles (T, 3, 2), from point samples.
+
+    Args:
+        triangles_xy: Corners in pixels of the frame.
+        offset_xy: Column and row of the crop's top left pixel.
+        size_wh: Size of the crop.
+        supersample: Samples along a pixel's side.
+    """
+    grid = SampleGrid.over_pixels(offset_xy, size_wh, supersample)
+    return share_per_pixel(covered_samples(triangles_xy, grid), supersample)
+
+
+def _fragments(
+    triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid
+) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.intp]]:
+    """Flat sample index, 1 / depth there, and triangle, of every sample of every triangle."""
+    corners = grid.to_samples(triangles_xy)
+    spans = _spans(corners, grid.shape_hw)
+    # 1/z is linear in the image. Gradients of slivers are wild, so values are held within the corners' range.
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    za = inverse_depth[:, 0]
+    zab, zac = inverse_depth[:, 1] - za, inverse_depth[:, 2] - za
+    twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    safe = np.where(twice_area == 0, 1.0, twice_area)
+    slope_x = np.where(twice_area == 0, 0.0, (zab * ac[:, 1] - zac * ab[:, 1]) / safe)
+    slope_y = np.where(twice_area == 0, 0.0, (zac * ab[:, 0] - zab * ac[:, 0]) / safe)
+    t = spans.triangle
+    low, high = inverse_depth.min(axis=1)[t], inverse_depth.max(axis=1)[t]
+    base = za[t] + slope_y[t] * (spans.row + 0.5 - a[t, 1]) - slope_x[t] * a[t, 0]
+    z_start = np.clip(base + slope_x[t] * (spans.start + 0.5), low, high)
+    z_last = np.clip(base + slope_x[t] * (spans.stop - 0.5), low, high)
+    length = spans.stop - spans.start
+    z_step = (z_last - z_start) / np.maximum(length - 1, 1)
+    which = np.repeat(np.arange(len(t)), length)
+    along = np.arange(len(which)) - np.repeat(np.cumsum(length) - length, length)
+    index = (spans.row * grid.shape_hw[1] + spans.start)[which] + along
+    return index, z_start[which] + along * z_step[which], t[which]
+
+
+def nearest_inverse_depth(triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid) -> FloatArray:
+    """(rows, columns) the largest 1 / depth of the triangles at each sample, 0 where there is none."""
+    rows, columns = grid.shape_hw
+    nearest = np.zeros(rows * columns)
+    if len(triangles_xy):
+        index, z, _ = _fragments(triangles_xy, inverse_depth, grid)
+        np.maximum.at(nearest, index, z)
+    return nearest.reshape(rows, columns)
+
+
+def nearest_owner(
+    triangles_xy: FloatArray, inverse_depth: FloatArray, owner: NDArray[np.integer[Any]], grid: SampleGrid
+) -> IntArray:
+    """(rows, columns) int32 `owner` (T,) of the nearest triangle at each sample, -1 where there is none.
+
+    Of triangles at the same depth the one with the smallest owner counts.
+    """
+    rows, columns = grid.shape_hw
+    result = np.full(rows * columns, -1, np.int32)
+    if len(triangles_xy):
+        index, z, triangle = _fragments(triangles_xy, inverse_depth, grid)
+        nearest = np.zeros(rows * columns)
+        np.maximum.at(nearest, index, z)
+        wins = z >= nearest[index]
+        index, owners = index[wins], owner[triangle[wins]].astype(np.int32)
+        result[index] = np.iinfo(np.int32).max
+        np.minimum.at(result, index, owners)
+    return result.reshape(rows, columns)
+
+
+def visible(
+    triangles_xy: FloatArray,
+    inverse_depth: FloatArray,
+    owner: NDArray[np.integer[Any]],
+    owner_count: int,
+    offset_xy: tuple[int, int],
+    size_wh: tuple[int, int],
+    supersample: int = 8,
+) -> NDArray[np.float32]:
+    """(n, h, w) share of each pixel in which owner k's triangles are the nearest surface.
+
+    Args:
+        triangles_xy: (T, 3, 2) corners in pixels of the frame.
+        inverse_depth: (T, 3) 1 / depth of the corners.
+        owner: (T,) object or part of each triangle; a negative one or one >= n hides but is not returned.
+        owner_count: n.
+        offset_xy: Column and row of the crop's top left pixel.
+        size_wh: Size of the crop.
+        supersample: Samples along a pixel's side.
+    """
+    grid = SampleGrid.over_pixels(offset_xy, size_wh, supersample)
+    # -1 means nobody in `nearest_owner`.
+    owner = np.where(owner < 0, owner_count, owner)
+    nearest = nearest_owner(triangles_xy, inverse_depth, owner, grid)
+    layers = [share_per_pixel(nearest == k, supersample) for k in range(owner_count)]
+    return np.stack(layers) if layers else np.zeros((0, size_wh[1], size_wh[0]), np.float32)
+
+
+def outline_points(samples: BoolArray, grid: SampleGrid) -> FloatArray:
+    """(P, 2) pixel positions of each row's first and last True sample: their hull is all samples' hull."""
+    rows = np.flatnonzero(samples.any(axis=1))
+    first = samples[rows].argmax(axis=1)
+    last = samples.shape[1] - 1 - samples[rows, ::-1].argmax(axis=1)
+    x, y = grid.columns_x(), grid.rows_y()[rows]
+    return np.concatenate([np.stack([x[first], y], axis=1), np.stack([x[last], y], axis=1)])
+
+
+def hidden_points(points_xy: FloatArray, inverse_depth: FloatArray, occluders: ProjectedTriangles) -> BoolArray:
+    """(N,) True for points (N, 2) at 1 / depth (N,) that a nearer triangle of the occluders covers."""
+    hidden = np.zeros(len(points_xy), np.bool_)
+    if not len(points_xy) or not len(occluders.xy):
+        return hidden
+    low, high = occluders.xy.min(axis=1), occluders.xy.max(axis=1)
+    reach_low, reach_high = points_xy.min(axis=0), points_xy.max(axis=0)
+    possible = (
+        (low <= reach_high).all(axis=1)
+        & (high >= reach_low).all(axis=1)
+        & (occluders.inverse_depth.max(axis=1) > inverse_depth.min())
+    )
+    xy, inverse, low, high = (
+        occluders.xy[possible],
+        occluders.inverse_depth[possible],
+        low[possible],
+        high[possible],
+    )
+    # 4M pairs at a time.
+    for part in np.array_split(np.arange(len(points_xy)), math.ceil(len(points_xy) * len(xy) / 2**22) or 1):
+        x, y = points_xy[part, :1], points_xy[part, 1:]
+        point, triangle = np.nonzero((x >= low[:, 0]) & (x <= high[:, 0]) & (y >= low[:, 1]) & (y <= high[:, 1]))
+        d = xy[triangle] - points_xy[part[point], None]
+        nxt = np.roll(d, -1, axis=1)
+        cross = d[:, :, 0] * nxt[:, :, 1] - d[:, :, 1] * nxt[:, :, 0]
+        total = cross.sum(axis=1)
+        inside = ((cross >= 0).all(axis=1) | (cross <= 0).all(axis=1)) & (total != 0)
+        point, triangle, cross, total = point[inside], triangle[inside], cross[inside], total[inside]
+        weight = np.roll(cross, 2, axis=1) / total[:, None]
+        z = (weight * inverse[triangle]).sum(axis=1)
+        nearer = z > inverse_depth[part[point]] * (1 + 1e-9)
+        hidden[part[point[nearer]]] = True
+    return hidden
+
+
+def inside_fraction(
+    camera: CameraSpec,
+    vertices_world_m: FloatArray,
+    triangles: IntArray,
+    *,
+    near_m: float = NEAR_M,
+    longest: int = 256,
+) -> tuple[float, float]:
+    """Share of an object's projected area that is inside the frame, and the least depth of its vertices.
+
+    Args:
+        camera: The camera.
+        vertices_world_m: (V, 3) in the world.
+        triangles: (T, 3) indices; vertices that no triangle uses count nowhere if T covers all, else they do.
+        near_m: What is nearer is cut away before projecting.
+        longest: Samples along the longer side of the object's box.
+
+    Returns:
+        The share in [0, 1], exactly 1 if the object is wholly inside and ahead, 0 if wholly outside or
+        behind; and the depth in metres, negative behind the camera. An object cut by the near plane has the
+        share of what is left of it.
+    """
+    xyz = camera.to_camera(vertices_world_m)
+    depth = xyz[:, 2]
+    min_depth = float(depth.min())
+    w, h = camera.size_wh
+    if float(depth.max()) < near_m:
+        return 0.0, min_depth
+    centre = np.array([w, h]) / 2
+    if min_depth >= near_m:
+        xy = xyz[:, :2] * (camera.focal_px / depth)[:, None] + centre
+        (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+        if x0 >= 0 and y0 >= 0 and x1 <= w and y1 <= h:
+            return 1.0, min_depth
+        if x1 <= 0 or y1 <= 0 or x0 >= w or y0 >= h:
+            return 0.0, min_depth
+        corners = xy[triangles]
+    else:
+        clipped, _ = clip_triangles_near(xyz[triangles], near_m)
+        if not len(clipped):
+            return 0.0, min_depth
+        corners = clipped[:, :, :2] * (camera.focal_px / clipped[:, :, 2:]) + centre
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    if (high <= 0).any() or (low >= (w, h)).any():
+        return 0.0, min_depth
+    grid = SampleGrid.over_box(np.concatenate([low, high]), longest)
+    covered = covered_samples(corners, grid)
+    total = int(covered.sum())
+    if not total:  # thinner than the samples' pitch everywhere: the box's centre decides
+        middle = (low + high) / 2
+        return float(((middle >= 0) & (middle <= (w, h))).all()), min_depth
+    x, y = grid.columns_x(), grid.rows_y()
+    inside = covered[(y >= 0) & (y <= h)][:, (x >= 0) & (x <= w)]
+    return int(inside.sum()) / total, min_depth
