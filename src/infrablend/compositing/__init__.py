@@ -1,0 +1,1 @@
+"""From a rendered crop and a background to the finished picture."""

@@ -59,9 +59,7 @@ class CameraSpec:
         right = np.array([1.0, 0.0, 0.0])
         forward = np.array([0.0, np.cos(p), -np.sin(p)])
         down = np.cross(forward, right)
-        return np.stack(
-            [np.cos(r) * right + np.sin(r) * down, -np.sin(r) * right + np.cos(r) * down, forward]
-        )
+        return np.stack([np.cos(r) * right + np.sin(r) * down, -np.sin(r) * right + np.cos(r) * down, forward])
 
     def to_camera(self, points_m: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates, metres; the third column is the depth."""
@@ -81,7 +79,10 @@ class CameraSpec:
 
 
 def object_to_world(
-    vertices_m: FloatArray, position_m: NDArray[np.float64] | tuple[float, float, float], yaw_rad: float, scale: float = 1.0
+    vertices_m: FloatArray,
+    position_m: NDArray[np.float64] | tuple[float, float, float],
+    yaw_rad: float,
+    scale: float = 1.0,
 ) -> FloatArray:
     """(V, 3) object vertices turned by `yaw_rad` about +Z (counter-clockwise from above), scaled, moved."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)

@@ -58,14 +58,39 @@ class Instance:
 
     def __post_init__(self) -> None:
         if self.box_xyxy.shape != (4,) or self.box_xyxy.dtype != np.float64:
-            raise ValueError(
-                f"box_xyxy must be (4,) float64, got {self.box_xyxy.shape} {self.box_xyxy.dtype}"
-            )
+            raise ValueError(f"box_xyxy must be (4,) float64, got {self.box_xyxy.shape} {self.box_xyxy.dtype}")
         self.box_xyxy.setflags(write=False)
         if self.corners_xy is not None:
             if self.corners_xy.shape != (4, 2) or self.corners_xy.dtype != np.float64:
                 raise ValueError(f"corners_xy must be (4, 2) float64, got {self.corners_xy.shape}")
             self.corners_xy.setflags(write=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values; `from_json` gives an equal instance back."""
+        return {
+            "category": self.category,
+            "box_xyxy": self.box_xyxy.tolist(),
+            "corners_xy": None if self.corners_xy is None else self.corners_xy.tolist(),
+            "mask": None if self.mask is None else self.mask.to_coco(),
+            "visibility": self.visibility,
+            "truncated": self.truncated,
+            "difficult": self.difficult,
+            "inserted": self.inserted,
+            "source_id": self.source_id,
+            "extra": dict(self.extra),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Instance:
+        """The instance that `to_json` wrote."""
+        d = dict(data)
+        d["box_xyxy"] = np.array(d["box_xyxy"], np.float64)
+        if d["corners_xy"] is not None:
+            d["corners_xy"] = np.array(d["corners_xy"], np.float64)
+        if d["mask"] is not None:
+            height, width = d["mask"]["size"]
+            d["mask"] = Mask(d["mask"]["counts"], (height, width))
+        return cls(**d)
 
     def equals(self, other: Instance, atol_px: float = 0.0) -> bool:
         """True if all fields agree, coordinates within `atol_px`."""

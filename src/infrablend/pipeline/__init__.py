@@ -1,0 +1,1 @@
+"""Planning a run, running it, resuming it, recording it."""

@@ -1,0 +1,200 @@
+"""The Python interface: what the command line calls, and what to import from a notebook.
+
+from infrablend import api
+
+report = api.generate("hit-uav-drone", data="hit-uav", out="runs/first", limit=10)
+print(report.counts)
+api.preview("runs/first", "runs/first/preview.png")
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.assets import catalogue
+from infrablend.config import loading
+from infrablend.core.tasks import OnProgress
+from infrablend.errors import DatasetError, OutputError
+from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.run import RunReport, run_plan
+
+__all__ = [
+    "PlanReport",
+    "RunReport",
+    "diagnose",
+    "generate",
+    "list_models",
+    "list_recipes",
+    "make_world",
+    "plan",
+    "preview",
+    "read_dataset",
+    "rerender",
+    "show_model",
+    "show_recipe",
+    "write_infrared_effect",
+]
+
+Settings = Sequence[str] | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """What a run would do: frames, disk, time; nothing has been done."""
+
+    facts: Mapping[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return dict(self.facts)
+
+
+def generate(
+    recipe: str | Path,
+    data: str | Path,
+    out: str | Path,
+    *,
+    limit: int | None = None,
+    splits: Sequence[str] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    device: str = "auto",
+    formats: Sequence[str] | None = None,
+    form: str | None = None,
+    settings: Settings = (),
+    resume: bool = False,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+    renderer: str = "blender",
+    in_process: bool = False,
+) -> RunReport:
+    """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+
+    Args:
+        recipe: A shipped recipe's name, or the path of a YAML file.
+        data: Folder of the background dataset.
+        out: Folder to write; must be new or empty unless `resume` or `overwrite`.
+        limit: Only the first so many backgrounds in sorted order.
+        splits: Some of train, val, test; all by default.
+        seed: Same seed, same data, same recipe: same bytes.
+        workers: Worker processes; one per processor core by default.
+        device: auto, cpu, cuda, optix, hip, metal, oneapi.
+        formats: Some of yolo, yolo-obb, yolo-seg, coco, native; as the recipe says by default.
+        form: Read only this form of the dataset (HIT-UAV: normal_json, rotate_json, normal_xml, rotate_xml).
+        settings: Recipe fields to set: `["output.image=png"]` or `{"output.image": "png"}`.
+        resume: Go on with an interrupted run in `out`.
+        overwrite: Delete an earlier run in `out` first.
+        on_progress: Called after each frame.
+        renderer: `blender`; `fake` draws flat shapes without Blender.
+        in_process: Make frames in this process; only for `renderer="fake"`.
+
+    Raises:
+        RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
+    """
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, settings)
+    return run_plan(
+        prepared,
+        Path(out),
+        workers=workers or default_workers(),
+        device=device,
+        renderer=renderer,
+        resume=resume,
+        overwrite=overwrite,
+        in_process=in_process,
+        on_progress=on_progress,
+    )
+
+
+def plan(
+    recipe: str | Path,
+    data: str | Path,
+    out: str | Path | None = None,
+    *,
+    limit: int | None = None,
+    splits: Sequence[str] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    device: str = "auto",
+    formats: Sequence[str] | None = None,
+    form: str | None = None,
+    settings: Settings = (),
+) -> PlanReport:
+    """What `generate` with the same arguments would do: frames, disk, estimated time. Writes nothing."""
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, settings)
+    facts = prepared.estimate(workers or default_workers())
+    facts["device"] = device
+    facts["categories"] = [c.name for c in prepared.categories]
+    facts["new_categories"] = list(prepared.new_categories)
+    return PlanReport(facts)
+
+
+def _prepare(
+    recipe: str | Path,
+    data: str | Path,
+    out: str | Path | None,
+    limit: int | None,
+    splits: Sequence[str] | None,
+    seed: int,
+    formats: Sequence[str] | None,
+    form: str | None,
+    settings: Settings,
+) -> RunPlan:
+    pairs: Settings = settings
+    if formats is not None:
+        wanted = list(formats)
+        pairs = (
+            {**settings, "output.formats": wanted}
+            if isinstance(settings, Mapping)
+            else [*settings, f"output.formats=[{', '.join(wanted)}]"]
+        )
+    loaded = loading.load_recipe(recipe, pairs)
+    root = Path(data)
+    if out is not None:
+        _require_apart(root, Path(out))
+    dataset = read_dataset(root, splits=splits, form=form)
+    return make_plan(loaded, dataset, seed, splits=splits, limit=limit)
+
+
+def _require_apart(data: Path, out: Path) -> None:
+    a, b = data.resolve(), out.resolve()
+    if a == b or b in a.parents:
+        raise OutputError(f"--out {out}: holds the data folder {data}; choose a folder of its own")
+
+
+def read_dataset(data: str | Path, *, splits: Sequence[str] | None = None, form: str | None = None) -> Any:
+    """A background dataset in memory (`core.dataset.Dataset`), its format detected.
+
+    Raises:
+        UnknownFormatError: With the reason for each format that does not match.
+        DatasetError: If it cannot be read.
+    """
+    from infrablend.formats.detection import read
+
+    root = Path(data)
+    if not root.is_dir():
+        raise DatasetError(f"--data {root}: no such folder; expected the folder of a dataset")
+    return read(root, splits=splits, form=form)
+
+
+def default_workers() -> int:
+    """One per processor core this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def list_models() -> dict[str, str]:
+    """Names of the shipped models and what they are."""
+    return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
+
+
+def list_recipes() -> dict[str, str]:
+    """Names of the shipped recipes and what they are for."""
+    return {name: loading.load_recipe(name).description for name in loading.list_recipes()}
+
+
+def show_recipe(name: str) -> str:
+    """YAML text of a shipped recipe."""
+    return loading.recipe_text(name)

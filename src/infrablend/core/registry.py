@@ -1,0 +1,22 @@
+"""Finding things by dotted name, so that what is heavy or optional is imported only when chosen."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from infrablend.errors import MissingDependencyError
+
+
+def resolve(dotted: str) -> Any:
+    """The object that `package.module:name` names.
+
+    Raises:
+        MissingDependencyError: If the module cannot be imported because something it needs is missing.
+    """
+    module, _, name = dotted.partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ImportError as error:
+        hint = "run `infrablend doctor`, which names the package to install"
+        raise MissingDependencyError(f"{module} cannot be imported: {error}; {hint}") from error

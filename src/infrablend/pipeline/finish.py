@@ -1,0 +1,137 @@
+"""Writing the dataset's label files from the records of its frames, once all frames are there."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import Problem
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.record import FrameRecord, read_record
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What the label files hold.
+
+    Attributes:
+        counts: Images, labels per category, removals by reason.
+        draws: How placement went: attempts, rejections by reason, the shift of the camera's distance.
+        removed: Every original label that the new objects covered.
+        losses: What formats could not hold, by `<format>.<kind>`.
+        problems: Warnings.
+    """
+
+    counts: Mapping[str, Any] = field(default_factory=dict)
+    draws: Mapping[str, Any] = field(default_factory=dict)
+    removed: tuple[Mapping[str, Any], ...] = ()
+    losses: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+
+def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
+    """Write every format the recipe asks for; the same records give the same bytes."""
+    records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
+    images = [labelled_image(f, r, folder) for f, r in records]
+    return summarize(plan, records, images)
+
+
+def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:
+    """A finished frame as an image of a dataset: the background's metadata, the frame's picture and labels."""
+    source = frame.background
+    kept = tuple(source.instances[n] for n in record.kept)
+    width, height = record.background["size_wh"]
+    return replace(
+        source,
+        id=frame.name,
+        path=folder.image(record.image),
+        size_wh=(width, height),
+        instances=kept + record.inserted,
+        file_name=record.image.partition("/")[2],
+    )
+
+
+def summarize(
+    plan: RunPlan, records: Sequence[tuple[PlannedFrame, FrameRecord]], images: Sequence[ImageRecord]
+) -> Finished:
+    """Counts and draw statistics of the finished frames."""
+    labels: Counter[str] = Counter(i.category for image in images for i in image.instances)
+    per_split: dict[str, Counter[str]] = {}
+    for image in images:
+        per_split.setdefault(image.split, Counter()).update(i.category for i in image.instances)
+    removed = [
+        {"frame_id": r.frame_id, **item} for _, r in records for item in r.removed if item["reason"] == "covered"
+    ]
+    reasons = Counter(item["reason"] for _, r in records for item in r.removed)
+    drops = Counter(d["reason"] for _, r in records for d in r.facts.get("drops", ()))
+    fallbacks = sum(len(r.facts.get("mask_fallbacks", ())) for _, r in records)
+    other_size = sum(
+        r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px) for _, r in records
+    )
+    counts = {
+        "images": len(images),
+        "images_per_split": dict(sorted(Counter(i.split for i in images).items())),
+        "labels": dict(sorted(labels.items())),
+        "labels_per_split": {s: dict(sorted(c.items())) for s, c in sorted(per_split.items())},
+        "labels_inserted": dict(sorted(Counter(i.category for _, r in records for i in r.inserted).items())),
+        "labels_removed": dict(sorted(reasons.items())),
+        "objects_without_label": dict(sorted(drops.items())),
+        "masks_of_one_pixel": fallbacks,
+        "frames_without_object": sum(not r.inserted for _, r in records),
+        "frames_of_other_size": other_size,
+    }
+    return Finished(counts, draw_statistics([r for _, r in records]), tuple(removed))
+
+
+def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
+    """How often scenes were redrawn, why, and how that shifts the distribution of the camera's distance."""
+    scenes = [r.scene for r in records if r.scene is not None and r.scene.draws.get("wanted")]
+    if not scenes:
+        return {}
+    first = [float(s.draws["first_distance_m"]) for s in scenes]
+    last = [s.camera.distance_m for s in scenes]
+    rejected: Counter[str] = Counter()
+    absent: Counter[str] = Counter()
+    for s in scenes:
+        rejected.update(s.draws["rejected"])
+        absent.update(s.draws["absent"])
+    attempts = [int(s.draws["attempts"]) for s in scenes]
+    sizes = [
+        max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1]))
+        for r in records
+        for i in r.inserted
+    ]
+    return {
+        "scenes": len(scenes),
+        "attempts_total": sum(attempts),
+        "attempts_max": max(attempts),
+        "rejected": dict(sorted(rejected.items())),
+        "absent": dict(sorted(absent.items())),
+        "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
+        "pitch_deg": _spread([math.degrees(s.camera.pitch_rad) for s in scenes]),
+        "size_px": _spread(sizes),
+    }
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    if not values:
+        return {}
+    ordered = sorted(values)
+
+    def quantile(q: float) -> float:
+        return round(ordered[min(len(ordered) - 1, int(q * len(ordered)))], 4)
+
+    return {
+        "mean": round(statistics.fmean(values), 4),
+        "min": round(ordered[0], 4),
+        "p5": quantile(0.05),
+        "median": quantile(0.5),
+        "p95": quantile(0.95),
+        "max": round(ordered[-1], 4),
+    }

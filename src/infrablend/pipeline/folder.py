@@ -1,0 +1,104 @@
+"""Where everything of a run lies. The layout is documented in docs/reference/run_folder.md."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.files import write_json
+from infrablend.errors import OutputError
+
+# What `--overwrite` may delete: these names and nothing else.
+OWN_FOLDERS = ("images", "yolo", "yolo-obb", "yolo-seg", "coco", "native", "scenes", "log")
+RUN_FILE = "run.json"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The folder of one run."""
+
+    root: Path
+
+    @property
+    def run_file(self) -> Path:
+        """The run record."""
+        return self.root / RUN_FILE
+
+    @property
+    def log_folder(self) -> Path:
+        """Log files."""
+        return self.root / "log"
+
+    def image(self, relative: str) -> Path:
+        """An image by its path below `images/`, e.g. `train/a_c0.jpg`."""
+        return self.root / "images" / relative
+
+    def record(self, frame_id: str) -> Path:
+        """The record of a frame: its scene, its labels, what was decided."""
+        return self.root / "scenes" / f"{frame_id}.json"
+
+    def read_run(self) -> dict[str, Any]:
+        """The run record.
+
+        Raises:
+            OutputError: If there is none or it cannot be read.
+        """
+        try:
+            data = json.loads(self.run_file.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise OutputError(
+                f"{self.run_file}: cannot be read ({error}); expected the record of a run. "
+                "Give the folder that `infrablend generate --out` wrote."
+            ) from error
+        if not isinstance(data, dict) or "recipe" not in data:
+            raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
+        return data
+
+    def write_run(self, data: dict[str, Any]) -> None:
+        """Write the run record, whole or not at all."""
+        write_json(self.run_file, data, indent=2)
+
+    def prepare(self, *, resume: bool, overwrite: bool) -> dict[str, Any] | None:
+        """Make the folder ready; returns the record of the run to go on with, or None for a new one.
+
+        Raises:
+            OutputError: If the folder is not empty and neither `resume` nor `overwrite` is given, if it holds
+                something that is no run, or if it cannot be written.
+        """
+        if resume and overwrite:
+            raise OutputError("--resume and --overwrite exclude each other: go on with the run, or begin it anew")
+        if self.root.exists() and not self.root.is_dir():
+            raise OutputError(f"{self.root}: is a file; expected a folder, or a name that does not exist yet")
+        entries = sorted(p.name for p in self.root.iterdir()) if self.root.is_dir() else []
+        if entries and not (resume or overwrite):
+            raise OutputError(
+                f"{self.root}: not empty (found {', '.join(entries[:4])}{' ...' if len(entries) > 4 else ''}); "
+                "expected an empty or new folder. Use --resume to go on with an interrupted run, "
+                "--overwrite to begin it anew, or another --out."
+            )
+        if entries and RUN_FILE not in entries:
+            raise OutputError(
+                f"{self.root}: not empty and not a run of InfraBlend (no {RUN_FILE}); nothing was touched. "
+                "Choose another --out."
+            )
+        if resume and entries:
+            return self.read_run()
+        try:
+            if entries:
+                for name in OWN_FOLDERS:
+                    if (self.root / name).is_dir() and not (self.root / name).is_symlink():
+                        shutil.rmtree(self.root / name)
+                # The record goes last: an overwrite that is interrupted can be repeated.
+                self.run_file.unlink()
+            self.root.mkdir(parents=True, exist_ok=True)
+            probe = self.root / ".writable"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            raise OutputError(
+                f"{self.root}: cannot be written ({error.strerror or error}); expected a folder you may write to"
+            ) from error
+        return None

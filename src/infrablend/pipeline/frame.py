@@ -1,0 +1,283 @@
+"""One frame, from its background to its image and labels. This is the whole method; read it from top to bottom.
+
+background --> scene --> render --> grey levels --> overlay --> image
+                 |          |
+                 +----------+--> new labels --> merged with the original ones --> record
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.annotation.labels import LabelSettings, annotate
+from infrablend.annotation.merge import MergeSettings, merge
+from infrablend.assets.catalogue import load_model
+from infrablend.assets.model import ObjectModel
+from infrablend.compositing.mapping import GreyMapping, Mapper, PercentileMapper
+from infrablend.compositing.overlay import compose, make_layer
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Category
+from infrablend.core.files import write_bytes, write_json
+from infrablend.core.registry import resolve
+from infrablend.core.render import Renderer
+from infrablend.core.scene import SceneSpec
+from infrablend.core.tasks import Task
+from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.plan import PlannedFrame
+from infrablend.pipeline.record import FrameRecord
+from infrablend.sampling.scene import SampledScene, build_meshes, sample_scene, without_objects
+
+RENDERERS = {
+    "blender": "infrablend.blender.renderer:BlenderRenderer",
+    "fake": "infrablend.core.fake_renderer:FakeRenderer",
+}
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """What every worker of a run needs to know; picklable.
+
+    Attributes:
+        out: Folder of the run.
+        data_root: Folder that background paths are recorded against.
+        recipe_json: The recipe.
+        seed: The run's seed.
+        categories: The source's categories.
+        renderer: Name in `RENDERERS`.
+        device: Where Cycles computes.
+        pin_cores: Keep each worker on a processor core of its own.
+    """
+
+    out: Path
+    data_root: Path
+    recipe_json: str
+    seed: int
+    categories: tuple[Category, ...]
+    renderer: str = "blender"
+    device: str = "cpu"
+    pin_cores: bool = True
+
+
+@dataclass(frozen=True)
+class FrameDone:
+    """What a worker reports of a finished frame; small, for counting."""
+
+    inserted: int
+    wanted: int
+    seconds: Mapping[str, float]
+
+
+class FrameMaker:
+    """Makes frames; one per worker process."""
+
+    def __init__(self, settings: FrameSettings) -> None:
+        """Start the renderer and load the recipe's models."""
+        if settings.pin_cores:
+            take_core()
+        self._settings = settings
+        self._folder = RunFolder(settings.out)
+        self._recipe = Recipe.model_validate_json(settings.recipe_json)
+        self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
+        self._mapper = make_mapper(self._recipe)
+        self._renderer = make_renderer(settings.renderer, settings.device)
+
+    def __call__(self, task: Task) -> FrameDone:
+        """Make the `PlannedFrame` in the task's payload and write its image and its record."""
+        frame: PlannedFrame = task.payload
+        if frame.configuration is None:
+            return self._copy_original(frame)
+        source = frame.background
+        background = load_background(source.path, source.size_wh)
+        sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed)
+        sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
+        picture = paint(sampled, background, self._renderer, self._mapper, self._recipe.overlay.softness_px)
+
+        labels, label_report = annotate(
+            sampled.spec, sampled.meshes, picture.result, LabelSettings(obb=self._recipe.labels.obb)
+        )
+        # DontCare stays in the record: which formats leave it out is decided when they are written.
+        choice = MergeSettings(
+            labels=self._recipe.labels.mode,
+            keep_categories=self._recipe.labels.keep_categories,
+            cover_share=self._recipe.labels.remove_covered,
+            dont_care="keep",
+        )
+        together, removed = merge(
+            source.instances,
+            labels,
+            choice,
+            unlabelled_masks=[d.mask for d in label_report.drops if d.mask is not None],
+        )
+        kept_ids = {id(i) for i in together}
+
+        kind = self._recipe.output.image
+        relative = frame.image_path(self._recipe.output.group_by, output_suffix(source.path, kind))
+        image_bytes = encode_image(picture.pixels, background, kind)
+        write_bytes(self._folder.image(relative), image_bytes)
+        record = FrameRecord(
+            frame_id=frame.frame_id,
+            image=relative,
+            image_sha256=hashlib.sha256(image_bytes).hexdigest(),
+            background=self._background_facts(frame, background),
+            scene=sampled.spec,
+            mapping={"dark": picture.mapping.dark, "bright": picture.mapping.bright},
+            kept=tuple(n for n, i in enumerate(source.instances) if id(i) in kept_ids),
+            inserted=tuple(i for i in labels if id(i) in kept_ids),
+            removed=tuple(r.to_json() for r in removed),
+            facts=label_report.to_json(),
+            warnings=tuple(p.to_json() for p in background.problems),
+        )
+        write_json(self._folder.record(frame.frame_id), record.to_json())
+        return FrameDone(len(labels), sampled.spec.draws["wanted"], dict(picture.result.seconds))
+
+    def close(self) -> None:
+        """Release the renderer."""
+        self._renderer.close()
+
+    def _copy_original(self, frame: PlannedFrame) -> FrameDone:
+        """The background itself as a frame of the dataset, byte for byte unless another file type is asked for."""
+        source = frame.background
+        background = load_background(source.path, source.size_wh)
+        kind = self._recipe.output.image
+        relative = frame.image_path(self._recipe.output.group_by, output_suffix(source.path, kind))
+        target = self._folder.image(relative)
+        if kind == "png" and source.path.suffix.lower() != ".png":
+            save_image(target, background.pixels, background, kind)
+        else:
+            write_bytes(target, source.path.read_bytes())
+        kept = self._recipe.labels.keep_categories
+        indices = [n for n, i in enumerate(source.instances) if kept is None or i.category in kept]
+        record = FrameRecord(
+            frame_id=frame.frame_id,
+            image=relative,
+            image_sha256=hashlib.sha256(target.read_bytes()).hexdigest(),
+            background=self._background_facts(frame, background),
+            scene=None,
+            mapping=None,
+            kept=tuple(indices) if self._recipe.labels.mode != "new" else (),
+            inserted=(),
+            warnings=tuple(p.to_json() for p in background.problems),
+        )
+        write_json(self._folder.record(frame.frame_id), record.to_json())
+        return FrameDone(0, 0, {})
+
+    def _background_facts(self, frame: PlannedFrame, background: Background) -> dict[str, Any]:
+        source = frame.background
+        return {
+            "id": source.id,
+            "path": os.path.relpath(source.path, self._settings.data_root),
+            "sha256": hashlib.sha256(source.path.read_bytes()).hexdigest(),
+            "size_wh": list(background.size_wh),
+            "pitch_deg": source.pitch_deg,
+            "altitude_m": source.altitude_m,
+            "time_of_day": source.time_of_day,
+            "source_id": source.source_id,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A finished picture and what it was made of."""
+
+    pixels: Any
+    result: Any
+    mapping: GreyMapping
+
+
+def paint(
+    sampled: SampledScene, background: Background, renderer: Renderer, mapper: Mapper, softness_px: float
+) -> Picture:
+    """Render a scene and lay it over its background."""
+    result = renderer.render(sampled.spec, sampled.meshes)
+    mapping = mapper(background.pixels)
+    layer = make_layer(result, mapping, softness_px)
+    return Picture(compose(background.pixels, layer), result, mapping)
+
+
+def repaint(
+    record: FrameRecord, background: Background, recipe: Recipe, models: Mapping[str, ObjectModel], renderer: Renderer
+) -> Picture:
+    """Make the picture of a recorded frame again; the same pixels as the first time on the same device."""
+    if record.scene is None:
+        raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
+    sampled = SampledScene(record.scene, build_meshes(record.scene, models))
+    return paint(sampled, background, renderer, make_mapper(recipe), recipe.overlay.softness_px)
+
+
+def make_mapper(recipe: Recipe) -> Mapper:
+    """The grey-level mapping that a recipe asks for."""
+    m = recipe.matching
+    return PercentileMapper(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
+
+
+def make_renderer(name: str, device: str) -> Renderer:
+    """The renderer of that name; Blender is imported here and only here."""
+    make: Callable[..., Renderer] = resolve(RENDERERS[name])
+    return make(device=device) if name == "blender" else make()
+
+
+def drop_barely_visible(sampled: SampledScene, min_visibility: float) -> SampledScene:
+    """The scene without objects of which less than `min_visibility` can be seen.
+
+    They are taken out of the scene, not just out of the labels: an object in the picture without a label would teach
+    a detector to overlook it. Repeated, since what a removed object hid may now be seen.
+    """
+    while min_visibility > 0 and len(sampled.meshes) > 1:
+        labels, report = annotate(sampled.spec, sampled.meshes)
+        seen = {k: i.visibility or 0.0 for k, i in zip(report.kept, labels, strict=True)}
+        low = [k for k in range(len(sampled.meshes)) if seen.get(k, 0.0) < min_visibility]
+        if not low:
+            break
+        # The least visible first: it may be what brings another above the limit.
+        sampled = without_objects(sampled, [min(low, key=lambda k: seen.get(k, 0.0))], "min_visibility")
+    return sampled
+
+
+def make_frame_maker(settings: FrameSettings) -> FrameMaker:
+    """Worker factory, named by `execution` through its dotted name."""
+    return FrameMaker(settings)
+
+
+def scene_of(frame: PlannedFrame, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> SceneSpec:
+    """The scene of a planned frame without rendering it; decodes the background for its size."""
+    size = load_background(frame.background.path, frame.background.size_wh).size_wh
+    return sample_scene(frame.key(size), recipe, models, seed).spec
+
+
+_CORE_LOCKS: list[int] = []
+
+
+def take_core() -> int | None:
+    """Keep this process on one processor core that no other worker on this machine has; returns its number.
+
+    Measured: with one render thread, Cycles' main thread waits by spinning and burns as much processor time as the
+    render itself; on one core it cannot. Cores are handed out through file locks, which end with the process.
+    Without a free core (more workers than cores) nothing is pinned.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return None
+    folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp")
+    for core in sorted(os.sched_getaffinity(0)):
+        path = folder / f"infrablend_core_{core}_{os.getuid()}.lock"
+        try:
+            handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(handle)
+            continue
+        _CORE_LOCKS.append(handle)
+        os.sched_setaffinity(0, {core})
+        return core
+    sys.stderr.write("no free core to keep this worker on\n")
+    return None

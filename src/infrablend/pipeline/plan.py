@@ -1,0 +1,192 @@
+"""What a run will do: which frames on which backgrounds, which categories, what is left out and why."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend import __version__
+from infrablend.assets.catalogue import load_model
+from infrablend.assets.model import ObjectModel
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.errors import DatasetError, Problem
+from infrablend.sampling.scene import FrameKey, require_parts
+
+# CPU seconds for one frame on the machine in docs/explanation/performance.md; for estimates only.
+TYPICAL_FRAME_CPU_S = 0.35
+START_S = 4.0
+# Labels, records and per-format copies of one frame, bytes; images are hard-linked.
+TYPICAL_LABELS_BYTES = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedFrame:
+    """One frame to make: configuration k on a background, or (k None) the background itself, unchanged."""
+
+    background: ImageRecord
+    configuration: int | None
+
+    @property
+    def name(self) -> str:
+        """Stem of the image file: `<background>_c<k>`, or the background's own."""
+        return self.background.id if self.configuration is None else f"{self.background.id}_c{self.configuration}"
+
+    @property
+    def frame_id(self) -> str:
+        """`<split>/<name>`: unique in the run."""
+        return f"{self.background.split}/{self.name}"
+
+    def key(self, size_wh: tuple[int, int]) -> FrameKey:
+        """What the frame's random streams depend on."""
+        assert self.configuration is not None
+        b = self.background
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg)
+
+    def image_path(self, group_by: Sequence[str], suffix: str) -> str:
+        """Path below `images/`: split, the groups asked for, name."""
+        b = self.background
+        groups = {
+            "pitch": "pitch_unknown" if b.pitch_deg is None else f"pitch_{b.pitch_deg:g}",
+            "altitude": "altitude_unknown" if b.altitude_m is None else f"altitude_{b.altitude_m:g}",
+            "day_night": b.time_of_day or "time_unknown",
+        }
+        return "/".join([b.split, *(groups[g] for g in group_by), self.name + suffix])
+
+
+@dataclass(frozen=True, eq=False)
+class RunPlan:
+    """All that is decided before the first frame.
+
+    Attributes:
+        recipe: As validated.
+        seed: The run's seed.
+        dataset: The backgrounds, after splits and limit.
+        models: Every model the recipe names.
+        categories: The source's, then the new ones, with their ids.
+        new_categories: Names of those the recipe adds.
+        frames: In order: split, background, configuration.
+        problems: What is left out and why; warnings too.
+        key: What must be equal for a run to be resumed; field -> digest or value.
+    """
+
+    recipe: Recipe
+    seed: int
+    dataset: Dataset
+    models: Mapping[str, ObjectModel]
+    categories: tuple[Category, ...]
+    new_categories: tuple[str, ...]
+    frames: tuple[PlannedFrame, ...]
+    problems: tuple[Problem, ...]
+    key: Mapping[str, Any]
+
+    def estimate(self, workers: int) -> dict[str, Any]:
+        """Frames, disk and time the run will take, roughly."""
+        sizes = [f.background.path.stat().st_size for f in self.frames[:: max(1, len(self.frames) // 200)]]
+        factor = 4.0 if self.recipe.output.image == "png" else 1.0
+        per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + TYPICAL_LABELS_BYTES
+        return {
+            "backgrounds": len(self.dataset.images),
+            "frames": len(self.frames),
+            "frames_per_split": _count(f.background.split for f in self.frames),
+            "disk_bytes": round(per_frame * len(self.frames)),
+            "seconds": round(START_S + len(self.frames) * TYPICAL_FRAME_CPU_S / max(workers, 1)),
+            "workers": workers,
+            "left_out": _count(p.code for p in self.problems if p.severity == "error"),
+        }
+
+
+def make_plan(
+    recipe: Recipe, dataset: Dataset, seed: int, *, splits: Sequence[str] | None = None, limit: int | None = None
+) -> RunPlan:
+    """The plan of a run.
+
+    Args:
+        recipe: What to do.
+        dataset: The backgrounds, read for the wanted splits.
+        seed: The run's seed.
+        splits: For the record only: what was asked for.
+        limit: Only the first so many backgrounds, in sorted order.
+
+    Raises:
+        DatasetError: If no background is left.
+        ModelError: If a model does not exist or has no part that the recipe names.
+    """
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    require_parts(recipe, models)
+    images = dataset.images[:limit] if limit is not None else dataset.images
+    problems = list(dataset.problems)
+    usable = []
+    for image in images:
+        if recipe.camera.pitch == "metadata" and image.pitch_deg is None:
+            problems.append(
+                Problem(
+                    image.path.name,
+                    "no-pitch",
+                    "no camera pitch known",
+                    "a pitch in the file name, the annotation or a metadata table",
+                    "give a table (docs/how_to/own_images.md), or set camera.pitch to {fixed_deg: ...} or {random_deg: ...}",
+                )
+            )
+        else:
+            usable.append(image)
+    if not usable:
+        raise DatasetError(
+            f"{dataset.root}: no usable background in {len(images)} image(s)"
+            + (f" of split {', '.join(splits)}" if splits else ""),
+            problems[:20],
+        )
+    categories = list(dataset.categories)
+    new = []
+    for o in recipe.objects:
+        name = o.category or models[o.model].category
+        if name not in {c.name for c in categories}:
+            new.append(name)
+            categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
+    frames = []
+    for image in usable:
+        if recipe.output.originals:
+            frames.append(PlannedFrame(image, None))
+        frames += [PlannedFrame(image, k) for k in range(recipe.configurations)]
+    trimmed = Dataset(
+        dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra
+    )
+    key = {
+        "version": __version__,
+        "recipe": json.loads(recipe.model_dump_json(exclude={"output": {"formats"}})),
+        "seed": seed,
+        "backgrounds": fingerprint(trimmed),
+    }
+    return RunPlan(recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key)
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Digest of a dataset's images and labels as read (not of the pixels: each frame's record holds those)."""
+    digest = hashlib.sha256()
+    for c in dataset.categories:
+        digest.update(f"{c.id}\x1f{c.name}\x1e".encode())
+    for image in dataset.images:
+        facts = (image.id, image.split, image.pitch_deg, image.altitude_m, image.time_of_day, image.size_wh)
+        digest.update(repr(facts).encode())
+        for i in image.instances:
+            digest.update(i.category.encode() + i.box_xyxy.tobytes())
+            if i.corners_xy is not None:
+                digest.update(i.corners_xy.tobytes())
+    return digest.hexdigest()
+
+
+def data_root(dataset: Dataset) -> Path:
+    """The folder that background paths are recorded against."""
+    return dataset.root.resolve()
+
+
+def _count(values: Any) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for v in values:
+        counts[v] = counts.get(v, 0) + 1
+    return counts

@@ -1,0 +1,95 @@
+"""The record of one finished frame: its scene, its labels and all that was decided. One JSON file per frame."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import Instance
+from infrablend.core.scene import SceneSpec
+
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """What `scenes/<split>/<frame>.json` holds.
+
+    Attributes:
+        frame_id: `<split>/<name>`.
+        image: Path below `images/`.
+        image_sha256: Of the image file.
+        background: Id, path relative to the data folder, sha256, size, pitch, altitude, time of day.
+        scene: The SceneSpec; None for an unchanged original.
+        mapping: The grey-level mapping used (`dark`, `bright`); None for an unchanged original.
+        kept: Indices of the background's labels that the image keeps, in order.
+        inserted: Labels of the new objects that the image carries.
+        removed: Labels it does not carry, each with the reason.
+        facts: What happened while labelling (see `annotation.labels.LabelReport`).
+        warnings: Problems that did not stop the frame.
+    """
+
+    frame_id: str
+    image: str
+    image_sha256: str
+    background: Mapping[str, Any]
+    scene: SceneSpec | None
+    mapping: Mapping[str, float] | None
+    kept: tuple[int, ...]
+    inserted: tuple[Instance, ...]
+    removed: tuple[Mapping[str, Any], ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[Mapping[str, Any], ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "version": VERSION,
+            "frame_id": self.frame_id,
+            "image": self.image,
+            "image_sha256": self.image_sha256,
+            "background": dict(self.background),
+            "scene": None if self.scene is None else self.scene.to_json(),
+            "mapping": None if self.mapping is None else dict(self.mapping),
+            "kept": list(self.kept),
+            "inserted": [i.to_json() for i in self.inserted],
+            "removed": [dict(r) for r in self.removed],
+            "facts": dict(self.facts),
+            "warnings": [dict(w) for w in self.warnings],
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> FrameRecord:
+        """The record that `to_json` wrote."""
+        if data.get("version") != VERSION:
+            raise ValueError(f"record version {data.get('version')!r}, expected {VERSION}")
+        return cls(
+            frame_id=data["frame_id"],
+            image=data["image"],
+            image_sha256=data["image_sha256"],
+            background=data["background"],
+            scene=None if data["scene"] is None else SceneSpec.from_json(data["scene"]),
+            mapping=data["mapping"],
+            kept=tuple(data["kept"]),
+            inserted=tuple(Instance.from_json(i) for i in data["inserted"]),
+            removed=tuple(data["removed"]),
+            facts=data["facts"],
+            warnings=tuple(data["warnings"]),
+        )
+
+
+def read_record(path: Path) -> FrameRecord | None:
+    """The record in a file, or None if there is none or it is damaged (the frame is then made again)."""
+    try:
+        return FrameRecord.from_json(json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

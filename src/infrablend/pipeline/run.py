@@ -1,0 +1,346 @@
+"""Running a plan: frames to workers, progress, resume, label files, the run record."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import platform
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from infrablend import __version__
+from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
+from infrablend.errors import Interrupted, OutputError, Problem
+from infrablend.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.execution.serial import Serial
+from infrablend.pipeline.finish import Finished, write_formats
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame import FrameDone, FrameSettings
+from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
+from infrablend.pipeline.record import read_record, sha256_of
+
+log = logging.getLogger(__name__)
+
+FACTORY = "infrablend.pipeline.frame:make_frame_maker"
+# Versions that decide pixels or labels.
+RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """How a run ended.
+
+    Attributes:
+        out: Folder of the run.
+        status: `complete`.
+        counts: Frames, objects, labels, problems; what the run record holds under `counts`.
+        problems: Everything that was skipped, failed or is worth a warning.
+        seconds: Wall-clock time of this call.
+    """
+
+    out: Path
+    status: str
+    counts: Mapping[str, Any]
+    problems: tuple[Problem, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """False if backgrounds or frames were skipped or failed."""
+        return not (self.counts.get("skipped_backgrounds") or self.counts.get("failed_frames"))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "out": str(self.out),
+            "status": self.status,
+            "ok": self.ok,
+            "counts": dict(self.counts),
+            "problems": [p.to_json() for p in self.problems],
+            "seconds": round(self.seconds, 3),
+        }
+
+
+@dataclass
+class _State:
+    """What is counted while frames come in."""
+
+    done: int = 0
+    resumed: int = 0
+    inserted: int = 0
+    failures: dict[str, Problem] = field(default_factory=dict)
+    skipped: dict[str, Problem] = field(default_factory=dict)
+    render_seconds: Counter[str] = field(default_factory=Counter)
+    peak_rss_bytes: int = 0
+
+
+def run_plan(
+    plan: RunPlan,
+    out: Path,
+    *,
+    workers: int = 1,
+    device: str = "cpu",
+    renderer: str = "blender",
+    resume: bool = False,
+    overwrite: bool = False,
+    in_process: bool = False,
+    on_progress: OnProgress | None = None,
+) -> RunReport:
+    """Make every frame of the plan and the label files.
+
+    Args:
+        plan: What to make.
+        out: Folder of the run.
+        workers: Worker processes.
+        device: Where Cycles computes.
+        renderer: `blender`, or `fake` (software, no Blender).
+        resume: Go on with an interrupted run: frames that are there are kept.
+        overwrite: Delete an earlier run in that folder first.
+        in_process: No worker processes; for tests with the fake renderer.
+        on_progress: Called after each frame.
+
+    Raises:
+        OutputError: The folder cannot be used, another run is in it, or the disk is full.
+        Interrupted: The user stopped the run; `resume` goes on.
+        RenderError: The renderer cannot start.
+    """
+    started = time.monotonic()
+    folder = RunFolder(out)
+    previous = folder.prepare(resume=resume, overwrite=overwrite)
+    if previous is not None:
+        _require_same_run(previous, plan, out)
+    folder.log_folder.mkdir(parents=True, exist_ok=True)
+    with _log_file(folder.log_folder / "run.log"):
+        header = _header(plan, workers, device, renderer)
+        folder.write_run({**header, "status": "running"})
+        state = _State()
+        todo = _remaining(plan, folder, state) if previous is not None else list(plan.frames)
+        log.info(
+            "%d frames, %d already there, seed %d, %d workers", len(plan.frames), state.resumed, plan.seed, workers
+        )
+        settings = FrameSettings(
+            out=out,
+            data_root=data_root(plan.dataset),
+            recipe_json=plan.recipe.model_dump_json(),
+            seed=plan.seed,
+            categories=plan.dataset.categories,
+            renderer=renderer,
+            device=device,
+            pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
+        )
+        worker = WorkerSpec(FACTORY, settings)
+        executor: Executor
+        if in_process:
+            executor = Serial(worker, folder.log_folder / "workers.log")
+        else:
+            pool = PoolSettings(workers=max(1, workers), log_path=folder.log_folder / "workers.log")
+            executor = ProcessPool(worker, pool)
+        status = "complete"
+        try:
+            _make_frames(executor, todo, plan, state, on_progress, started)
+        except Interrupted:
+            status = "interrupted"
+        made = time.monotonic()
+        finished = write_formats(plan, folder) if status == "complete" else Finished()
+        problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
+        counts = _counts(plan, state, finished)
+        folder.write_run(
+            {
+                **header,
+                "status": status,
+                "counts": counts,
+                "draws": finished.draws,
+                "removed": list(finished.removed),
+                "losses": dict(finished.losses),
+                "problems": [p.to_json() for p in sorted(set(problems))],
+                # Timing stands apart: it is the one part that differs between equal runs.
+                "timing": {
+                    "seconds": round(time.monotonic() - started, 3),
+                    "frames_seconds": round(made - started, 3),
+                    "labels_seconds": round(time.monotonic() - made, 3),
+                    "resumed_frames": state.resumed,
+                    "worker_seconds": {k: round(v, 3) for k, v in sorted(state.render_seconds.items())},
+                    "peak_worker_rss_mb": round(state.peak_rss_bytes / 2**20, 1),
+                },
+            }
+        )
+        log.info("%s: %s", status, counts)
+        if status == "interrupted":
+            raise Interrupted(
+                f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; what is finished is kept. "
+                f"Give the same command with --resume to go on."
+            )
+    return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
+
+
+def _make_frames(
+    executor: Executor,
+    todo: list[PlannedFrame],
+    plan: RunPlan,
+    state: _State,
+    on_progress: OnProgress | None,
+    started: float,
+) -> None:
+    """Have every frame of `todo` made; a frame that fails is counted and does not stop the others."""
+    of_key = {f.frame_id: f for f in todo}
+    first = time.monotonic()
+    finished = 0
+    for result in executor.run(Task(f.frame_id, f) for f in todo):
+        finished += 1
+        _take(result, of_key[result.key], state)
+        if on_progress is not None:
+            rate = finished / max(time.monotonic() - first, 1e-9)
+            counts = {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}
+            on_progress(
+                Progress(state.resumed + finished, len(plan.frames), rate, (len(todo) - finished) / rate, counts)
+            )
+
+
+def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
+    state.peak_rss_bytes = max(state.peak_rss_bytes, result.rss_bytes)
+    if result.failure is None:
+        done: FrameDone = result.value
+        state.done += 1
+        state.inserted += done.inserted
+        state.render_seconds.update(done.seconds)
+        return
+    failure = result.failure
+    if failure.error == "OutputError":
+        # No space or no permission: every further frame would fail the same way.
+        raise failure.to_exception()
+    if failure.error == "DatasetError":
+        problem = (
+            failure.problems[0] if failure.problems else Problem(str(frame.background.path), "image", failure.message)
+        )
+        state.skipped[frame.background.id] = problem
+        log.warning("skipped background %s: %s", frame.background.id, problem)
+        return
+    state.failures[result.key] = Problem(
+        result.key,
+        f"frame-{failure.kind}",
+        f"{failure.error}: {failure.message}",
+        "a finished frame",
+        "run again with --resume; the traceback is in log/run.log",
+    )
+    log.error("frame %s failed (%s): %s\n%s", result.key, failure.kind, failure.message, failure.traceback)
+
+
+def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedFrame]:
+    """Frames whose record or image is missing or damaged."""
+    todo = []
+    for frame in plan.frames:
+        record = read_record(folder.record(frame.frame_id))
+        image = folder.image(record.image) if record is not None else None
+        if record is not None and image is not None and image.is_file() and sha256_of(image) == record.image_sha256:
+            state.resumed += 1
+            state.inserted += len(record.inserted)
+        else:
+            todo.append(frame)
+    return todo
+
+
+def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path) -> None:
+    """Refuse to resume a run that would give other frames."""
+    was = previous.get("key", {})
+    differing = sorted(k for k in plan.key if was.get(k) != plan.key[k])
+    if differing:
+        texts = []
+        for k in differing:
+            if isinstance(plan.key[k], Mapping):
+                fields = _differing_fields(was.get(k, {}), plan.key[k], k)
+                texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
+            else:
+                texts.append(f"{k} was {was.get(k)!r}, is {plan.key[k]!r}")
+        raise OutputError(
+            f"{out}: cannot be resumed, this is another run: {'; '.join(texts)}. "
+            "Give the same recipe, data, seed, splits and limit, or use --overwrite or another --out."
+        )
+
+
+def _differing_fields(was: Any, now: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for k in sorted({*was, *now}):
+            yield from _differing_fields(was.get(k), now.get(k), f"{path}.{k}")
+    elif was != now:
+        yield path, was, now
+
+
+def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str, Any]:
+    """The part of the run record that is known before the first frame."""
+    return {
+        "infrablend": __version__,
+        "recipe": plan.key["recipe"],
+        "formats": list(plan.recipe.output.formats),
+        "seed": plan.seed,
+        "key": dict(plan.key),
+        "data": {
+            "root": str(data_root(plan.dataset)),
+            "format": plan.dataset.format,
+            "backgrounds": len(plan.dataset.images),
+            "notes": dict(plan.dataset.notes),
+        },
+        "categories": [
+            {"id": c.id, "name": c.name, "new": c.name in plan.new_categories, "ignore": c.ignore}
+            for c in plan.categories
+        ],
+        "frames": len(plan.frames),
+        "machine": {
+            "renderer": renderer,
+            "device": device,
+            "workers": workers,
+            "python": platform.python_version(),
+            "system": platform.system(),
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+        },
+        "packages": _versions(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in RECORDED_PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:
+    codes = Counter(p.code for p in plan.problems if p.severity == "error")
+    left_out = {p.where for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES}
+    return {
+        "frames_planned": len(plan.frames),
+        "frames": state.done + state.resumed,
+        "failed_frames": len(state.failures),
+        "skipped_backgrounds": len(state.skipped) + len(left_out),
+        "objects_inserted": state.inserted,
+        "dataset_errors": dict(sorted(codes.items())),
+        **finished.counts,
+    }
+
+
+# Problems of the reader that cost a whole image.
+_IMAGE_CODES = {"image-missing", "image-unreadable", "image-truncated", "image-size", "name-escapes", "duplicate-image"}
+
+
+@contextlib.contextmanager
+def _log_file(path: Path) -> Iterator[None]:
+    """Write InfraBlend's log lines to a file as well, for the length of a run."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("infrablend")
+    level = logger.level
+    logger.setLevel(min(level or logging.INFO, logging.INFO))
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        handler.close()
