@@ -2,9 +2,16 @@
 # Writes the hashed requirement files anew from their .in files and pyproject.toml. Versions stay as they are unless
 # the inputs forbid them; `make lock UPGRADE=1` takes the newest allowed ones. No registry address gets into a file.
 set -euo pipefail
-cd "$(dirname "$0")/.."
-compile=(.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-emit-index-url --no-emit-find-links
-  --python-version 3.11 --universal)
+cd "$(dirname "$0")/../requirements"
+compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-emit-index-url --no-emit-find-links
+  --python-version 3.11)
 [ -z "${UPGRADE:-}" ] || compile+=(--upgrade)
-"${compile[@]}" requirements/uv.in --output-file requirements/uv.txt
-"${compile[@]}" pyproject.toml requirements/project.in --group dev --output-file requirements/project.txt
+
+"${compile[@]}" --universal uv.in --output-file uv.txt
+"${compile[@]}" --universal ../pyproject.toml project.in --group ../pyproject.toml:dev --output-file project.txt
+
+"${compile[@]}" --universal --no-deps --constraints project.txt tools.in --output-file tools.txt
+
+# What torch loads on import; the rest of its dependencies is not needed for the check.
+unneeded=(triton sympy mpmath networkx jinja2 markupsafe fsspec filelock setuptools typing-extensions)
+"${compile[@]}" --universal "${unneeded[@]/#/--no-emit-package=}" torch.in --output-file torch.txt

@@ -1,0 +1,335 @@
+"""Is this machine fit to run InfraBlend? Facts are gathered by `survey`, judged by `judge`; `diagnose` does both.
+
+Blender is asked in a process of its own, so that this module needs no bpy and a broken one cannot take us down.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import psutil
+
+from infrablend.report.system_libraries import install_command, missing_packages
+
+Status = Literal["ok", "warning", "error"]
+
+SUPPORTED_PYTHON = (3, 11)
+SUPPORTED_BLENDER = (4, 5)
+GPU_TYPES = ("CUDA", "OPTIX", "HIP", "ONEAPI", "METAL")
+
+# Measured: a worker stays under 1 GiB; a 640 x 512 frame with all its labels takes about 0.3 MB.
+LITTLE_MEMORY_BYTES = 2 * 1024**3
+NO_DISK_BYTES = 200 * 1024**2
+LITTLE_DISK_BYTES = 2 * 1024**3
+LITTLE_SHM_BYTES = 64 * 1024**2
+
+# os._exit: Blender's own shutdown may hang or crash, and nothing is left to save.
+_ASK_BLENDER = """
+import json, os, sys
+stdout = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
+import bpy
+cycles = bpy.context.preferences.addons["cycles"].preferences
+devices = {}
+for kind in sys.argv[1:]:
+    try:
+        devices[kind] = sorted({d.name for d in cycles.get_devices_for_type(kind) if d.type == kind})
+    except Exception:
+        devices[kind] = []
+stdout.write(json.dumps({"version": list(bpy.app.version), "devices": devices}))
+stdout.flush()
+os._exit(0)
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One verdict: what was looked at, how it stands, what was found, what to do (empty if nothing)."""
+
+    name: str
+    status: Status
+    found: str
+    todo: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """The check as a plain dict."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All checks of a machine."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True if nothing stands in the way of a run; warnings do not."""
+        return all(c.status != "error" for c in self.checks)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain JSON values."""
+        return {"ok": self.ok, "checks": [c.to_json() for c in self.checks]}
+
+
+@dataclass(frozen=True)
+class Blender:
+    """What Blender's Python module answered.
+
+    Attributes:
+        installed: The module is there, whether or not it loads.
+        version: Of Blender, or None if the module does not load.
+        devices: GPU type -> names of the devices Cycles sees.
+        trouble: Last line of what went wrong, or empty.
+        unresolved: Shared objects its loader cannot find, sorted.
+    """
+
+    installed: bool
+    version: tuple[int, ...] | None = None
+    devices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    trouble: str = ""
+    unresolved: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Facts about this machine. Free space by folder in bytes, None where a folder cannot be written."""
+
+    system: str
+    architecture: str
+    python: tuple[int, int, int]
+    blender: Blender
+    missing_packages: tuple[str, ...]
+    cores: float
+    memory_bytes: int
+    free_bytes: Mapping[str, int | None]
+    temp_folder: str
+    free_temp_bytes: int | None
+    free_shm_bytes: int | None
+
+
+def survey(folder: Path | None = None, ask_blender_s: float = 120.0) -> Machine:
+    """Facts about this machine; takes a few seconds because Blender is started.
+
+    Args:
+        folder: Where output would go; the current folder by default. It need not exist.
+        ask_blender_s: After this long Blender counts as hung.
+    """
+    folder = (folder or Path.cwd()).absolute()
+    temp = tempfile.gettempdir()
+    return Machine(
+        system=platform.system(),
+        architecture=platform.machine(),
+        python=sys.version_info[:3],
+        blender=_ask_blender(ask_blender_s),
+        missing_packages=missing_packages(),
+        cores=_usable_cores(),
+        memory_bytes=_usable_memory(),
+        free_bytes={str(folder): _free_bytes(folder)},
+        temp_folder=temp,
+        free_temp_bytes=_free_bytes(Path(temp)),
+        free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
+    )
+
+
+def judge(machine: Machine) -> Diagnosis:
+    """The verdicts on the facts, in the order they are read."""
+    return Diagnosis(
+        (
+            _check_system(machine),
+            _check_python(machine),
+            _check_libraries(machine),
+            _check_blender(machine),
+            _check_devices(machine),
+            _check_cores(machine),
+            _check_memory(machine),
+            *(_check_space("disk", name, free) for name, free in sorted(machine.free_bytes.items())),
+            _check_space("temporary folder", machine.temp_folder, machine.free_temp_bytes),
+            *_check_shm(machine),
+        )
+    )
+
+
+def diagnose(folder: Path | None = None) -> Diagnosis:
+    """Look at this machine and say whether a run that writes to `folder` (default: the current one) can work."""
+    return judge(survey(folder))
+
+
+def _check_system(m: Machine) -> Check:
+    found = f"{m.system} {m.architecture}"
+    if m.system == "Linux" and m.architecture == "x86_64":
+        return Check("system", "ok", found)
+    return Check("system", "warning", found, "only Linux on x86_64 is tested; tell us how it goes")
+
+
+def _check_python(m: Machine) -> Check:
+    found = ".".join(map(str, m.python))
+    if m.python[:2] == SUPPORTED_PYTHON:
+        return Check("Python", "ok", found)
+    wanted = ".".join(map(str, SUPPORTED_PYTHON))
+    return Check("Python", "error", found, f"use Python {wanted}: Blender's module exists for no other version")
+
+
+def _check_libraries(m: Machine) -> Check:
+    if not m.missing_packages:
+        return Check("system libraries", "ok", "all that Blender loads are there")
+    return Check(
+        "system libraries",
+        "error",
+        "missing (Debian names): " + " ".join(m.missing_packages),
+        "run: " + install_command(m.missing_packages),
+    )
+
+
+def _check_blender(m: Machine) -> Check:
+    b = m.blender
+    if not b.installed:
+        return Check("Blender (bpy)", "error", "not installed", "run `make setup`, or `pip install bpy==4.5.*`")
+    if b.version is None:
+        libraries = f" (not found: {', '.join(b.unresolved)})" if b.unresolved else ""
+        todo = (
+            "install the missing system libraries"
+            if b.unresolved
+            else "reinstall it: pip install --force-reinstall bpy"
+        )
+        return Check("Blender (bpy)", "error", f"does not load: {b.trouble or 'no reason given'}{libraries}", todo)
+    found = ".".join(map(str, b.version))
+    if b.version[:2] == SUPPORTED_BLENDER:
+        return Check("Blender (bpy)", "ok", found)
+    wanted = ".".join(map(str, SUPPORTED_BLENDER))
+    return Check(
+        "Blender (bpy)", "error", found, f"InfraBlend is made for Blender {wanted}: pip install 'bpy=={wanted}.*'"
+    )
+
+
+def _check_devices(m: Machine) -> Check:
+    gpus = [f"{kind.lower()}: {', '.join(names)}" for kind, names in m.blender.devices.items() if names]
+    if gpus:
+        return Check("Cycles devices", "ok", "; ".join(["cpu", *gpus]))
+    if m.blender.version is None:
+        return Check("Cycles devices", "warning", "unknown: Blender does not load", "mend Blender first")
+    return Check("Cycles devices", "ok", "cpu only")
+
+
+def _check_cores(m: Machine) -> Check:
+    return Check("cores", "ok", f"{m.cores:g} usable")
+
+
+def _check_memory(m: Machine) -> Check:
+    found = f"{_size(m.memory_bytes)} available"
+    if m.memory_bytes >= LITTLE_MEMORY_BYTES:
+        return Check("memory", "ok", found)
+    return Check("memory", "warning", found, "a worker needs up to 1 GiB: run with --workers 1")
+
+
+def _check_space(name: str, folder: str, free: int | None) -> Check:
+    if free is None:
+        return Check(name, "error", f"{folder} cannot be written", "choose another folder or change its rights")
+    found = f"{_size(free)} free in {folder}"
+    if free < NO_DISK_BYTES:
+        return Check(name, "error", found, "free some space")
+    if free < LITTLE_DISK_BYTES:
+        return Check(name, "warning", found, "`infrablend generate ... --plan` says how much a run takes")
+    return Check(name, "ok", found)
+
+
+def _check_shm(m: Machine) -> tuple[Check, ...]:
+    if m.system != "Linux":
+        return ()
+    name = "shared memory"
+    if m.free_shm_bytes is None:
+        return (
+            Check(name, "warning", "/dev/shm is missing or cannot be written", "mount it: worker processes use it"),
+        )
+    found = f"{_size(m.free_shm_bytes)} free in /dev/shm"
+    if m.free_shm_bytes < LITTLE_SHM_BYTES:
+        return (Check(name, "warning", found, "give the container more, e.g. docker run --shm-size=1g"),)
+    return (Check(name, "ok", found),)
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1024**3:.1f} GiB"
+
+
+def _ask_blender(limit_s: float) -> Blender:
+    spec = importlib.util.find_spec("bpy")
+    if spec is None:
+        return Blender(installed=False)
+    module = Path(spec.origin) if spec.origin else None
+    try:
+        # A file of ours in the current folder must not be imported in place of the real thing: -P.
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", _ASK_BLENDER, *GPU_TYPES], capture_output=True, timeout=limit_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Blender(installed=True, trouble=f"no answer within {limit_s:g} s")
+    except OSError as error:
+        return Blender(installed=True, trouble=str(error))
+    try:
+        # The answer counts, not the exit code: Blender may crash after giving it.
+        answer = json.loads(done.stdout)
+    except ValueError:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        trouble = lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
+        return Blender(installed=True, trouble=trouble, unresolved=_unresolved(module))
+    devices = {kind: tuple(names) for kind, names in answer["devices"].items()}
+    return Blender(installed=True, version=tuple(answer["version"]), devices=devices)
+
+
+def _unresolved(module: Path | None) -> tuple[str, ...]:
+    """Shared objects that `ldd` does not find for the module; empty where there is no ldd."""
+    if module is None or shutil.which("ldd") is None:
+        return ()
+    listing = subprocess.run(["ldd", str(module)], capture_output=True, text=True, check=False).stdout
+    return parse_ldd(listing)
+
+
+def parse_ldd(listing: str) -> tuple[str, ...]:
+    """Names of the shared objects that an `ldd` listing calls not found, sorted, once each."""
+    return tuple(sorted(set(re.findall(r"^\s*(\S+) => not found", listing, re.MULTILINE))))
+
+
+def _usable_cores() -> float:
+    """Cores this process may use: its affinity, cut by the container's quota."""
+    cores = float(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    words = _read(Path("/sys/fs/cgroup/cpu.max")).split()
+    if len(words) == 2 and words[0].isdigit():
+        cores = min(cores, int(words[0]) / int(words[1]))
+    return cores
+
+
+def _usable_memory() -> int:
+    """Bytes of memory this process may still take: the machine's, cut by the container's limit."""
+    available = int(psutil.virtual_memory().available)
+    limit, used = (_read(Path("/sys/fs/cgroup") / name).strip() for name in ("memory.max", "memory.current"))
+    if limit.isdigit() and used.isdigit():
+        available = min(available, int(limit) - int(used))
+    return max(available, 0)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def _free_bytes(folder: Path) -> int | None:
+    """Free bytes where `folder` is or would be made; None if it cannot be written."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        return None
+    return shutil.disk_usage(folder).free

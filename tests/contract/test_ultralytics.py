@@ -1,0 +1,97 @@
+"""Ultralytics' own dataset check, run in .venv-tools, accepts what we write and drops nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+TOOLS_PYTHON = ROOT / ".venv-tools" / "bin" / "python"
+
+
+@pytest.fixture(scope="session")
+def ultralytics_check():
+    """Call Ultralytics' check: (data.yaml, task) -> (exit code, its JSON answer)."""
+    if not TOOLS_PYTHON.exists():
+        message = "NEEDS .venv-tools: run `make tools` (its download size is said first)"
+        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
+            pytest.fail(message)
+        pytest.skip(message)
+
+    def check(data_yaml: Path, task: str) -> tuple[int, dict]:
+        command = [TOOLS_PYTHON, ROOT / "scripts" / "ultralytics_check.py", data_yaml, task]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert done.stdout, done.stderr
+        return done.returncode, json.loads(done.stdout)
+
+    return check
+
+
+def write_dataset(root: Path, labels: dict[str, str], names: tuple[str, ...] = ("car", "drone")) -> Path:
+    """A tiny YOLO dataset: split/stem -> text of the label file."""
+    for key, text in labels.items():
+        split, stem = key.split("/")
+        for kind in ("images", "labels"):
+            (root / kind / split).mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.full((40, 50), 90, np.uint8)).save(root / "images" / split / f"{stem}.png")
+        (root / "labels" / split / f"{stem}.txt").write_text(text)
+    splits = sorted({key.split("/")[0] for key in labels})
+    lines = [f"{split}: images/{split}" for split in splits]
+    if "val" not in splits:
+        lines.append(f"val: images/{splits[0]}")
+    lines += ["names:", *(f"  {i}: {name}" for i, name in enumerate(names))]
+    (root / "data.yaml").write_text("\n".join(lines) + "\n")
+    return root / "data.yaml"
+
+
+GOOD_ROWS = {
+    "detect": "0 0.5 0.5 0.2 0.2\n1 0.25 0.25 0.1 0.1\n",
+    "obb": "0 0.4 0.4 0.6 0.4 0.6 0.6 0.4 0.6\n1 0.1 0.1 0.3 0.2 0.2 0.4 0.05 0.3\n",
+    "segment": "0 0.4 0.4 0.6 0.4 0.6 0.6 0.5 0.7 0.4 0.6\n1 0.1 0.1 0.3 0.2 0.2 0.4\n",
+}
+
+
+@pytest.mark.parametrize("task", sorted(GOOD_ROWS))
+def test_the_check_counts_what_is_there_and_leaves_the_folder_alone(
+    ultralytics_check, tmp_path: Path, task: str
+) -> None:
+    data_yaml = write_dataset(tmp_path / "a b", {"train/x": GOOD_ROWS[task], "test/y": "", "train/z": ""})
+    before = sorted(tmp_path.rglob("*"))
+    code, answer = ultralytics_check(data_yaml, task)
+    assert code == 0, answer
+    assert (answer["images"], answer["labels"], answer["rows"], answer["backgrounds"]) == (3, 2, 2, 2)
+    assert answer["dropped"] == answer["corrupt"] == 0
+    assert answer["per_class"] == {"car": 1, "drone": 1}
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("task", "rows", "dropped"),
+    [
+        # One bad row costs the whole image: it and its two rows are gone.
+        ("obb", GOOD_ROWS["obb"].replace("0.05 0.3", "-2.0 0.3"), 3),
+        ("detect", GOOD_ROWS["detect"].replace("1 0.25", "1 1.25"), 3),
+        ("detect", GOOD_ROWS["detect"].replace("1 0.25", "7 0.25"), 3),
+        ("detect", GOOD_ROWS["detect"] + "0 0.5 0.5 0.2 0.2\n", 1),
+    ],
+)
+def test_the_check_fails_when_something_is_dropped(
+    ultralytics_check, tmp_path: Path, task: str, rows: str, dropped: int
+) -> None:
+    code, answer = ultralytics_check(write_dataset(tmp_path, {"train/good": GOOD_ROWS[task], "train/bad": rows}), task)
+    assert code == 1
+    assert answer["dropped"] == dropped
+    assert "bad.png" in answer["messages"][0]
+
+
+def test_the_check_fails_when_nothing_loads(ultralytics_check, tmp_path: Path) -> None:
+    (tmp_path / "data.yaml").write_text("train: images/train\nval: images/train\nnames: [a]\n")
+    code, answer = ultralytics_check(tmp_path / "data.yaml", "detect")
+    assert code == 1
+    assert "error" in answer

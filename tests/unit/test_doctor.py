@@ -1,0 +1,109 @@
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+
+from infrablend.report import doctor
+from infrablend.report.doctor import Blender, Machine, judge, parse_ldd
+from infrablend.report.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
+
+GOOD = Machine(
+    system="Linux",
+    architecture="x86_64",
+    python=(3, 11, 7),
+    blender=Blender(installed=True, version=(4, 5, 15), devices={"CUDA": (), "OPTIX": ("A GPU",)}),
+    missing_packages=(),
+    cores=2.0,
+    memory_bytes=8 * 1024**3,
+    free_bytes={"/out": 50 * 1024**3},
+    temp_folder="/tmp",
+    free_temp_bytes=50 * 1024**3,
+    free_shm_bytes=1024**3,
+)
+
+
+def verdict(machine: Machine, name: str) -> doctor.Check:
+    return next(c for c in judge(machine).checks if c.name == name)
+
+
+def test_a_good_machine_gets_no_advice() -> None:
+    diagnosis = judge(GOOD)
+    assert diagnosis.ok
+    assert [c for c in diagnosis.checks if c.status != "ok" or c.todo] == []
+    assert verdict(GOOD, "Cycles devices").found == "cpu; optix: A GPU"
+    assert json.loads(json.dumps(diagnosis.to_json()))["ok"] is True
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "status", "words"),
+    [
+        ({"python": (3, 12, 1)}, "Python", "error", "use Python 3.11"),
+        ({"system": "Darwin", "free_shm_bytes": None}, "system", "warning", "only Linux"),
+        ({"missing_packages": ("libsm6", "libxt6")}, "system libraries", "error", "libsm6 libxt6"),
+        ({"blender": Blender(installed=False)}, "Blender (bpy)", "error", "make setup"),
+        (
+            {"blender": Blender(installed=True, trouble="ImportError: x", unresolved=("libSM.so.6",))},
+            "Blender (bpy)",
+            "error",
+            "system libraries",
+        ),
+        ({"blender": Blender(installed=True, version=(5, 0, 1))}, "Blender (bpy)", "error", "bpy==4.5.*"),
+        ({"memory_bytes": 1024**3}, "memory", "warning", "--workers 1"),
+        ({"free_bytes": {"/out": 1024**3}}, "disk", "warning", "--plan"),
+        ({"free_bytes": {"/out": 1024}}, "disk", "error", "free some space"),
+        ({"free_bytes": {"/out": None}}, "disk", "error", "choose another folder"),
+        ({"free_temp_bytes": None}, "temporary folder", "error", "rights"),
+        ({"free_shm_bytes": 1024}, "shared memory", "warning", "--shm-size"),
+    ],
+)
+def test_each_trouble_is_named_with_what_to_do(change: dict, name: str, status: str, words: str) -> None:
+    machine = replace(GOOD, **change)
+    check = verdict(machine, name)
+    assert check.status == status
+    assert words in check.todo
+    assert judge(machine).ok == (status != "error")
+
+
+def test_devices_are_unknown_where_blender_does_not_load() -> None:
+    check = verdict(replace(GOOD, blender=Blender(installed=True)), "Cycles devices")
+    assert (check.status, check.found) == ("warning", "unknown: Blender does not load")
+
+
+def test_missing_packages_are_debian_names_of_what_does_not_load() -> None:
+    assert missing_packages(lambda soname: True, "linux") == ()
+    assert missing_packages(lambda soname: soname not in {"libXt.so.6", "libGL.so.1"}, "linux") == ("libgl1", "libxt6")
+    assert missing_packages(lambda soname: False, "linux") == tuple(sorted(DEBIAN_PACKAGES))
+    assert missing_packages(lambda soname: False, "darwin") == ()
+    assert install_command(("libgl1", "libxt6")).endswith(" libgl1 libxt6")
+
+
+def test_ldd_listing() -> None:
+    listing = """
+        linux-vdso.so.1 (0x00007fd609351000)
+        libSM.so.6 => not found
+        libX11.so.6 => /lib/x86_64-linux-gnu/libX11.so.6 (0x00007fd5fd2be000)
+        libICE.so.6 => not found
+        libSM.so.6 => not found
+    """
+    assert parse_ldd(listing) == ("libICE.so.6", "libSM.so.6")
+
+
+def test_a_hung_or_silent_blender_is_reported_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_ASK_BLENDER", "import time; time.sleep(60)")
+    assert doctor._ask_blender(0.2).trouble == "no answer within 0.2 s"
+    monkeypatch.setattr(doctor, "_ASK_BLENDER", "raise ImportError('libGL.so.1: cannot open')")
+    asked = doctor._ask_blender(30)
+    assert asked.installed
+    assert asked.version is None
+    assert asked.trouble == "ImportError: libGL.so.1: cannot open"
+
+
+@pytest.mark.blender
+def test_this_machine_is_surveyed_without_importing_bpy(tmp_path) -> None:
+    machine = doctor.survey(tmp_path / "not" / "there")
+    assert machine.python == sys.version_info[:3]
+    assert machine.blender.version is not None
+    assert machine.blender.version[:2] == doctor.SUPPORTED_BLENDER
+    assert machine.free_bytes[str(tmp_path / "not" / "there")] > 0
+    assert set(machine.blender.devices) == set(doctor.GPU_TYPES)
