@@ -24,7 +24,7 @@ from infrablend.errors import ModelError
 
 Vector = tuple[float, float, float]
 
-PARTS: dict[str, PartRange] = {
+PARTS: Mapping[str, PartRange] = {
     "battery": PartRange((8.0, 20.0), (0.92, 0.95), what="battery pack: +8..+20 K, rising with flight time"),
     "motor": PartRange((10.0, 40.0), (0.92, 0.96), what="motor bell, black anodised: +10..+25 K in hover, more loaded"),
     "winding": PartRange((18.0, 55.0), (0.88, 0.94), what="stator, seen between bell and base: hotter than the bell"),
@@ -46,7 +46,7 @@ PARTS: dict[str, PartRange] = {
 # propellers, whose extent changes with the angle at which they stand.
 OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
-CHOICES: dict[str, tuple[Any, ...]] = {
+CHOICES: Mapping[str, tuple[Any, ...]] = {
     "layout": ("x", "h", "plus", "deadcat"),
     "body": ("shell", "plate", "industrial"),
     "arm": ("moulded", "tube", "bar"),
@@ -57,7 +57,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "camera": (False, True),
     "mast": (False, True),
 }
-DRAWN: dict[str, tuple[float, float]] = {
+DRAWN: Mapping[str, tuple[float, float]] = {
     "size_m": (0.3, 0.9),
     "propeller_angle_deg": (0.0, 360.0),
     "body_length": (0.85, 1.15),
@@ -71,7 +71,7 @@ DRAWN: dict[str, tuple[float, float]] = {
     "leg_height": (0.85, 1.3),
     "gimbal_pitch_deg": (-10.0, 60.0),
 }
-ALLOWED: dict[str, tuple[float, float]] = {
+ALLOWED: Mapping[str, tuple[float, float]] = {
     **DRAWN,
     "size_m": (0.05, 5.0),
     "propeller_angle_deg": (-3600.0, 3600.0),
@@ -79,7 +79,7 @@ ALLOWED: dict[str, tuple[float, float]] = {
 }
 """What `build_drone` takes, wider than what is drawn where a recipe may want more."""
 
-NOMINAL: dict[str, Any] = {
+NOMINAL: Mapping[str, Any] = {
     "size_m": 0.38,
     "layout": "x",
     "body": "shell",
@@ -105,7 +105,7 @@ NOMINAL: dict[str, Any] = {
 """A consumer camera drone; `{**NOMINAL, ...}` is handy for tests and pictures."""
 
 # How often each choice comes up, by body; small aircraft are more often shells, large ones industrial.
-_ODDS: dict[str, dict[str, tuple[float, ...]]] = {
+_ODDS: Mapping[str, dict[str, tuple[float, ...]]] = {
     "shell": {
         "layout": (0.55, 0.2, 0.05, 0.2), "arm": (0.85, 0.15, 0.0), "legs": (0.6, 0.15, 0.25), "blades": (0.85, 0.15),
         "batteries": (0.85, 0.15), "antennas": (0.9, 0.05, 0.05), "camera": (0.05, 0.95), "mast": (0.97, 0.03),
@@ -382,13 +382,13 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
         wrap=True,
     )
     spoke = shapes.sweep([(-0.31 * r, 0.0, 0.0), (0.31 * r, 0.0, 0.0)], 0.11 * r, 0.07 * r, n=4)
-    cap = shapes.lathe([(0.32 * r, top - 0.16 * r), (0.34 * r, top - 0.02 * r), (0.28 * r, top + 0.03 * r)], 16)
+    cap = shapes.lathe([(0.32 * r, top - 0.16 * r), (0.34 * r, top - 0.02 * r), (0.28 * r, top + 0.03 * r)], 12)
     shaft = shapes.lathe(
         [(0.13 * r, top), (0.13 * r, top + 0.52 * r), (0.09 * r, top + 0.6 * r), (0.0, top + 0.62 * r)], 10
     )
     seat = plan.tip_z + plan.arm_half_height
     blades = [_propeller(plan, clockwise) for clockwise in (False, True)]
-    hub = shapes.cylinder(0.36 * r, top + 0.02 * r, top + 0.34 * r, 16, 0.06 * r)
+    hub = shapes.cylinder(0.36 * r, top + 0.02 * r, top + 0.34 * r, 12, 0.06 * r)
     for i, (x, y) in enumerate(plan.motors_xy.tolist()):
         at = (x, y, seat)
         out.add("motor", base, at=at)
@@ -411,7 +411,7 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
 def _propeller(plan: _Plan, clockwise: bool) -> Solid:
     """One blade: narrow at the hub, widest at a third, tapering to a rounded tip, its pitch falling outwards."""
     R = plan.propeller_radius
-    t = np.array([0.05, 0.12, 0.2, 0.3, 0.42, 0.56, 0.7, 0.82, 0.91, 0.96, 0.985, 1.0])
+    t = np.array([0.05, 0.12, 0.2, 0.3, 0.45, 0.65, 0.82, 0.92, 0.97, 1.0])
     wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
     wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
     wide *= {2: 1.0, 3: 0.92}[plan.p["blades"]] * (0.85 if plan.p["body"] == "industrial" else 1.0)
@@ -458,7 +458,7 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
             out.add("arm", shapes.sweep(root + t[:, None] * (tip - root), wide, h, n=16, exponent=8.0), smooth=False)
             warm_w, warm_h, exponent = 0.9 * w, h, 8.0
         warm = np.stack([root + (t_warm - 0.002) * (tip - root), tip])
-        out.add("motor_mount", shapes.sweep(warm, warm_w, warm_h, n=16, exponent=exponent), smooth=p["arm"] != "bar")
+        out.add("motor_mount", shapes.sweep(warm, warm_w, warm_h, n=12, exponent=exponent), smooth=p["arm"] != "bar")
         z0, z1 = plan.tip_z - 1.1 * h, plan.tip_z + h
         if p["arm"] == "bar":
             out.add("motor_mount", shapes.cylinder(1.04 * r, plan.tip_z - h, z1, 24), at=(mx, my, 0.0))
@@ -470,7 +470,7 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
                 (1.0 * r, plan.tip_z),
                 (1.0 * r, z1),
             ]
-            out.add("motor_mount", shapes.lathe(cup, 20, sharp_deg=50.0), at=(mx, my, 0.0))
+            out.add("motor_mount", shapes.lathe(cup, 18, sharp_deg=50.0), at=(mx, my, 0.0))
         if p["body"] == "plate" and p["layout"] != "h":
             # A speed controller lies on each arm of an open frame.
             out.add("esc", _along(root, tip, 0.52, (0.075, 1.5 * w, 0.011), h + 0.004), smooth=False)
@@ -540,7 +540,7 @@ def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
         out.add("vent", slat, at=(-0.985 * L, 0, (0.1 + 0.22 * k) * H), smooth=False)
 
     # Eyes: obstacle sensors at the nose and the tail, looking along X.
-    eye = shapes.placed(shapes.cylinder(0.13 * W, -0.10 * L, 0.015 * L, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
+    eye = shapes.placed(shapes.cylinder(0.11 * W, -0.10 * L, 0.0, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
     out.add_both_sides("lens", shapes.moved(eye, (0.945 * L, 0.40 * W, 0.05 * H)))
     out.add_both_sides("lens", shapes.moved(shapes.mirrored(eye, 0), (-0.93 * L, 0.55 * W, 0.28 * H)))
     # Belly: cooling plate and downward sensors.
@@ -776,7 +776,7 @@ def _add_antennas(out: _Pieces, plan: _Plan) -> None:
     body = plan.p["body"]
     top = {"shell": 0.95 * H, "plate": 0.62 * H, "industrial": 0.9 * H}[body]
     if plan.p["mast"]:
-        x = {"shell": 0.12, "plate": 0.86, "industrial": 0.12}[body] * L
+        x = {"shell": 0.12, "plate": 0.94, "industrial": 0.12}[body] * L
         height = 0.30 if body == "industrial" else 0.22
         out.add("antenna", shapes.cylinder(0.0065, top - 0.02, height, 10), at=(x, 0.0, 0.0))
         puck = [
