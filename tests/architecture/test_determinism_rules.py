@@ -1,0 +1,131 @@
+"""Same input, same recipe, same seed, same bytes: what could break that is banned from the source."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((ROOT / "src" / "infrablend").rglob("*.py"))
+
+BANNED_MODULES = {"random", "uuid", "secrets"}
+BANNED_CALLS = {
+    "time.time": "a duration is time.perf_counter or time.monotonic; a date has no place in an output",
+    "time.time_ns": "see time.time",
+    "time.localtime": "no wall clock",
+    "time.gmtime": "no wall clock",
+    "time.ctime": "no wall clock",
+    "datetime.now": "no wall clock",
+    "datetime.utcnow": "no wall clock",
+    "datetime.today": "no wall clock",
+    "date.today": "no wall clock",
+    "datetime.datetime.now": "no wall clock",
+    "datetime.datetime.utcnow": "no wall clock",
+    "datetime.date.today": "no wall clock",
+    "os.urandom": "draws come from core.rng.stream",
+    "hash": "differs from process to process for text: use hashlib",
+    "np.random.default_rng": "draws come from core.rng.stream",
+    "numpy.random.default_rng": "draws come from core.rng.stream",
+}
+# Allowed on the module np.random: types, and the generator that core.rng is made of.
+NUMPY_RANDOM_ALLOWED = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
+
+# Wall clock for people, never for outputs: a file listed here says so where it uses it.
+ALLOWED: dict[str, set[str]] = {}
+
+
+def dotted(node: ast.AST) -> str:
+    """`a.b.c` of an attribute chain, or an empty string."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute) and (base := dotted(node.value)):
+        return f"{base}.{node.attr}"
+    return ""
+
+
+def offences(source: str) -> Iterator[tuple[int, str]]:
+    """(line, what) of everything banned in a source text."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, a.name) for a in node.names if a.name.partition(".")[0] in BANNED_MODULES)
+        elif isinstance(node, ast.ImportFrom):
+            module = (node.module or "").partition(".")[0]
+            if module in BANNED_MODULES and node.level == 0:
+                yield node.lineno, module
+            if node.module in {"time", "os"}:
+                yield from (
+                    (node.lineno, f"{node.module}.{a.name}")
+                    for a in node.names
+                    if f"{node.module}.{a.name}" in BANNED_CALLS
+                )
+        elif isinstance(node, ast.Attribute):
+            name = dotted(node)
+            if name in BANNED_CALLS or (
+                name.startswith(("np.random.", "numpy.random.")) and name.split(".")[2] not in NUMPY_RANDOM_ALLOWED
+            ):
+                yield node.lineno, name
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in BANNED_CALLS:
+            yield node.lineno, node.func.id
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT / "src")))
+def test_no_hidden_randomness_and_no_wall_clock(path: Path) -> None:
+    name = str(path.relative_to(ROOT / "src" / "infrablend"))
+    found = [
+        f"line {line}: {what}"
+        for line, what in offences(path.read_text("utf-8"))
+        if what not in ALLOWED.get(name, set())
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import random",
+        "from uuid import uuid4",
+        "from time import time",
+        "import time\ntime.time()",
+        "import numpy as np\nnp.random.seed(3)",
+        "import numpy as np\nnp.random.rand(3)",
+        "import numpy as np\nnp.random.default_rng()",
+        "from datetime import datetime\ndatetime.now()",
+        "hash('a')",
+    ],
+)
+def test_the_ban_finds_what_it_bans(source: str) -> None:
+    assert list(offences(source))
+
+
+def test_the_ban_leaves_generators_alone() -> None:
+    assert not list(offences("import numpy as np\ndef f(rng: np.random.Generator):\n    return rng.random()"))
+
+
+def listings(source: str) -> Iterator[int]:
+    """Lines that list a folder without sorting on the spot."""
+    tree = ast.parse(source)
+    sorted_inside = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and dotted(node.func) in {"sorted", "any", "all", "sum", "len", "set", "frozenset"}
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute) or id(node) in sorted_inside:
+            continue
+        if node.func.attr in {"iterdir", "glob", "rglob", "scandir", "listdir"}:
+            yield node.lineno
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT / "src")))
+def test_directory_listings_are_sorted(path: Path) -> None:
+    assert [f"line {line}: sort it" for line in listings(path.read_text("utf-8"))] == []
+
+
+def test_the_listing_rule_finds_what_it_bans() -> None:
+    assert list(listings("for p in folder.iterdir(): pass")) == [1]
+    assert list(listings("for p in sorted(folder.iterdir()): pass")) == []

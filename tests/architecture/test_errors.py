@@ -1,0 +1,49 @@
+"""Every error crosses process borders whole, and each is also the builtin a caller would expect."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pickle
+import pkgutil
+
+import pytest
+
+import infrablend
+from infrablend import errors
+from infrablend.errors import InfraBlendError, Problem
+
+PROBLEMS = (Problem("a.json:3", "box-outside", "a box at -4", "boxes inside the frame", "mend the file"),)
+
+
+def all_error_classes() -> list[type[InfraBlendError]]:
+    """Every subclass that exists once the whole package, Blender's part aside, is imported."""
+    for found in pkgutil.walk_packages(infrablend.__path__, "infrablend."):
+        if not found.name.startswith("infrablend.blender") and not found.name.endswith("__main__"):
+            importlib.import_module(found.name)
+    classes, queue = [], [InfraBlendError]
+    while queue:
+        cls = queue.pop()
+        classes.append(cls)
+        queue += cls.__subclasses__()
+    return sorted(set(classes), key=lambda c: (c.__module__, c.__qualname__))
+
+
+CLASSES = all_error_classes()
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda c: c.__qualname__)
+def test_errors_pickle(cls: type[InfraBlendError]) -> None:
+    error = cls("nothing works", PROBLEMS)
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is cls
+    assert again.problems == PROBLEMS
+    assert str(again) == str(error)
+    assert "a.json:3: a box at -4; expected boxes inside the frame. Mend the file" in str(again)
+
+
+def test_the_tree_at_the_top_of_errors_is_the_tree() -> None:
+    drawn = errors.__doc__ or ""
+    for name, cls in inspect.getmembers(errors, inspect.isclass):
+        if issubclass(cls, InfraBlendError):
+            assert name in drawn, f"draw {name} in the docstring of errors.py"

@@ -1,0 +1,92 @@
+"""Who may import whom, and that all but infrablend.blender works without Blender."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "src" / "infrablend"
+
+# A finder that comes first and refuses Blender's modules, then an import of every module of the package.
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+class NoBlender:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"bpy", "bmesh", "mathutils", "bpy_extras", "_cycles"}:
+            raise ModuleNotFoundError(f"{name} is blocked", name=name)
+sys.meta_path.insert(0, NoBlender())
+import infrablend
+skipped = ("infrablend.blender",)
+names = ["infrablend"]
+def walk(package):
+    for found in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+        if found.name in skipped or found.name.endswith("__main__"):
+            continue
+        module = importlib.import_module(found.name)
+        names.append(found.name)
+        if found.ispkg:
+            walk(module)
+walk(infrablend)
+print(len(names), *sorted(names))
+"""
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_everything_but_the_blender_package_imports_without_bpy() -> None:
+    done = run_python(IMPORT_ALL)
+    assert done.returncode == 0, done.stderr
+    imported = set(done.stdout.split()[1:])
+    files = {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for path in PACKAGE.rglob("*.py")
+        if "blender" not in path.relative_to(PACKAGE).parts and path.name != "__main__.py"
+    }
+    assert imported == files
+
+
+def test_the_blocker_blocks() -> None:
+    blocker, _, _ = IMPORT_ALL.partition("import infrablend\n")
+    done = run_python(blocker + "import bpy")
+    assert done.returncode != 0
+    assert "bpy is blocked" in done.stderr
+
+
+def test_importing_the_package_is_light() -> None:
+    done = run_python("import sys, infrablend; print(sorted({'bpy', 'cv2', 'numpy', 'matplotlib'} & set(sys.modules)))")
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_the_import_contracts_hold() -> None:
+    done = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-cache"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+@pytest.mark.parametrize("module", ["bpy", "bmesh", "mathutils", "bpy_extras"])
+def test_no_source_outside_the_blender_package_names_blender_in_an_import(module: str) -> None:
+    import ast
+
+    offenders = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if "blender" in path.relative_to(PACKAGE).parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            if any(name.partition(".")[0] == module for name in names):
+                offenders.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert offenders == []

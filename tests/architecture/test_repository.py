@@ -1,0 +1,96 @@
+"""Rules of the tree: no registry addresses, no machine's paths, locked requirements, nothing large."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LARGEST_BYTES = 2 * 1024**2
+
+# Written apart, so that this file does not name what it bans.
+BANNED = {
+    "a package registry": re.compile(
+        "|".join(["pypi" + r"\.org", "pythonhosted" + r"\.org", "download" + r"\.pytorch", "anaconda" + r"\.org"])
+        + "|--(?:extra-)?"
+        + "index-url[ =]|--"
+        + "find-links[ =]"
+    ),
+    "a machine's path": re.compile(
+        "/(?:" + "|".join(["work/(?:main|shared)", "root/", "home/[a-z]+/", "Users/[a-z]+/"]) + ")"
+    ),
+}
+
+
+def tracked_files() -> list[Path]:
+    """What git tracks; without git (an unpacked archive) there is nothing to check."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout.decode()
+    return [ROOT / name for name in sorted(listing.split("\0")) if name and (ROOT / name).is_file()]
+
+
+def banned_in(text: str) -> list[str]:
+    """`line: what` for everything banned in a text."""
+    return [
+        f"line {i}: {what}: {found.group()}"
+        for i, line in enumerate(text.splitlines(), 1)
+        for what, pattern in BANNED.items()
+        if (found := pattern.search(line))
+    ]
+
+
+def test_no_committed_file_names_a_registry_or_a_machine() -> None:
+    offenders = {
+        str(path.relative_to(ROOT)): found
+        for path in tracked_files()
+        if (found := banned_in(path.read_bytes().decode("utf-8", "ignore")))
+    }
+    assert offenders == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["https://pypi" + ".org/simple", "pip install --" + "index-url x", "see /" + "work/main/x", "/" + "home/ann/data"],
+)
+def test_the_ban_finds_what_it_bans(text: str) -> None:
+    assert banned_in(text)
+
+
+def test_no_committed_file_is_large() -> None:
+    large = [str(p.relative_to(ROOT)) for p in tracked_files() if p.stat().st_size > LARGEST_BYTES]
+    assert large == []
+
+
+def test_there_is_no_lock_file_with_addresses() -> None:
+    assert not [p for p in tracked_files() if p.name in {"uv.lock", "poetry.lock", "Pipfile.lock"}]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "requirements").glob("*.txt")), ids=lambda p: p.name)
+def test_every_locked_requirement_is_pinned_and_hashed(path: Path) -> None:
+    joined = path.read_text("utf-8").replace("\\\n", " ")
+    requirements = [line for line in joined.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    assert requirements
+    for line in requirements:
+        assert re.match(r"[A-Za-z0-9._-]+==\S+", line), line
+        assert "--hash=sha256:" in line, line
+
+
+def test_the_lock_covers_every_dependency_of_the_project() -> None:
+    import tomllib
+
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    wanted = (
+        pyproject["project"]["dependencies"]
+        + pyproject["dependency-groups"]["dev"]
+        + pyproject["build-system"]["requires"]
+    )
+    locked = set(
+        re.findall(r"^([A-Za-z0-9._-]+)==", (ROOT / "requirements" / "project.txt").read_text("utf-8"), re.MULTILINE)
+    )
+    names = {re.split(r"[<>=!~\[; ]", w)[0].lower().replace("_", "-").replace(".", "-") for w in wanted}
+    assert names <= locked, "run `make lock`"
