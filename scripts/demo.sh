@@ -14,7 +14,7 @@ mkdir -p "$out"
 step() { printf '\n== %s\n' "$*"; }
 
 step "a virtual thermal world: backgrounds with exact labels, no download"
-"$infrablend" world "$out/world" --images "${DEMO_IMAGES:-12}" --seed 0
+"$infrablend" world --out "$out/world" --count "${DEMO_IMAGES:-12}" --seed 0
 
 step "drones into it, as the paper does for HIT-UAV-drone"
 "$infrablend" generate hit-uav-drone --data "$out/world" --out "$out/run" --seed 0
