@@ -9,10 +9,10 @@ TOOLS ?= 1
 # Further arguments for pytest: make test ARGS="-k masks".
 ARGS ?=
 
-.PHONY: help setup tools demo test check bench lock clean
+.PHONY: help setup tools demo test check bench lock reference clean
 
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 setup: ## Install everything, locked, into .venv; nothing to do the second time
 	@scripts/setup.sh
@@ -31,6 +31,7 @@ check: setup ## Lint, format, types, import layers, rules of the tree
 	.venv/bin/ruff format --check src tests scripts $(wildcard bench examples)
 	.venv/bin/mypy
 	.venv/bin/lint-imports
+	.venv/bin/python scripts/write_reference.py --check
 	.venv/bin/python -m pytest -q -m "not slow" tests/architecture
 
 bench: setup ## Measure speed, error, boxes and memory; writes build/bench
@@ -38,6 +39,9 @@ bench: setup ## Measure speed, error, boxes and memory; writes build/bench
 
 lock: setup ## Write requirements/*.txt anew (UPGRADE=1: newest allowed versions)
 	@scripts/lock.sh
+
+reference: setup ## Write docs/reference/recipe.md and cli.md anew from the code
+	@.venv/bin/python scripts/write_reference.py
 
 clean: ## Remove what the make commands wrote, except the environments
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
