@@ -19,7 +19,9 @@ from infrablend.assets import catalogue
 from infrablend.config import loading
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import DatasetError, OutputError
+from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 
 __all__ = [
@@ -198,3 +200,48 @@ def list_recipes() -> dict[str, str]:
 def show_recipe(name: str) -> str:
     """YAML text of a shipped recipe."""
     return loading.recipe_text(name)
+
+
+def show_model(name: str, out: str | Path, seed: int = 0) -> Path:
+    """Render a model from all sides onto one sheet, a PNG."""
+    ready_model(name)
+    return Path(run_once("infrablend.blender.turntable:make_turntable", (name, str(out), seed), f"show {name}"))
+
+
+def preview(run: str | Path, out: str | Path, count: int = 12, draw: Sequence[str] = ("boxes", "obb", "masks")) -> Path:
+    """Write a contact sheet of a run: boxes, oriented boxes and masks drawn, inserted objects enlarged."""
+    from infrablend.report.preview import preview_run
+
+    return preview_run(Path(run), Path(out), count, draw)  # type: ignore[arg-type]
+
+
+def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
+    """Make one frame of a run again, alone; the same bytes as the first time."""
+    return rerender_frame(Path(run), frame_id, None if out is None else Path(out), None if data is None else Path(data))
+
+
+def make_world(
+    out: str | Path,
+    count: int,
+    seed: int = 0,
+    *,
+    workers: int | None = None,
+    device: str = "cpu",
+    on_progress: OnProgress | None = None,
+) -> Path:
+    """Render a virtual thermal world: a background dataset in HIT-UAV's layout with exact labels, no download."""
+    job = {"out": str(out), "count": count, "seed": seed}
+    run_once("infrablend.blender.jobs:make_world_maker", job, "world", timeout_s=86_400.0)
+    return Path(out)
+
+
+def write_infrared_effect(path: str | Path) -> Path:
+    """Write the InfraredEffect node group as a .blend to append from."""
+    return Path(run_once("infrablend.blender.jobs:make_asset_writer", str(path), "infrared-effect"))
+
+
+def diagnose() -> Any:
+    """What this machine has and lacks: Python, Blender, libraries, devices, disk."""
+    from infrablend.report.doctor import diagnose as survey
+
+    return survey()

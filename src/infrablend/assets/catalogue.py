@@ -31,7 +31,7 @@ def load_model(name: str) -> ObjectModel:
         assert isinstance(model, ObjectModel)
         return model
     if name.lower().endswith((".yaml", ".yml")):
-        from infrablend.assets.user_model import load_user_model  # noqa: PLC0415 - needs Blender only when used
+        from infrablend.assets.user_model import load_user_model
 
         return load_user_model(Path(name))
     raise ModelError(

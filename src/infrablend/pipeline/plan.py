@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
-from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.errors import DatasetError, Problem
+from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
 # CPU seconds for one frame on the machine in docs/explanation/performance.md; for estimates only.
@@ -117,7 +117,7 @@ def make_plan(
         DatasetError: If no background is left.
         ModelError: If a model does not exist or has no part that the recipe names.
     """
-    models = {o.model: load_model(o.model) for o in recipe.objects}
+    models = {o.model: ready_model(o.model) for o in recipe.objects}
     require_parts(recipe, models)
     images = dataset.images[:limit] if limit is not None else dataset.images
     problems = list(dataset.problems)
@@ -130,7 +130,7 @@ def make_plan(
                     "no-pitch",
                     "no camera pitch known",
                     "a pitch in the file name, the annotation or a metadata table",
-                    "give a table (docs/how_to/own_images.md), or set camera.pitch to {fixed_deg: ...} or {random_deg: ...}",
+                    "give a table (docs/how_to/own_images.md), or set camera.pitch to {fixed_deg: ...}",
                 )
             )
         else:

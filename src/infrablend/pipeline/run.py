@@ -173,8 +173,8 @@ def run_plan(
         log.info("%s: %s", status, counts)
         if status == "interrupted":
             raise Interrupted(
-                f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; what is finished is kept. "
-                f"Give the same command with --resume to go on."
+                f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; finished ones are kept. "
+                "Give the same command with --resume to go on."
             )
     return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
 
@@ -190,9 +190,7 @@ def _make_frames(
     """Have every frame of `todo` made; a frame that fails is counted and does not stop the others."""
     of_key = {f.frame_id: f for f in todo}
     first = time.monotonic()
-    finished = 0
-    for result in executor.run(Task(f.frame_id, f) for f in todo):
-        finished += 1
+    for finished, result in enumerate(executor.run(Task(f.frame_id, f) for f in todo), start=1):
         _take(result, of_key[result.key], state)
         if on_progress is not None:
             rate = finished / max(time.monotonic() - first, 1e-9)

@@ -1,0 +1,269 @@
+"""A user's own 3D model: a small YAML that says which part of the file is how warm.
+
+    name: fox
+    category: fox
+    file: fox.glb            # beside the YAML; .glb .gltf .obj .fbx .usd .usda .usdc .usdz .blend
+    origin: feet             # feet: middle of the ground below; centre: middle of the box; file: as in the file
+    heading: +X              # where its nose points in the file, Z up
+    length_m: 0.7            # its longest side; or scale: 0.01
+    parts:
+      body: {match: ["Fox_Body*"], delta_t_k: [4, 10], emissivity: [0.97, 0.99], ior: 1.0}
+      eyes: {match: ["eye_*"], delta_t_k: 20, emissivity: 0.98}
+      base: {match: ["Plinth"], delta_t_k: 0, emissivity: 0.95, label: false}
+
+`match` patterns are compared with the names of the file's objects and materials. Reading the file needs Blender and
+happens once, in a process of its own (`infrablend.pipeline.models`); what comes out is kept in a cache by content.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.errors import ModelError, Problem
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
+
+
+def _pair(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value, value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError(f"low end {value[0]:g} is above high end {value[1]:g}")
+    return value
+
+
+_Delta = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)]
+_Share = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]],
+    BeforeValidator(_pair),
+    AfterValidator(_ordered),
+]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class UserPart(_Strict):
+    """Thermal role of all objects and materials whose name matches."""
+
+    match: tuple[str, ...] = Field(min_length=1)
+    delta_t_k: _Delta
+    emissivity: _Share
+    label: bool = True
+    ior: float = Field(1.5, ge=1, le=5)
+
+
+class UserModel(_Strict):
+    """The YAML's fields."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    category: str = Field(min_length=1)
+    file: str = Field(min_length=1)
+    description: str = ""
+    origin: Literal["feet", "centre", "file"] = "file"
+    heading: Literal["+X", "-X", "+Y", "-Y"] = "+X"
+    length_m: float | None = Field(None, gt=0, le=1e5)
+    scale: float = Field(1.0, gt=0, le=1e6)
+    parts: dict[str, UserPart] = Field(default_factory=dict)
+    air_temperature_c: float = Field(20.0, ge=-90, le=70)
+
+
+@dataclass(frozen=True)
+class GroupFacts:
+    """One named piece of an imported file: an object's faces with one material.
+
+    Attributes:
+        object, material: Names in the file; the material may be empty.
+        temperature_c, emissivity, ior: From the material's InfraredEffect node, None if it has none.
+    """
+
+    object: str
+    material: str
+    temperature_c: float | None = None
+    emissivity: float | None = None
+    ior: float | None = None
+
+
+def read_description(path: Path) -> tuple[UserModel, Path]:
+    """The YAML's content and the path of the 3D file it names.
+
+    Raises:
+        ModelError: With every wrong field.
+    """
+    try:
+        data = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ModelError(
+            f"model {path}: cannot be read ({error}); expected a YAML text (docs/how_to/own_model.md)"
+        ) from error
+    try:
+        described = UserModel.model_validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        problems = [
+            Problem(
+                ".".join(str(p) for p in e["loc"]) or str(path), "model-field", f"{e['msg']} (found {e['input']!r})"
+            )
+            for e in error.errors(include_url=False)
+        ]
+        raise ModelError(f"model {path}: {len(problems)} field(s) are wrong", problems) from error
+    file = (path.parent / described.file).resolve()
+    if file.suffix.lower() not in SUFFIXES:
+        raise ModelError(f"model {path}: file {described.file!r} is no known type; expected {' '.join(SUFFIXES)}")
+    if not file.is_file():
+        raise ModelError(f"model {path}: file {file} does not exist; expected the 3D model beside the YAML")
+    return described, file
+
+
+def cache_folder() -> Path:
+    """Where imported geometry is kept: $INFRABLEND_CACHE, else the user's cache folder."""
+    own = os.environ.get("INFRABLEND_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infrablend"
+
+
+def geometry_file(file: Path) -> Path:
+    """Where the imported geometry of a 3D file is, or will be; the name changes with the file's content."""
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    return cache_folder() / "models" / f"{digest}.npz"
+
+
+def load_user_model(path: Path) -> ObjectModel:
+    """The model that a YAML describes; its geometry must have been imported.
+
+    Raises:
+        ModelError: If the description is wrong, the geometry is not there yet, or a piece of the file has no part.
+    """
+    described, file = read_description(path)
+    cached = geometry_file(file)
+    if not cached.is_file():
+        raise ModelError(f"model {path}: {file.name} has not been imported yet", [])
+    with np.load(cached, allow_pickle=False) as data:
+        groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
+        mesh_data = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
+    part_of_group, parts = assign_parts(described, groups, str(path))
+    mesh = _mesh(described, mesh_data, part_of_group)
+    digest = cached.stem
+
+    def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+        if options:
+            raise ModelError(f"model {path}: option {sorted(options)[0]!r} is unknown; a user's model has no options")
+        return {"sha256": digest}
+
+    def build(params: Params) -> Mesh:
+        if params.get("sha256") != digest:
+            raise ModelError(
+                f"model {path}: {file.name} is not the file the scene was made with "
+                f"(sha256 {digest[:12]}..., expected {str(params.get('sha256'))[:12]}...)"
+            )
+        return mesh
+
+    origin = {"feet": "middle of the ground below it", "centre": "middle of its box", "file": "as in the file"}
+    return ObjectModel(
+        name=described.name,
+        category=described.category,
+        description=described.description or f"user's model {file.name}",
+        origin=origin[described.origin],
+        stands=described.origin == "feet",
+        parts=parts,
+        sample=sample,
+        build=build,
+    )
+
+
+def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> tuple[list[str], dict[str, PartRange]]:
+    """Name of the part of each piece of the file, and every part's thermal role.
+
+    A piece belongs to the first part with a pattern that matches its object's or material's name, else to its own
+    InfraredEffect material.
+
+    Raises:
+        ModelError: Naming every piece without a part and every part without a piece.
+    """
+    roles = {
+        name: PartRange(p.delta_t_k, p.emissivity, p.label, f"from {where}", p.ior)
+        for name, p in described.parts.items()
+    }
+    names, used, missing = [], set(), []
+    for g in groups:
+        found = next(
+            (
+                name
+                for name, part in described.parts.items()
+                if any(fnmatch.fnmatchcase(n, pattern) for pattern in part.match for n in (g.object, g.material) if n)
+            ),
+            None,
+        )
+        if found is None and g.temperature_c is not None and g.emissivity is not None:
+            found = g.material
+            delta = g.temperature_c - described.air_temperature_c
+            roles[found] = PartRange(
+                (delta, delta), (g.emissivity, g.emissivity), True, "InfraredEffect material", g.ior or 1.5
+            )
+        if found is None:
+            missing.append(g)
+        else:
+            used.add(found)
+        names.append(found or "")
+    problems = [
+        Problem(
+            where,
+            "model-piece",
+            f"object {g.object!r}, material {g.material!r} belong to no part",
+            "a pattern in parts",
+        )
+        for g in missing
+    ]
+    every = sorted({n for g in groups for n in (g.object, g.material) if n})
+    problems += [
+        Problem(
+            f"{where}: parts.{n}", "model-part", f"no name matches {list(described.parts[n].match)}", f"one of {every}"
+        )
+        for n in described.parts
+        if n not in used
+    ]
+    if problems:
+        raise ModelError(f"model {where}: parts and file do not fit", problems)
+    return names, {n: roles[n] for n in roles if n in used}
+
+
+def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str]) -> Mesh:
+    order = sorted(set(part_of_group))
+    vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)
+    turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
+    c, s = turn
+    vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    factor = described.scale
+    if described.length_m is not None:
+        factor = described.length_m / float((high - low).max())
+    if described.origin == "centre":
+        vertices = vertices - (low + high) / 2
+    elif described.origin == "feet":
+        vertices = vertices - np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    group_part = np.array([order.index(n) for n in part_of_group], np.int32)
+    return Mesh(
+        np.ascontiguousarray(vertices * factor),
+        np.asarray(data["triangles"], np.int32),
+        group_part[np.asarray(data["group_of_triangle"], np.int64)],
+        tuple(order),
+        np.asarray(data["smooth"], np.bool_),
+    )

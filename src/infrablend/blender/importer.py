@@ -1,0 +1,149 @@
+"""Reading a user's 3D file into plain triangles. Runs in a process of its own that ends afterwards.
+
+A .blend may carry scripts; they are never executed: factory settings, automatic execution off, and the process holds
+nothing worth having.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from infrablend.blender.materials import GROUP_NAME
+from infrablend.core.files import replace_atomically
+from infrablend.core.tasks import Task
+from infrablend.errors import ModelError
+
+_IMPORTERS: dict[str, Callable[[str], Any]] = {
+    ".glb": lambda f: bpy.ops.import_scene.gltf(filepath=f),
+    ".gltf": lambda f: bpy.ops.import_scene.gltf(filepath=f),
+    ".obj": lambda f: bpy.ops.wm.obj_import(filepath=f),
+    ".fbx": lambda f: bpy.ops.import_scene.fbx(filepath=f),
+    ".usd": lambda f: bpy.ops.wm.usd_import(filepath=f),
+    ".usda": lambda f: bpy.ops.wm.usd_import(filepath=f),
+    ".usdc": lambda f: bpy.ops.wm.usd_import(filepath=f),
+    ".usdz": lambda f: bpy.ops.wm.usd_import(filepath=f),
+}
+
+
+def make_importer(_settings: Any) -> Callable[[Task], str]:
+    """Worker factory: a callable whose task's payload is (3D file, .npz to write)."""
+
+    def run(task: Task) -> str:
+        file, target = task.payload
+        import_file(Path(file), Path(target))
+        return str(target)
+
+    return run
+
+
+def import_file(file: Path, target: Path) -> None:
+    """Read a 3D file and write its triangles (world coordinates, Z up, metres) and named pieces to `target`.
+
+    Raises:
+        ModelError: If Blender cannot read the file or there is no surface in it.
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+    try:
+        if file.suffix.lower() == ".blend":
+            bpy.ops.wm.open_mainfile(filepath=str(file), load_ui=False, use_scripts=False)
+        else:
+            _IMPORTERS[file.suffix.lower()](str(file))
+    except (RuntimeError, AttributeError, ValueError, OSError, json.JSONDecodeError) as error:
+        raise ModelError(
+            f"model file {file}: Blender cannot read it ({str(error).strip()}); expected a valid {file.suffix} file"
+        ) from error
+    pieces = _pieces()
+    if not pieces:
+        raise ModelError(f"model file {file}: no surface found; expected at least one visible mesh object")
+    vertices, triangles, groups, smooth = [], [], [], []
+    facts: list[dict[str, Any]] = []
+    index: dict[tuple[str, str], int] = {}
+    offset = 0
+    for v, t, t_smooth, t_material, object_name, materials in pieces:
+        for number in np.unique(t_material):
+            material = materials[number] if number < len(materials) else None
+            key = (object_name, material.name if material else "")
+            if key not in index:
+                index[key] = len(facts)
+                facts.append({"object": key[0], "material": key[1], **_infrared(material)})
+        of_material = np.array([index.get((object_name, m.name if m else ""), -1) for m in (materials or [None])])
+        vertices.append(v)
+        triangles.append(t + offset)
+        groups.append(of_material[np.minimum(t_material, len(of_material) - 1)])
+        smooth.append(t_smooth)
+        offset += len(v)
+    with replace_atomically(target) as temporary, temporary.open("wb") as stream:
+        np.savez(
+            stream,
+            vertices_m=np.concatenate(vertices),
+            triangles=np.concatenate(triangles).astype(np.int32),
+            group_of_triangle=np.concatenate(groups).astype(np.int32),
+            smooth=np.concatenate(smooth),
+            groups=np.array(json.dumps(facts)),
+        )
+
+
+def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
+    """Evaluated triangles of everything a render of the scene would show."""
+    scene = bpy.context.scene
+    for thing in scene.objects:
+        for modifier in thing.modifiers:
+            # Labels must be made from what a render shows, not from the coarser viewport mesh.
+            if modifier.type in {"SUBSURF", "MULTIRES"}:
+                modifier.levels = modifier.render_levels
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    depsgraph.update()
+    found = []
+    for instance in depsgraph.object_instances:
+        thing = instance.object
+        if thing.hide_render or thing.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"}:
+            continue
+        mesh = thing.to_mesh()
+        if mesh is None:
+            continue
+        mesh.calc_loop_triangles()
+        count = len(mesh.loop_triangles)
+        if count:
+            v = np.empty(3 * len(mesh.vertices), np.float32)
+            mesh.vertices.foreach_get("co", v)
+            t = np.empty(3 * count, np.int32)
+            mesh.loop_triangles.foreach_get("vertices", t)
+            polygon = np.empty(count, np.int32)
+            mesh.loop_triangles.foreach_get("polygon_index", polygon)
+            smooth = np.empty(len(mesh.polygons), np.bool_)
+            mesh.polygons.foreach_get("use_smooth", smooth)
+            material = np.empty(len(mesh.polygons), np.int32)
+            mesh.polygons.foreach_get("material_index", material)
+            matrix = np.array(instance.matrix_world, np.float64)
+            world = v.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+            corners = t.reshape(-1, 3)
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                corners = corners[:, ::-1]
+            name = instance.parent.name if instance.is_instance and instance.parent else thing.name
+            materials = [slot.material for slot in thing.material_slots]
+            found.append((world, corners, smooth[polygon], material[polygon], name, materials))
+        thing.to_mesh_clear()
+    return found
+
+
+def _infrared(material: Any) -> dict[str, float | None]:
+    """Temperature, emissivity and refractive index of a material's InfraredEffect node, if it has one."""
+    nothing: dict[str, float | None] = {"temperature_c": None, "emissivity": None, "ior": None}
+    if material is None or material.node_tree is None:
+        return nothing
+    for node in material.node_tree.nodes:
+        if node.type == "GROUP" and node.node_tree and node.node_tree.name.split(".")[0] == GROUP_NAME:
+            value = {s.name: s.default_value for s in node.inputs}
+            return {
+                "temperature_c": float(value["Temperature"]),
+                "emissivity": float(value["Emissivity"]),
+                "ior": float(value.get("IOR", 1.5)),
+            }
+    return nothing

@@ -1,0 +1,99 @@
+"""Making one frame of a run again, alone, from its record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.recipe import Recipe
+from infrablend.core.files import write_bytes
+from infrablend.core.tasks import Task
+from infrablend.errors import DatasetError, OutputError
+from infrablend.formats.images import encode_image, load_background
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame import make_renderer, repaint, take_core
+from infrablend.pipeline.models import ready_model, run_once
+from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
+
+
+@dataclass(frozen=True)
+class Rerender:
+    """What the worker needs."""
+
+    record: dict[str, Any]
+    recipe_json: str
+    background: Path
+    out: Path
+    renderer: str
+    device: str
+
+
+def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path | None = None) -> Path:
+    """Make a frame's picture again from its record; the same bytes on the same kind of device.
+
+    Args:
+        run: Folder of a run.
+        frame_id: `<split>/<background>_c<k>`.
+        out: File to write; by default the frame's own file name in the working folder. A .png is written lossless.
+        data: Folder of the backgrounds if they have moved.
+
+    Raises:
+        OutputError: No such run or frame.
+        DatasetError: The background is gone or has changed.
+    """
+    folder = RunFolder(run)
+    record_run = folder.read_run()
+    path = folder.record(frame_id)
+    record = read_record(path)
+    if record is None:
+        near = sorted(p.stem for p in path.parent.glob("*.json"))[:3] if path.parent.is_dir() else []
+        hint = f"; e.g. {path.parent.name}/{near[0]}" if near else ""
+        raise OutputError(f"{run}: no finished frame {frame_id!r}; expected an id as under {run / 'scenes'}{hint}")
+    if record.scene is None:
+        raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
+    background = Path(data or record_run["data"]["root"]) / record.background["path"]
+    if not background.is_file():
+        raise DatasetError(f"{background}: the frame's background is not there; give its folder with --data")
+    if sha256_of(background) != record.background["sha256"]:
+        raise DatasetError(f"{background}: not the picture the frame was made from (its sha256 differs)")
+    target = out if out is not None else Path(Path(record.image).name)
+    recipe = Recipe.model_validate_json(_recipe_json(record_run))
+    for o in recipe.objects:
+        ready_model(o.model)
+    job = Rerender(
+        record.to_json(),
+        recipe.model_dump_json(),
+        background,
+        target,
+        record_run["machine"]["renderer"],
+        record_run["machine"]["device"],
+    )
+    run_once("infrablend.pipeline.rerender:make_rerenderer", job, frame_id)
+    return target
+
+
+def _recipe_json(record_run: dict[str, Any]) -> str:
+    recipe = dict(record_run["recipe"])
+    recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
+    return json.dumps(recipe)
+
+
+def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
+    """Worker factory: the task's payload is a `Rerender`."""
+    take_core()
+
+    def run(task: Task) -> str:
+        job: Rerender = task.payload
+        recipe = Recipe.model_validate_json(job.recipe_json)
+        record = FrameRecord.from_json(job.record)
+        background = load_background(job.background)
+        models = {o.model: ready_model(o.model) for o in recipe.objects}
+        picture = repaint(record, background, recipe, models, make_renderer(job.renderer, job.device))
+        lossless = job.out.suffix.lower() == ".png"
+        write_bytes(job.out, encode_image(picture.pixels, background, "png" if lossless else "same"))
+        return str(job.out)
+
+    return run
