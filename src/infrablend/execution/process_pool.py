@@ -169,8 +169,8 @@ class _Run:
     # ---- starting and feeding
 
     def _start_workers(self) -> None:
-        serving = sum(not w.ending for w in self._workers)
-        for _ in range(min(self._settings.workers, self._outstanding) - serving):
+        # A worker on its way out counts: it may still hold what its successor needs (a processor core, GPU memory).
+        for _ in range(min(self._settings.workers, self._outstanding) - len(self._workers)):
             self._workers.append(self._start())
 
     def _start(self) -> _Worker:

@@ -1,0 +1,474 @@
+"""Contact sheets: frames with their labels drawn, and every inserted object enlarged so that its edge can be judged.
+
+`load_frames` reads a finished run folder, `contact_sheet` draws, `preview_run` does both.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from pycocotools import mask as coco_mask
+
+from infrablend.core.dataset import SPLITS, Instance
+from infrablend.core.files import write_bytes
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError
+
+Draw = Literal["boxes", "obb", "masks"]
+ALL_DRAWN: tuple[Draw, ...] = ("boxes", "obb", "masks")
+
+Rgb = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+PAPER: Colour = (24, 26, 30)
+INK: Colour = (236, 238, 242)
+FAINT: Colour = (150, 156, 166)
+
+# Inserted objects: one colour for each kind of label, apart from each other also for most colour-blind readers.
+INSERTED: dict[Draw, Colour] = {"boxes": (255, 196, 0), "obb": (0, 214, 255), "masks": (255, 64, 160)}
+ORIGINAL: dict[Draw, Colour] = {"boxes": (112, 158, 120), "obb": (96, 128, 172), "masks": (112, 158, 120)}
+FILL = 0.22  # of the mask's colour
+
+GAP_PX = 12
+TITLE_PX = 26
+INSET_WH = (310, 240)
+INSET_CAPTION_PX = 18
+INSET_MARGIN_PX = 8
+MAX_INSETS = 3  # pairs for each frame
+MAX_ZOOM, MIN_ZOOM = 4, 2
+
+_SUBPIXEL_BITS = 4
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewFrame:
+    """A frame to be shown.
+
+    Attributes:
+        title: A line above it: name, split, pitch, altitude.
+        pixels: (h, w) or (h, w, 3); uint8 is shown as it is, other types stretched from their 0.5 to 99.5 percentile.
+        instances: Its labels.
+    """
+
+    title: str
+    pixels: NDArray[Any]
+    instances: tuple[Instance, ...]
+
+
+# ---- drawing
+
+
+def contact_sheet(
+    frames: Sequence[PreviewFrame],
+    out_png: Path,
+    columns: int | None = None,
+    draw: Sequence[Draw] = ALL_DRAWN,
+) -> Path:
+    """Write the frames as one PNG and give its path. The same frames give the same bytes.
+
+    Args:
+        frames: In reading order; sizes may differ.
+        out_png: Written beside and renamed; its folder is made.
+        columns: How many frames stand side by side; by default 2 for up to four frames, 3 for up to twelve, else 4.
+        draw: Which labels: `boxes` (thin), `obb`, `masks` (outline and light fill).
+
+    Raises:
+        ValueError: For no frames, no column, or an unknown kind of label.
+        OutputError: If it cannot be written.
+    """
+    if not frames:
+        raise ValueError("a contact sheet needs at least one frame")
+    unknown = [d for d in draw if d not in ALL_DRAWN]
+    if unknown:
+        raise ValueError(f"draw holds {unknown[0]!r}; it may hold {', '.join(ALL_DRAWN)}")
+    if columns is None:
+        columns = min(len(frames), 2 if len(frames) <= 4 else 3 if len(frames) <= 12 else 4)
+    if columns < 1:
+        raise ValueError(f"columns is {columns}, must be at least 1")
+    sheet = _grid([_cell(f, draw) for f in frames], columns)
+    sheet = np.concatenate([_legend(sheet.shape[1], draw), sheet])
+    buffer = io.BytesIO()
+    Image.fromarray(sheet).save(buffer, "PNG", compress_level=6)
+    write_bytes(out_png, buffer.getvalue())
+    return out_png
+
+
+def draw_labels(
+    picture: Rgb,
+    instances: Sequence[Instance],
+    draw: Sequence[Draw] = ALL_DRAWN,
+    scale: int = 1,
+    origin_xy: tuple[int, int] = (0, 0),
+    names: bool = True,
+) -> Rgb:
+    """A copy of a picture with labels drawn over it: original objects first and muted, inserted ones on top.
+
+    Args:
+        picture: (h, w, 3) uint8; pixel (0, 0) is the top left corner of frame pixel `origin_xy`, each frame pixel
+            is `scale` x `scale` pixels.
+        instances: In frame coordinates.
+        draw: Which labels.
+        scale: See `picture`.
+        origin_xy: See `picture`.
+        names: Write the category beside each object.
+    """
+    canvas = picture.copy()
+    ordered = sorted(instances, key=lambda i: i.inserted)
+    for i in ordered:
+        colours = INSERTED if i.inserted else ORIGINAL
+        if "masks" in draw and i.mask is not None:
+            _draw_mask(canvas, i.mask, colours["masks"], scale, origin_xy)
+        if "boxes" in draw:
+            x0, y0, x1, y1 = i.box_xyxy
+            corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+            _draw_polygon(canvas, corners, colours["boxes"], scale, origin_xy)
+        if "obb" in draw and i.corners_xy is not None:
+            _draw_polygon(canvas, i.corners_xy, colours["obb"], scale, origin_xy)
+    return _with_names(canvas, ordered, draw, scale, origin_xy) if names else canvas
+
+
+def _draw_polygon(
+    canvas: Rgb, corners_xy: NDArray[np.float64], colour: Colour, scale: int, origin_xy: tuple[int, int]
+) -> None:
+    # cv2 counts from pixel centres, we from pixel corners.
+    points = (corners_xy - np.asarray(origin_xy)) * scale - 0.5
+    # Far outside the canvas cv2 would overflow; clip well beyond what can be seen.
+    fixed = np.round(np.clip(points, -30_000, 30_000) * 2**_SUBPIXEL_BITS).astype(np.int32)
+    cv2.polylines(canvas, [fixed], True, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _draw_mask(canvas: Rgb, mask: Mask, colour: Colour, scale: int, origin_xy: tuple[int, int]) -> None:
+    h, w = math.ceil(canvas.shape[0] / scale), math.ceil(canvas.shape[1] / scale)
+    x, y = origin_xy
+    part = mask.to_array()[y : y + h, x : x + w].astype(np.uint8)
+    if not part.any():
+        return
+    part = np.repeat(np.repeat(part, scale, 0), scale, 1)[: canvas.shape[0], : canvas.shape[1]]
+    inside = np.zeros(canvas.shape[:2], np.bool_)
+    inside[: part.shape[0], : part.shape[1]] = part > 0
+    tint = np.asarray(colour, np.float64)
+    canvas[inside] = np.round((1 - FILL) * canvas[inside] + FILL * tint).astype(np.uint8)
+    outlines, _ = cv2.findContours(part, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(canvas, outlines, -1, colour, 1)
+
+
+def _with_names(
+    canvas: Rgb, instances: Sequence[Instance], draw: Sequence[Draw], scale: int, origin_xy: tuple[int, int]
+) -> Rgb:
+    image = Image.fromarray(canvas)
+    pen = ImageDraw.Draw(image)
+    for i in instances:
+        font = _font(13 if i.inserted else 11)
+        text = i.category
+        if i.inserted and i.visibility is not None and i.visibility < 0.995:
+            text += f" {100 * i.visibility:.0f}%"
+        x0, y0, _, y1 = ((i.box_xyxy.reshape(2, 2) - origin_xy) * scale).ravel()
+        left, top, right, bottom = font.getbbox(text)
+        w, h = math.ceil(right - left) + 4, math.ceil(bottom - top) + 4
+        x = min(max(0, round(x0)), canvas.shape[1] - w)
+        y = round(y0) - h - 2
+        if y < 0:  # no room above: below, or inside at the top
+            y = round(y1) + 2 if round(y1) + 2 + h <= canvas.shape[0] else max(0, round(y0) + 2)
+        colour = _name_colour(i.inserted, draw)
+        if i.inserted:
+            pen.rectangle([x, y, x + w - 1, y + h - 1], fill=PAPER)
+            pen.text((x + 2 - left, y + 2 - top), text, fill=colour, font=font)
+        else:
+            pen.text((x + 2 - left, y + 2 - top), text, fill=colour, font=font, stroke_width=1, stroke_fill=PAPER)
+    return np.asarray(image)
+
+
+def _name_colour(inserted: bool, draw: Sequence[Draw]) -> Colour:
+    if not inserted:
+        return (168, 204, 174)
+    first = next((d for d in ALL_DRAWN if d in draw), None)
+    return INSERTED[first] if first else INK
+
+
+def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
+    """A frame with its title and, below it, its inserted objects enlarged, without and with labels."""
+    plain = _to_rgb(frame.pixels)
+    rows = [draw_labels(plain, frame.instances, draw)]
+    inserted = [i for i in frame.instances if i.inserted]
+    for instance in inserted[:MAX_INSETS]:
+        rows.append(_inset_pair(plain, frame.instances, instance, draw))
+    if len(inserted) > MAX_INSETS:
+        more = f"and {len(inserted) - MAX_INSETS} more inserted object(s)"
+        rows.append(_strip(plain.shape[1], INSET_CAPTION_PX, more, 12, FAINT))
+    width = max(r.shape[1] for r in rows)
+    rows.insert(0, _strip(width, TITLE_PX, frame.title, 14, INK))
+    return np.concatenate([_pad(r, r.shape[0], width) for r in rows])
+
+
+def inset_window(instance: Instance, frame_wh: tuple[int, int]) -> tuple[tuple[int, int, int, int], int]:
+    """What an inset shows: columns and rows `x0, y0, x1, y1` of the frame, and the zoom.
+
+    The whole object at the largest whole zoom from 4 down to 2 that fits; of a larger object, at 2, what surrounds
+    the topmost part of its edge.
+    """
+    w, h = frame_wh
+    x0, y0, x1, y1 = instance.box_xyxy
+    zoom = MAX_ZOOM
+    while zoom > MIN_ZOOM and (
+        (x1 - x0 + 2 * INSET_MARGIN_PX) * zoom > INSET_WH[0] or (y1 - y0 + 2 * INSET_MARGIN_PX) * zoom > INSET_WH[1]
+    ):
+        zoom -= 1
+    view_w, view_h = min(w, INSET_WH[0] // zoom), min(h, INSET_WH[1] // zoom)
+    cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
+    if x1 - x0 > view_w or y1 - y0 > view_h:
+        cx, cy = _top_of_edge(instance)
+    left = min(max(0, round(cx - view_w / 2)), w - view_w)
+    top = min(max(0, round(cy - view_h / 2)), h - view_h)
+    return (left, top, left + view_w, top + view_h), zoom
+
+
+def _top_of_edge(instance: Instance) -> tuple[float, float]:
+    x0, y0, x1, _ = (float(v) for v in instance.box_xyxy)
+    if instance.mask is None:
+        return (x0 + x1) / 2, y0
+    rows, columns = np.nonzero(instance.mask.to_array())
+    if not len(rows):
+        return (x0 + x1) / 2, y0
+    first = rows.min()
+    return float(np.median(columns[rows == first])), float(first)
+
+
+def _inset_pair(plain: Rgb, instances: Sequence[Instance], instance: Instance, draw: Sequence[Draw]) -> Rgb:
+    (x0, y0, x1, y1), zoom = inset_window(instance, (plain.shape[1], plain.shape[0]))
+    large = np.repeat(np.repeat(plain[y0:y1, x0:x1], zoom, 0), zoom, 1)
+    labelled = draw_labels(large, instances, draw, zoom, (x0, y0), names=False)
+    w, h = INSET_WH
+    pair = np.concatenate([_pad(large, h, w), np.full((h, GAP_PX, 3), PAPER, np.uint8), _pad(labelled, h, w)], axis=1)
+    bw, bh = instance.box_xyxy[2:] - instance.box_xyxy[:2]
+    caption = f"{instance.category}, {bw:.1f} x {bh:.1f} px, enlarged {zoom} times"
+    gap = np.full((GAP_PX // 2, pair.shape[1], 3), PAPER, np.uint8)
+    return np.concatenate([gap, pair, _strip(pair.shape[1], INSET_CAPTION_PX, caption, 12, FAINT)])
+
+
+def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
+    words: dict[Draw, str] = {"boxes": "box", "obb": "oriented box", "masks": "mask"}
+    image = Image.new("RGB", (width, TITLE_PX + GAP_PX), PAPER)
+    pen = ImageDraw.Draw(image)
+    x, y = GAP_PX, GAP_PX // 2 + 4
+    for group, colours in (("inserted:", INSERTED), ("original:", ORIGINAL)):
+        pen.text((x, y), group, fill=INK, font=_font(14))
+        x += round(pen.textlength(group, font=_font(14))) + 10
+        for kind in ALL_DRAWN:
+            if kind not in draw or (colours is ORIGINAL and kind == "masks"):
+                continue
+            pen.rectangle([x, y + 3, x + 16, y + 13], outline=colours[kind], width=2)
+            pen.text((x + 22, y), words[kind], fill=FAINT, font=_font(14))
+            x += 22 + round(pen.textlength(words[kind], font=_font(14))) + 16
+        x += 14
+    return np.asarray(image)
+
+
+def _grid(cells: Sequence[Rgb], columns: int) -> Rgb:
+    width = max(c.shape[1] for c in cells)
+    rows = []
+    for start in range(0, len(cells), columns):
+        row = list(cells[start : start + columns])
+        height = max(c.shape[0] for c in row)
+        blank = np.full((height, width, 3), PAPER, np.uint8)
+        padded = [_pad(c, height, width) for c in row] + [blank] * (columns - len(row))
+        rows.append(np.concatenate([_framed(c) for c in padded], axis=1))
+    return np.concatenate(rows)
+
+
+def _framed(cell: Rgb) -> Rgb:
+    return _pad(cell, cell.shape[0] + GAP_PX, cell.shape[1] + GAP_PX, GAP_PX // 2)
+
+
+def _pad(picture: Rgb, height: int, width: int, offset_px: int = 0) -> Rgb:
+    canvas = np.full((max(height, picture.shape[0]), max(width, picture.shape[1]), 3), PAPER, np.uint8)
+    canvas[offset_px : offset_px + picture.shape[0], offset_px : offset_px + picture.shape[1]] = picture
+    return canvas
+
+
+def _strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> Rgb:
+    """A line of text, cut with dots where it is too long."""
+    image = Image.new("RGB", (width, height), PAPER)
+    pen = ImageDraw.Draw(image)
+    font = _font(size_px)
+    if pen.textlength(text, font=font) > width - 4:
+        while text and pen.textlength(text + "...", font=font) > width - 4:
+            text = text[:-1]
+        text += "..."
+    pen.text((2, (height - size_px) // 2 - 1), text, fill=colour, font=font)
+    return np.asarray(image)
+
+
+def _font(size_px: int) -> ImageFont.FreeTypeFont:
+    # Pillow's own outline font: the same on every machine.
+    return ImageFont.load_default(size_px)
+
+
+def _to_rgb(pixels: NDArray[Any]) -> Rgb:
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
+        raise ValueError(f"pixels must be (h, w) or (h, w, 3), got {pixels.shape}")
+    if pixels.dtype != np.uint8:
+        low, high = np.percentile(pixels, [0.5, 99.5])
+        pixels = np.clip((pixels - low) / max(float(high - low), 1e-12) * 255, 0, 255).round().astype(np.uint8)
+    return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
+
+
+# ---- reading a run
+
+
+def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] = ALL_DRAWN) -> Path:
+    """Write the contact sheet of a run folder and give its path.
+
+    Raises:
+        DatasetError: If the folder is no run, or holds no frames.
+        OutputError: If the sheet cannot be written.
+    """
+    return contact_sheet(load_frames(run, count), out_png, draw=draw)
+
+
+def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
+    """Frames of a run folder with their labels.
+
+    They come from the COCO files. A run without these (interrupted, or another choice of formats) is shown from
+    its frame records, which hold the inserted objects only.
+
+    Args:
+        run: The folder of a run.
+        count: How many at most, spread evenly over the frames with inserted objects (over all if there are none).
+
+    Raises:
+        DatasetError: If the folder is no run, holds no frames, or one of them cannot be read.
+    """
+    documents = [(s, run / "coco" / f"{s}.json") for s in SPLITS]
+    entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
+    if not entries:
+        entries = [_record_entry(run, path) for s in SPLITS for path in sorted((run / "scenes" / s).rglob("*.json"))]
+    if not entries:
+        raise DatasetError(
+            f"{run}: found frames neither in coco/<split>.json nor in scenes/<split>/, expected the folder of a run. "
+            "Give the folder that `infrablend generate --out` wrote."
+        )
+    chosen = _spread([e for e in entries if any(i.inserted for i in e.instances)] or entries, count)
+    return [PreviewFrame(_title(run, e), _read_pixels(e.path), e.instances) for e in chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """A frame of a run before it is read: its split, its picture, its labels."""
+
+    split: str
+    path: Path
+    instances: tuple[Instance, ...]
+
+
+def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
+    """`count` of the entries at even steps."""
+    if count is None or count >= len(entries):
+        return entries
+    return [entries[(2 * k + 1) * len(entries) // (2 * count)] for k in range(count)]
+
+
+def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
+    try:
+        document = json.loads(path.read_text("utf-8"))
+        names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
+        sizes = {i["id"]: (int(i["width"]), int(i["height"])) for i in document["images"]}
+        by_image: dict[Any, list[Instance]] = {}
+        for a in document["annotations"]:
+            by_image.setdefault(a["image_id"], []).append(_instance(a, names, sizes[a["image_id"]]))
+        images = sorted(document["images"], key=lambda i: str(i["file_name"]))
+        return [
+            _Entry(split, _image_path(run, split, i["file_name"]), tuple(by_image.get(i["id"], ()))) for i in images
+        ]
+    except (OSError, ValueError, KeyError, TypeError) as e:
+        raise DatasetError(
+            f"{path}: is no COCO file as InfraBlend writes it ({type(e).__name__}: {e}). Run `generate --resume`."
+        ) from e
+
+
+def _record_entry(run: Path, path: Path) -> _Entry:
+    try:
+        record = json.loads(path.read_text("utf-8"))
+        split = str(record["frame_id"]).split("/")[0]
+        inserted = tuple(Instance.from_json(i) for i in record["inserted"])
+        return _Entry(split, run / "images" / str(record["image"]), inserted)
+    except (OSError, ValueError, KeyError, TypeError) as e:
+        raise DatasetError(f"{path}: is no frame record ({type(e).__name__}: {e}). Run `generate --resume`.") from e
+
+
+def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
+    x, y, w, h = (float(v) for v in a["bbox"])
+    corners = np.asarray(a["obb"], np.float64).reshape(4, 2) if a.get("obb") else None
+    visibility = a.get("visibility")
+    return Instance(
+        names[int(a["category_id"])],
+        np.array([x, y, x + w, y + h], np.float64),
+        corners,
+        _mask(a.get("segmentation"), size_wh),
+        None if visibility is None else float(visibility),
+        inserted=bool(a.get("inserted")),
+        source_id=a.get("id"),
+    )
+
+
+def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
+    """The mask in any of COCO's three forms; None where there is none."""
+    if not segmentation:
+        return None
+    w, h = size_wh
+    if isinstance(segmentation, Mapping) and isinstance(segmentation["counts"], str):
+        return Mask(segmentation["counts"], (int(segmentation["size"][0]), int(segmentation["size"][1])))
+    rle = coco_mask.frPyObjects(segmentation, h, w)
+    if isinstance(rle, list):
+        rle = coco_mask.merge(rle)
+    return Mask(rle["counts"].decode("ascii"), (h, w))
+
+
+def _image_path(run: Path, split: str, file_name: str) -> Path:
+    for folder in (run / "images" / split, run / "images", run):
+        if (folder / file_name).is_file():
+            return folder / file_name
+    return run / "images" / split / file_name
+
+
+def _title(run: Path, entry: _Entry) -> str:
+    """Name, pitch, altitude and time of day; what is not known is left out."""
+    name = entry.path.stem
+    parts = [f"{entry.split}/{name}"]
+    facts: dict[str, Any] = {}
+    try:
+        record = json.loads((run / "scenes" / entry.split / f"{name}.json").read_text("utf-8"))
+        facts = dict(record["background"])
+        if record["scene"] is not None:
+            # The camera that was used: it is not the metadata's where a recipe fixes or draws the pitch.
+            facts["pitch_deg"] = math.degrees(record["scene"]["camera"]["pitch_rad"])
+    except (OSError, ValueError, KeyError, TypeError):
+        log.debug("%s: no record, so its title says less", entry.path)
+    if facts.get("pitch_deg") is not None:
+        parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")
+    if facts.get("altitude_m") is not None:
+        parts.append(f"altitude {float(facts['altitude_m']):g} m")
+    if facts.get("time_of_day"):
+        parts.append(str(facts["time_of_day"]))
+    return "   ".join(parts)
+
+
+def _read_pixels(path: Path) -> NDArray[Any]:
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    if pixels is None:
+        raise DatasetError(f"{path}: is no readable image, expected a frame of the run. Run `generate --resume`.")
+    if pixels.ndim == 3:
+        pixels = pixels[:, :, :3][:, :, ::-1]
+    return np.ascontiguousarray(pixels)
