@@ -1,0 +1,373 @@
+"""The virtual world in Blender: a plan in, scene temperatures and object ids out.
+
+Everything emits its own temperature in kelvin, plus a mirrored share of the sky; no light bounces, so a handful of
+samples per pixel is exact up to antialiasing. The scene is rendered at twice the frame's resolution: the ids then
+have four samples per pixel, and the picture's samples are those of both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import bpy
+import mathutils
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from infrablend.blender import session
+from infrablend.blender.world import things
+from infrablend.blender.world.ground import ground_kelvin
+from infrablend.blender.world.labels import Label, label_object
+from infrablend.blender.world.layout import WorldPlan
+from infrablend.blender.world.things import Surface
+from infrablend.core.camera import CameraSpec
+from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.errors import RenderError
+
+OVERSAMPLE = 2
+SAMPLES = 3
+ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")
+
+
+class WorldRenderer:
+    """Renders plans, one after the other; owns the process's Blender scene. Use as a context manager."""
+
+    def __init__(self, threads: int = 0) -> None:
+        """Start from an empty Blender scene; `threads` 0 uses all cores (the picture does not depend on it)."""
+        self._scene = session.reset()
+        session.use_device(self._scene, "cpu", threads)
+        shm = Path("/dev/shm")
+        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=shm if shm.is_dir() else None)
+        self._file = Path(self._folder.name) / "world.exr"
+        s = self._scene
+        s.render.film_transparent = False
+        s.render.use_file_extension = False
+        s.render.filepath = str(self._file)
+        s.cycles.samples = SAMPLES
+        s.cycles.seed = 0
+        s.view_layers[0].use_pass_object_index = True
+        settings = s.render.image_settings
+        settings.file_format = "OPEN_EXR_MULTILAYER"
+        settings.color_mode = "RGBA"
+        settings.color_depth = "32"
+        settings.exr_codec = "NONE"
+        camera = bpy.data.cameras.new("world camera")
+        self._camera = bpy.data.objects.new("world camera", camera)
+        s.collection.objects.link(self._camera)
+        s.camera = self._camera
+        self._thing_material = thing_material()
+        self._ground_material = ground_material()
+        self._prototypes: dict[tuple[str, int], bpy.types.Mesh] = {}
+        self._objects: list[bpy.types.Object] = []
+        self._meshes: list[bpy.types.Mesh] = []
+        self._image: bpy.types.Image | None = None
+
+    def __enter__(self) -> WorldRenderer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free everything this renderer made."""
+        self._clear()
+        for mesh in self._prototypes.values():
+            bpy.data.meshes.remove(mesh)
+        self._prototypes.clear()
+        if self._image is not None:
+            bpy.data.images.remove(self._image)
+            self._image = None
+        self._folder.cleanup()
+
+    def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
+        """(h, w) float32 temperatures of the frame in kelvin, and a label for every thing that has a class."""
+        try:
+            labelled = self._build(plan)
+            kelvin, ids = self._render(plan.camera)
+        finally:
+            self._clear()
+        w, h = plan.camera.size_wh
+        frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
+        return np.asarray(frame, np.float32), [
+            self._label(plan.camera, k + 1, category, vertices, triangles, ids)
+            for k, (category, vertices, triangles) in enumerate(labelled)
+        ]
+
+    # Scene ----------------------------------------------------------------------------------------------------
+
+    def _build(self, plan: WorldPlan) -> list[tuple[str, FloatArray, IntArray]]:
+        """Fill the scene; returns class, world vertices and triangles of the labelled things, in id order from 1."""
+        labelled: list[tuple[str, FloatArray, IntArray]] = []
+
+        def classed(category: str, surface: Surface, x_m: float, y_m: float, heading_rad: float) -> None:
+            vertices = things.placed(surface, x_m, y_m, heading_rad)
+            labelled.append((category, vertices, surface.triangles))
+            self._add(surface, vertices, len(labelled))
+
+        self._ground(plan)
+        for v in plan.vehicles:
+            classed(v.category, things.vehicle(v), v.x_m, v.y_m, v.heading_rad)
+        for q in plan.people:
+            classed(q.category, things.person(q), q.x_m, q.y_m, q.heading_rad)
+        for c in plan.cycles:
+            classed(c.category, things.cycle(c), c.x_m, c.y_m, c.heading_rad)
+        for b in plan.buildings:
+            s = things.building(b)
+            self._add(s, things.placed(s, b.x_m, b.y_m, b.heading_rad), 0)
+        for p in plan.posts:
+            s = things.post(p)
+            self._add(s, things.placed(s, p.x_m, p.y_m, p.heading_rad), 0)
+        for t in plan.trees:
+            number = t.prototype % things.TREE_KINDS[t.kind]
+            mesh = self._prototypes.get((t.kind, number))
+            if mesh is None:
+                prototype = things.tree_prototype(t.kind, number)
+                mesh = self._mesh(f"{t.kind} {number}", prototype, prototype.vertices_m)
+                self._prototypes[t.kind, number] = mesh
+            tree = self._object(mesh)
+            tree.matrix_world = mathutils.Matrix(things.tree_matrix(t).tolist())
+            tree.color = (t.kelvin, t.solar_k, 0.0, 0.0)
+        self._light(plan)
+        return labelled
+
+    def _mesh(self, name: str, s: Surface, vertices_m: FloatArray) -> bpy.types.Mesh:
+        mesh = bpy.data.meshes.new(name)
+        v, t = len(vertices_m), len(s.triangles)
+        mesh.vertices.add(v)
+        mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices_m, np.float32).ravel())
+        mesh.loops.add(3 * t)
+        mesh.loops.foreach_set("vertex_index", s.triangles.ravel())
+        mesh.polygons.add(t)
+        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * t, 3, dtype=np.int32))
+        for attribute in ATTRIBUTES:
+            mesh.attributes.new(attribute, "FLOAT", "FACE").data.foreach_set("value", getattr(s, attribute))
+        mesh.update(calc_edges=True)
+        mesh.materials.append(self._thing_material)
+        return mesh
+
+    def _object(self, mesh: bpy.types.Mesh) -> bpy.types.Object:
+        thing = bpy.data.objects.new(mesh.name, mesh)
+        self._scene.collection.objects.link(thing)
+        self._objects.append(thing)
+        return thing
+
+    def _add(self, s: Surface, vertices_m: FloatArray, index: int) -> None:
+        mesh = self._mesh(f"thing {len(self._meshes):04d}", s, vertices_m)
+        self._meshes.append(mesh)
+        thing = self._object(mesh)
+        thing.pass_index = index
+        thing.color = (0.0, 1.0, 0.0, 0.0)
+
+    def _ground(self, plan: WorldPlan) -> None:
+        """The ground: a plane whose temperatures are laid on as the camera sees them (window coordinates)."""
+        kelvin = ground_kelvin(plan, OVERSAMPLE)
+        h, w = kelvin.shape
+        if self._image is None:
+            self._image = bpy.data.images.new("ground", w, h, float_buffer=True, is_data=True)
+            self._ground_material.node_tree.nodes["ground"].image = self._image
+        pixels = np.ones((h, w, 4), np.float32)
+        pixels[..., :3] = kelvin[::-1, :, None]
+        self._image.pixels.foreach_set(pixels.ravel())
+        self._image.update()
+        reach = 4 * plan.camera.distance_m
+        mesh = bpy.data.meshes.new("ground")
+        mesh.from_pydata(
+            [(-reach, -reach, 0), (reach, -reach, 0), (reach, reach, 0), (-reach, reach, 0)], [], [(0, 1, 2, 3)]
+        )
+        mesh.materials.append(self._ground_material)
+        self._meshes.append(mesh)
+        self._object(mesh)
+
+    def _light(self, plan: WorldPlan) -> None:
+        nodes = self._thing_material.node_tree.nodes
+        nodes["air"].outputs[0].default_value = plan.air_k
+        nodes["sky drop"].outputs[0].default_value = plan.sky_drop_k
+        sun = plan.sun if plan.sun is not None else (0.0, 0.0, -1.0)
+        for k in range(3):
+            nodes["sun"].inputs[k].default_value = sun[k]
+
+    # Rendering ------------------------------------------------------------------------------------------------
+
+    def _render(self, camera: CameraSpec) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        w, h = camera.size_wh
+        s = self._scene
+        s.render.resolution_x, s.render.resolution_y = w * OVERSAMPLE, h * OVERSAMPLE
+        data: Any = self._camera.data
+        data.sensor_fit = "HORIZONTAL"
+        data.sensor_width = camera.sensor_width_mm
+        data.lens = camera.focal_length_mm
+        data.clip_start, data.clip_end = 1.0, 10 * camera.distance_m
+        # Blender's camera looks along its -Z with +Y up.
+        axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = axes, camera.position_m
+        self._camera.matrix_world = mathutils.Matrix(pose.tolist())
+        self._file.unlink(missing_ok=True)
+        with _silenced():
+            bpy.ops.render.render(write_still=True)
+        if not self._file.is_file():
+            raise RenderError(f"{self._file}: Blender wrote no picture of the virtual world; is the disk full?")
+        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
+            channels = exr.channels()
+            names = sorted(channels)
+            kelvin = np.array(channels[_channel(names, ".Combined.", "R")].pixels, np.float32)
+            ids = np.array(channels[_channel(names, ".IndexOB.", "X")].pixels)
+        return kelvin, np.round(ids).astype(np.int32)
+
+    def _clear(self) -> None:
+        for thing in self._objects:
+            bpy.data.objects.remove(thing)
+        for mesh in self._meshes:
+            bpy.data.meshes.remove(mesh)
+        self._objects.clear()
+        self._meshes.clear()
+
+    def _label(
+        self,
+        camera: CameraSpec,
+        index: int,
+        category: str,
+        vertices_m: FloatArray,
+        triangles: IntArray,
+        ids: NDArray[np.int32],
+    ) -> Label:
+        xy, _ = camera.project(vertices_m)
+        h, w = ids.shape
+        x0, y0 = np.clip(np.floor(np.nanmin(xy, axis=0) * OVERSAMPLE).astype(int) - 1, 0, (w, h))
+        x1, y1 = np.clip(np.ceil(np.nanmax(xy, axis=0) * OVERSAMPLE).astype(int) + 1, 0, (w, h))
+        return label_object(
+            category, camera, vertices_m, triangles, ids[y0:y1, x0:x1] == index, (int(x0), int(y0)), OVERSAMPLE,
+            upright=category == "Person",
+        )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Blender reports every render on the C library's standard output; send that nowhere for a while."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _channel(names: list[str], middle: str, end: str) -> str:
+    for name in names:
+        if middle in name and name.upper().endswith("." + end):
+            return name
+    raise RenderError(f"Blender's picture holds no channel like *{middle}{end}, only {', '.join(names)}")
+
+
+def thing_material() -> bpy.types.Material:
+    """Emission of T + F (T_env - T): own temperature, and sky or surroundings mirrored by the share F.
+
+    Per face: `kelvin`, `mirror` (F at normal incidence), `solar_k`, `grain_k`. The object's colour adds to
+    temperature (red) and scales the sun (green) for trees, which share meshes.
+    """
+    material = bpy.data.materials.new("thermal thing")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    new, link = tree.nodes.new, tree.links.new
+
+    def value(name: str) -> Any:
+        node = new("ShaderNodeValue")
+        node.name = name
+        return node.outputs[0]
+
+    def attribute(name: str) -> Any:
+        node = new("ShaderNodeAttribute")
+        node.attribute_name = name
+        return node.outputs["Fac"]
+
+    def maths(operation: str, *inputs: Any, clamp: bool = False) -> Any:
+        node = new("ShaderNodeMath")
+        node.operation = operation
+        node.use_clamp = clamp
+        for slot, i in zip(node.inputs, inputs, strict=False):
+            if isinstance(i, (int, float)):
+                slot.default_value = i
+            else:
+                link(i, slot)
+        return node.outputs[0]
+
+    def vectors(operation: str, a: Any, b: Any, output: str) -> Any:
+        node = new("ShaderNodeVectorMath")
+        node.operation = operation
+        link(a, node.inputs[0])
+        link(b, node.inputs[1])
+        return node.outputs[output]
+
+    geometry = new("ShaderNodeNewGeometry")
+    info = new("ShaderNodeObjectInfo")
+    colour = new("ShaderNodeSeparateColor")
+    link(info.outputs["Color"], colour.inputs[0])
+    sun = new("ShaderNodeCombineXYZ")
+    sun.name = "sun"
+    normal, incoming = geometry.outputs["Normal"], geometry.outputs["Incoming"]
+
+    pattern = new("ShaderNodeTexNoise")
+    pattern.inputs["Scale"].default_value = 3.0
+    pattern.inputs["Detail"].default_value = 1.5
+    link(geometry.outputs["Position"], pattern.inputs["Vector"])
+    grain = maths("MULTIPLY", maths("MULTIPLY_ADD", pattern.outputs["Fac"], 4.0, -2.0), attribute("grain_k"))
+    facing_sun = maths("MAXIMUM", vectors("DOT_PRODUCT", normal, sun.outputs[0], "Value"), 0.0)
+    solar = maths("MULTIPLY", colour.outputs[1], attribute("solar_k"))
+    heated = maths("MULTIPLY", facing_sun, solar)
+    kelvin = maths("ADD", maths("ADD", attribute("kelvin"), colour.outputs[0]), maths("ADD", grain, heated))
+
+    cosine = maths("ABSOLUTE", vectors("DOT_PRODUCT", normal, incoming, "Value"))
+    grazing = maths("POWER", maths("SUBTRACT", 1.0, cosine), 4.0)
+    mirror = maths("MULTIPLY", attribute("mirror"), maths("MULTIPLY_ADD", grazing, 6.0, 1.0), clamp=True)
+    # Mirrored direction of the ray to the camera: 2 (n.i) n - i; only its height matters.
+    up = new("ShaderNodeSeparateXYZ")
+    link(normal, up.inputs[0])
+    towards = new("ShaderNodeSeparateXYZ")
+    link(incoming, towards.inputs[0])
+    height = maths("SUBTRACT", maths("MULTIPLY", maths("MULTIPLY", cosine, 2.0), up.outputs[2]), towards.outputs[2])
+    # The sky is coldest overhead and takes the air's temperature at the horizon; below it are things near air.
+    depth = maths("POWER", maths("MAXIMUM", height, 0.0), 0.6)
+    environment = maths("SUBTRACT", value("air"), maths("MULTIPLY", depth, value("sky drop")))
+    total = maths("ADD", kelvin, maths("MULTIPLY", mirror, maths("SUBTRACT", environment, kelvin)))
+    _emit(tree, total)
+    return material
+
+
+def ground_material() -> bpy.types.Material:
+    """Emission of an image of temperatures, laid on in window coordinates."""
+    material = bpy.data.materials.new("thermal ground")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    image = tree.nodes.new("ShaderNodeTexImage")
+    image.name = "ground"
+    image.interpolation = "Closest"
+    image.extension = "EXTEND"
+    tree.links.new(coordinates.outputs["Window"], image.inputs["Vector"])
+    split = tree.nodes.new("ShaderNodeSeparateColor")
+    tree.links.new(image.outputs["Color"], split.inputs[0])
+    _emit(tree, split.outputs[0])
+    return material
+
+
+def _emit(tree: bpy.types.ShaderNodeTree, strength: Any) -> None:
+    emission = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(strength, emission.inputs["Strength"])
+    tree.links.new(emission.outputs[0], output.inputs["Surface"])

@@ -1,0 +1,83 @@
+"""From scene temperature to the picture a thermal camera would have stored: optics, gain, noise, codec."""
+
+from __future__ import annotations
+
+import io
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+Field = NDArray[np.float32]
+# HIT-UAV keeps the video's limited range; means are held near mid-grey by the camera.
+LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
+
+
+def optics(kelvin: Field, sigma_px: float) -> Field:
+    """The picture blurred by the lens."""
+    return np.asarray(cv2.GaussianBlur(kelvin, (0, 0), sigma_px), np.float32)
+
+
+def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = MEAN_GREY) -> Field:
+    """Grey levels, linear in temperature as HIT-UAV's histograms suggest; not yet clipped or rounded.
+
+    Args:
+        kelvin: (h, w) scene temperatures.
+        gain_per_k: What the gain starts from; it stays within 0.8 to 2 times this, so flat scenes stay flat.
+        std_grey: Deviation aimed at.
+        mean_grey: Mean, after clipping to the range that can be shown.
+    """
+    # Few very hot or cold spots must not decide.
+    centre, limit = float(np.median(kelvin)), 110.0 / gain_per_k
+    inner = np.clip(kelvin, centre - limit, centre + limit)
+    slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
+    grey = (kelvin - np.float32(inner.mean())) * np.float32(slope) + np.float32(mean_grey)
+    for _ in range(4):
+        grey += np.float32(mean_grey) - np.clip(grey, LOW_GREY, HIGH_GREY).mean()
+    return np.asarray(grey, np.float32)
+
+
+def detail(grey: Field, strength: float, radius_px: float) -> Field:
+    """The camera's detail enhancement: light and dark fringes along strong edges."""
+    return np.asarray(grey + np.float32(strength) * (grey - cv2.GaussianBlur(grey, (0, 0), radius_px)), np.float32)
+
+
+def noise(rng: np.random.Generator, shape_hw: tuple[int, int], std_grey: float) -> Field:
+    """Noise as measured on HIT-UAV: neighbours correlate by about 0.79."""
+    white = rng.standard_normal(shape_hw).astype(np.float32)
+    n = cv2.GaussianBlur(white, (0, 0), 1.05)
+    return np.asarray(n * np.float32(std_grey / n.std()), np.float32)
+
+
+def vignette(shape_hw: tuple[int, int], depth_grey: float) -> Field:
+    """Grey levels to add: 0 in the middle of the frame, `-depth_grey` in its corners."""
+    h, w = shape_hw
+    y = np.linspace(-1, 1, h, dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, w, dtype=np.float32)[None, :]
+    return np.asarray(-np.float32(depth_grey) * ((x * x + y * y) / 2) ** 1.5, np.float32)
+
+
+def codec(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """What lossy video coding leaves of a frame."""
+    buffer = io.BytesIO()
+    Image.fromarray(grey).save(buffer, "JPEG", quality=quality)
+    return np.asarray(Image.open(buffer), np.uint8).copy()
+
+
+def thermal_frame(kelvin: Field, gain_per_k: float, std_grey: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(h, w) uint8 white-hot picture of (h, w) float32 scene temperatures."""
+    h, w = kelvin.shape
+    grey = gain(optics(kelvin, float(rng.uniform(0.7, 0.95))), gain_per_k, std_grey, float(rng.normal(MEAN_GREY, 7)))
+    # Clipped before the enhancement: bodies far above the range get no fringe of matching size.
+    grey = detail(np.clip(grey, LOW_GREY - 25, HIGH_GREY + 25), float(rng.uniform(0.45, 0.8)), 1.6)
+    grey = grey + noise(rng, (h, w), float(rng.uniform(1.3, 2.1))) + vignette((h, w), float(rng.uniform(2, 8)))
+    levels = np.round(np.clip(grey, LOW_GREY + 1, HIGH_GREY)).astype(np.uint8)
+    return np.clip(codec(levels, int(rng.integers(58, 80))), int(LOW_GREY), int(HIGH_GREY)).astype(np.uint8)
+
+
+def jpeg_bytes(grey: NDArray[np.uint8]) -> bytes:
+    """The frame as HIT-UAV stores it: 8-bit grey JPEG of quality 95."""
+    buffer = io.BytesIO()
+    Image.fromarray(grey).save(buffer, "JPEG", quality=95)
+    return buffer.getvalue()

@@ -1,0 +1,87 @@
+"""The virtual world through Blender: pixels, labels and files belong together and repeat."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend.blender.world import render_world, sample_world
+from infrablend.blender.world.layout import Building, Person
+from infrablend.core.rng import stream
+from infrablend.errors import OutputError
+from infrablend.formats import hit_uav
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """A night scene with nothing on the ground."""
+    plan = sample_world(stream(0, "bare"), 60, 60, "night", "park")
+    return replace(plan, roads=(), paints=(), vehicles=(), people=(), cycles=(), trees=(), buildings=(), posts=())
+
+
+def someone(x: float, y: float) -> Person:
+    return Person(x, y, 0.5, 1.75, 1.1, "walk", 0.6, 0.2, 303.0, 300.0, 299.0, 299.0, 0.0)
+
+
+def test_pixels_and_boxes_agree_and_walls_hide(bare):
+    from infrablend.blender.world.build import WorldRenderer
+    from infrablend.blender.world.ground import ground_kelvin
+
+    with WorldRenderer(1) as renderer:
+        empty, labels = renderer.render(bare)
+        assert not labels
+        # The plane shows exactly the temperatures computed for it.
+        expected = ground_kelvin(bare, 2).reshape(512, 2, 640, 2).mean(axis=(1, 3))
+        assert np.abs(empty - expected).max() < 0.01
+
+        wall = Building(4.0, -1.5, 0.0, 6.0, 1.0, 6.0, "flat", 270.0, 275.0, 275.0, 0.0, 0.0, 1)
+        scene = replace(bare, people=(someone(-4.0, 0.0), someone(4.0, 0.5)), buildings=(wall,))
+        kelvin, labels = renderer.render(scene)
+        again, _ = renderer.render(scene)
+    assert np.array_equal(kelvin, again)
+    seen, hidden = labels
+    assert hidden.dropped == "hidden" and hidden.visibility < 0.1
+    assert seen.visibility > 0.9 and seen.box_xyxy is not None
+    warm = kelvin > empty.max() + 3
+    rows, columns = np.nonzero(warm)
+    pixels = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    assert np.abs(seen.box_xyxy - pixels).max() <= 1.0
+
+
+def test_dataset_reads_back_and_repeats(tmp_path):
+    done: list[tuple[int, int]] = []
+    shares = {"test": 1.0}
+    first = render_world(tmp_path / "a", 2, 3, splits=shares, threads=1, progress=lambda a, b: done.append((a, b)))
+    render_world(tmp_path / "b", 2, 3, splits=shares, threads=2)
+    assert done == [(1, 2), (2, 2)]
+
+    def hashes(name: str) -> dict[str, str]:
+        root = tmp_path / name
+        files = sorted(p for p in root.rglob("*") if p.is_file())
+        return {str(p.relative_to(root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+    assert hashes("a") == hashes("b")
+    dataset = hit_uav.read(tmp_path / "a")
+    assert not [p for p in dataset.problems if p.severity == "error"]
+    assert len(dataset.images) == 2 and dict(first.frames) == {"test": 2}
+    assert sum(len(i.instances) for i in dataset.images) == sum(first.labels.values()) > 0
+    facts = json.loads((tmp_path / "a" / "world.json").read_text())
+    for image, entry in zip(dataset.images, sorted(facts["frames"], key=lambda f: f["name"]), strict=True):
+        with Image.open(image.path) as picture:
+            assert picture.mode == "L" and picture.size == (640, 512) and picture.format == "JPEG"
+            grey = np.asarray(picture, np.float64)
+        assert image.path.name == entry["name"] and image.pitch_deg is not None
+        assert 100 < grey.mean() < 155 and 8 < grey.std() < 70
+        for instance in image.instances:
+            x0, y0, x1, y1 = instance.box_xyxy
+            assert 0 <= x0 < x1 <= 640 and 0 <= y0 < y1 <= 512
+            assert instance.corners_xy is not None
+    with pytest.raises(OutputError, match="not"):
+        render_world(tmp_path / "a", 1)
