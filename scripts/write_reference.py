@@ -1,6 +1,6 @@
 """Writes docs/reference/recipe.md and docs/reference/cli.md from the code, so that they cannot drift from it.
 
-`write_reference.py` writes both; `write_reference.py --check` only says whether they are up to date (exit code 1 if not).
+`write_reference.py` writes both; with `--check` it only says whether they are up to date (exit code 1 if not).
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _default(field: FieldInfo) -> str:
     if isinstance(value, BaseModel):
         return "see below"
     if value is None:
-        return "–"
+        return "none"
     if isinstance(value, tuple):
         return "`[" + ", ".join(f"{v:g}" if isinstance(v, int | float) else str(v) for v in value) + "]`"
     return f"`{value:g}`" if isinstance(value, float) else f"`{value}`" if value not in ("", {}) else "empty"
