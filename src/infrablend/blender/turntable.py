@@ -28,10 +28,11 @@ YAWS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 CELL_PX = 220
 SMALL_PX = (20, 40, 80)
 AIR_K = 283.15
-GROUND = 96
+# HIT-UAV by night: mean grey of the ground, darkest and brightest level.
+GROUND = 126
 # Dark and bright end of the artistic look, as far from air as the shipped recipes have them.
-LOOK = Appearance(cold_k=AIR_K - 14, hot_k=AIR_K + 24, surroundings_k=AIR_K - 10)
-MAPPING = GreyMapping(24.0, 235.0)
+LOOK = Appearance(cold_k=AIR_K - 8, hot_k=AIR_K + 20, surroundings_k=AIR_K - 10)
+MAPPING = GreyMapping(54.0, 220.0)
 
 
 def make_turntable(_settings: Any) -> Any:

@@ -152,9 +152,9 @@ class Appearance(_Strict):
 
     mode: Literal["artistic"] = "artistic"
     """`artistic`: the paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
-    cold_below_air_k: float = Field(14.0, ge=0, le=500)
+    cold_below_air_k: float = Field(8.0, ge=0, le=500)
     """This much below air temperature is shown as the background's dark end, kelvin."""
-    hot_above_air_k: float = Field(24.0, gt=0, le=500)
+    hot_above_air_k: float = Field(20.0, gt=0, le=500)
     """This much above air temperature is shown as the background's bright end, kelvin."""
     surroundings_below_air_k: float = Field(10.0, ge=-100, le=200)
     """What surfaces mirror looks this much colder than air, kelvin (a mix of sky and ground)."""

@@ -1,0 +1,88 @@
+"""Overlay and grey mapping."""
+
+import numpy as np
+import pytest
+
+from infrablend.compositing.mapping import GreyMapping, PercentileMapper
+from infrablend.compositing.overlay import blur_radius_px, compose, compose_float, make_layer
+from infrablend.core.render import RenderResult
+
+
+def result(radiance, alpha, offset=(0, 0), frame=(20, 16)):
+    r, a = np.asarray(radiance, np.float32), np.asarray(alpha, np.float32)
+    return RenderResult(offset, frame, r, a, a[None].copy())
+
+
+def test_alpha_over_by_hand():
+    background = np.full((16, 20), 100, np.uint8)
+    # Half covered by radiance 1 -> premultiplied 0.5: half of the bright end plus half of the background.
+    layer = make_layer(result([[0.5, 1.0, 0.0]], [[0.5, 1.0, 0.0]], (4, 2)), GreyMapping(20, 220), 0.0)
+    picture = compose(background, layer)
+    assert picture[2, 4:7].tolist() == [160, 220, 100]
+    assert (np.delete(picture.ravel(), [2 * 20 + 4, 2 * 20 + 5]) == 100).all()
+    assert (background == 100).all()
+
+
+def test_uncovered_pixels_keep_their_value_to_the_bit():
+    rng = np.random.default_rng(0)
+    background = rng.integers(0, 65536, (16, 20), dtype=np.uint16)
+    alpha = np.zeros((5, 5), np.float32)
+    alpha[2, 2] = 0.7
+    picture = compose(background, make_layer(result(alpha * 0.3, alpha, (6, 6)), GreyMapping(0, 60000), 0.6))
+    reach = blur_radius_px(0.6)
+    changed = np.argwhere(picture != background)
+    assert len(changed)
+    assert (np.abs(changed - 8) <= reach).all()
+    assert picture.dtype == np.uint16
+
+
+def test_blur_keeps_a_covered_frame_edge():
+    """An object that fills the frame's corner is not thinned there by the blur."""
+    alpha = np.ones((6, 6), np.float32)
+    layer = make_layer(result(alpha * 0.5, alpha, (0, 0)), GreyMapping(0, 200), 1.0)
+    picture = compose(np.zeros((16, 20), np.uint8), layer)
+    assert picture[0, 0] == 100
+    assert picture[2, 2] == 100
+    assert 0 < picture[6, 2] < 100
+
+
+def test_blur_conserves_light_away_from_the_edge():
+    alpha = np.zeros((7, 7), np.float32)
+    alpha[3, 3] = 1
+    layer = make_layer(result(alpha * 0.8, alpha, (5, 5)), GreyMapping(0, 100), 0.45)
+    assert layer.alpha.sum() == pytest.approx(1, abs=1e-5)
+    assert layer.grey.sum() == pytest.approx(80, abs=1e-3)
+
+
+def test_black_hot_is_the_mirror_of_white_hot():
+    rng = np.random.default_rng(1)
+    background = rng.integers(30, 220, (64, 64), dtype=np.uint8)
+    white = PercentileMapper(1, 99)(background)
+    black = PercentileMapper(1, 99, polarity="black-hot")(background)
+    assert (white.dark, white.bright) == (black.bright, black.dark)
+    assert white.dark < white.bright
+
+
+def test_flat_background_still_shows_objects():
+    for level in (0, 128, 255):
+        m = PercentileMapper(min_span=0.35)(np.full((10, 10), level, np.uint8))
+        assert m.bright - m.dark >= 0.35 * 255 - 1e-9
+        assert m.dark >= -1e-9
+        assert m.bright <= 255 + 1e-9
+
+
+def test_values_saturate_instead_of_wrapping():
+    alpha = np.ones((1, 1), np.float32)
+    picture = compose(np.zeros((16, 20), np.uint8), make_layer(result(alpha * 2, alpha), GreyMapping(0, 255), 0))
+    assert picture[0, 0] == 255
+    picture = compose(np.zeros((16, 20), np.uint8), make_layer(result(alpha * -1, alpha), GreyMapping(0, 255), 0))
+    assert picture[0, 0] == 0
+
+
+def test_nothing_rendered_nothing_changed():
+    background = np.arange(320, dtype=np.uint16).reshape(16, 20)
+    empty = np.zeros((0, 0), np.float32)
+    nothing = RenderResult((0, 0), (20, 16), empty, empty.copy(), np.zeros((1, 0, 0), np.float32))
+    layer = make_layer(nothing, GreyMapping(0, 255), 0.45)
+    assert (compose(background, layer) == background).all()
+    assert (compose_float(background, layer) == background).all()

@@ -1,0 +1,105 @@
+"""Recipes: the paper's values are in them, and every mistake is named, all at once."""
+
+import pytest
+
+from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
+from infrablend.config.recipe import FixedPitch, RandomPitch
+from infrablend.errors import RecipeError
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "configurations"), [("hit-uav-drone", "drone", 2), ("monet-deer", "deer", 1)]
+)
+def test_shipped_recipes_hold_the_papers_values(name, model, configurations):
+    r = load_recipe(name)
+    assert r.configurations == configurations
+    assert [o.model for o in r.objects] == [model]
+    assert r.camera.distance_m == (1, 10)
+    assert r.camera.roll_deg == (-10, 10)
+    assert r.camera.size_px == (640, 512)
+    assert r.camera.pitch == "metadata"
+    assert (r.camera.focal_length_mm, r.camera.sensor_width_mm) == (50, 36)
+    o = r.objects[0]
+    assert (o.x_m, o.y_m, o.yaw_deg, o.count) == ((-3, 3), (-3, 3), (0, 360), 1)
+    assert (r.placement.on_miss, r.placement.attempts) == ("redraw", 200)
+    assert (r.placement.min_inside, r.placement.min_depth_m) == (0.5, 0.3)
+
+
+def test_ablation_recipes_differ_from_the_drones_in_pitch_alone():
+    plain = load_recipe("hit-uav-drone").model_dump(exclude={"name": True, "description": True, "camera": {"pitch"}})
+    for name, pitch in (
+        ("hit-uav-drone-fixed-pitch", FixedPitch(fixed_deg=0.0)),
+        ("hit-uav-drone-random-pitch", RandomPitch(random_deg=(0.0, 90.0))),
+    ):
+        r = load_recipe(name)
+        assert r.camera.pitch == pitch
+        assert r.model_dump(exclude={"name": True, "description": True, "camera": {"pitch"}}) == plain
+
+
+def test_quality_paper_is_640_samples():
+    assert load_recipe("hit-uav-drone", ["render.quality=paper"]).samples == 640
+    assert load_recipe("hit-uav-drone").samples == 0
+    assert load_recipe("hit-uav-drone", ["render.samples=7"]).samples == 7
+
+
+def test_every_wrong_field_is_named_at_once():
+    settings = [
+        "output.image=gif",
+        "camera.distance_m=[5, 1]",
+        "objects.0.yaw_deg=true",
+        "colour=blue",
+        "objects.0.count=-1",
+        "nothing",
+        "objects.7.model=deer",
+    ]
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("hit-uav-drone", settings)
+    text = str(caught.value)
+    for name in (
+        "output.image",
+        "camera.distance_m",
+        "objects.0.yaw_deg",
+        "colour",
+        "objects.0.count",
+        "nothing",
+        "objects.7",
+    ):
+        assert name in text, name
+
+
+def test_a_number_stands_for_a_range_and_a_word_can_become_a_mapping():
+    r = load_recipe("hit-uav-drone", {"camera.distance_m": 5, "camera.pitch.fixed_deg": 0})
+    assert r.camera.distance_m == (5, 5)
+    assert r.camera.pitch == FixedPitch(fixed_deg=0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("- a\n- b", "expected a mapping"),
+        ("name: [", "not YAML"),
+        ("name: x\nobjects: []", "objects"),
+        ("name: x\nobjects: [{model: drone, x_m: [.nan, 1]}]", "x_m"),
+        ("name: x\nconfigurations: '2'\nobjects: [{model: drone}]", "configurations"),
+        ("name: ../x\nobjects: [{model: drone}]", "name"),
+    ],
+)
+def test_bad_texts(text, match):
+    with pytest.raises(RecipeError, match=match):
+        parse_recipe(text, "test")
+
+
+def test_unknown_recipe_names_the_shipped_ones():
+    with pytest.raises(RecipeError, match="hit-uav-drone"):
+        load_recipe("hit-uav-dron")
+
+
+def test_recipe_survives_json():
+    for name in list_recipes():
+        r = load_recipe(name)
+        assert type(r).model_validate_json(r.model_dump_json()) == r
+
+
+def test_model_paths_are_relative_to_the_recipe(tmp_path):
+    (tmp_path / "r.yaml").write_text("name: r\nobjects: [{model: fox.yaml}]")
+    assert load_recipe(tmp_path / "r.yaml").objects[0].model == str(tmp_path / "fox.yaml")
