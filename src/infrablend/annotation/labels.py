@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ from infrablend.core.boxes import (
     convex_hull_indices,
     corners_in_frame,
     min_area_rectangle,
+    reach_of_triangles,
     rectangle_along,
     smallest_rectangle_inside,
     start_nearest,
@@ -324,7 +325,8 @@ def _visible_shape(
         return "outside_frame" if truncated else "no_visible_pixel"
     hull = points[convex_hull_indices(points[:, :2])]
 
-    others = [p.every for j, p in enumerate(projected) if j != k]
+    # At equal depth the object that comes first is the nearer one: of two in one place one is seen, not both.
+    others = [p.every if j > k else _nearer(p.every, 1e-9) for j, p in enumerate(projected) if j != k]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([projected[k].unlabelled, *others]))
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
@@ -358,9 +360,14 @@ def _visible_shape(
     return _Shape(hull_xy, visibility, truncated, coverage, offset_xy, bool(hidden.any()))
 
 
+def _nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:
+    """The triangles, nearer by a share of their depth."""
+    return replace(triangles, inverse_depth=triangles.inverse_depth * (1 + share))
+
+
 def _in_front(triangles: ProjectedTriangles, box_xyxy: FloatArray, inverse_depth: float) -> ProjectedTriangles:
     """The triangles that reach into a box and are nearer than the farthest point of what is there."""
-    low, high = triangles.xy.min(axis=1), triangles.xy.max(axis=1)
+    low, high = reach_of_triangles(triangles.xy)
     over = (low < box_xyxy[2:]).all(axis=1) & (high > box_xyxy[:2]).all(axis=1)
     return triangles.select(over & (triangles.inverse_depth.max(axis=1) > inverse_depth))
 
@@ -375,7 +382,8 @@ def _samples_per_pixel(
     for p in pieces:
         a, b = p.xy[:, 1] - p.xy[:, 0], p.xy[:, 2] - p.xy[:, 0]
         area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-        within = np.clip(p.xy.max(axis=1), low, high) - np.clip(p.xy.min(axis=1), low, high)
+        first, last = reach_of_triangles(p.xy)
+        within = np.clip(last, low, high) - np.clip(first, low, high)
         total += float(np.minimum(area, within.prod(axis=1)).sum())
     return int(np.clip(math.sqrt(_FRAGMENTS / max(total, 1.0)), *_SUPERSAMPLE))
 

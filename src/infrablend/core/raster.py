@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import clip_triangles_near
+from infrablend.core.boxes import box_of_points, clip_triangles_near, reach_of_triangles
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, IntArray
 
@@ -111,24 +111,33 @@ class _Spans:
 def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
     """Spans of triangles (T, 3, 2) given in sample positions; empty ones left out."""
     rows, columns = shape_hw
-    x, y = corners[:, :, 0], corners[:, :, 1]
-    # Corners by height. Every edge then runs downwards, so two triangles compute a shared edge with the same
-    # bits.
-    order = np.argsort(y, axis=1, kind="stable")
-    x, y = np.take_along_axis(x, order, axis=1), np.take_along_axis(y, order, axis=1)
-    first = np.clip(np.ceil(y[:, 0] - 0.5), 0, rows).astype(np.int64)
-    last = np.clip(np.ceil(y[:, 2] - 0.5), 0, rows).astype(np.int64)
-    count = np.maximum(last - first, 0)
-    used = np.flatnonzero((count > 0) & (x.max(axis=1) > 0.5) & (x.min(axis=1) <= columns - 0.5))
-    x, y, first, count = x[used], y[used], first[used], count[used]
+    xa, xb, xc = (np.ascontiguousarray(corners[:, i, 0]) for i in range(3))
+    ya, yb, yc = (np.ascontiguousarray(corners[:, i, 1]) for i in range(3))
+    first = np.clip(np.ceil(np.minimum(np.minimum(ya, yb), yc) - 0.5), 0, rows).astype(np.int64)
+    last = np.clip(np.ceil(np.maximum(np.maximum(ya, yb), yc) - 0.5), 0, rows).astype(np.int64)
+    used = np.flatnonzero(
+        (last > first)
+        & (np.maximum(np.maximum(xa, xb), xc) > 0.5)
+        & (np.minimum(np.minimum(xa, xb), xc) <= columns - 0.5)
+    )
+    first, count = first[used], (last - first)[used]
+    xa, xb, xc, ya, yb, yc = xa[used], xb[used], xc[used], ya[used], yb[used], yc[used]
+    # Corners by height. Every edge then runs downwards, so two triangles compute a shared edge with the same bits.
+    for swap_bc in (False, True, False):
+        if swap_bc:
+            turn = yc < yb
+            xb, xc, yb, yc = (np.where(turn, p, q) for p, q in ((xc, xb), (xb, xc), (yc, yb), (yb, yc)))
+        else:
+            turn = yb < ya
+            xa, xb, ya, yb = (np.where(turn, p, q) for p, q in ((xb, xa), (xa, xb), (yb, ya), (ya, yb)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        long_slope = (x[:, 2] - x[:, 0]) / (y[:, 2] - y[:, 0])
-        top_slope = (x[:, 1] - x[:, 0]) / (y[:, 1] - y[:, 0])
-        low_slope = (x[:, 2] - x[:, 1]) / (y[:, 2] - y[:, 1])
+        long_slope = (xc - xa) / (yc - ya)
+        top_slope = (xb - xa) / (yb - ya)
+        low_slope = (xc - xb) / (yc - yb)
     triangle = np.repeat(np.arange(len(used)), count)
     row = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count) + first[triangle]
     at = row + 0.5
-    x0, y0, x1, y1 = x[triangle, 0], y[triangle, 0], x[triangle, 1], y[triangle, 1]
+    x0, y0, x1, y1 = xa[triangle], ya[triangle], xb[triangle], yb[triangle]
     on_long = x0 + (at - y0) * long_slope[triangle]
     below = at >= y1
     on_short = np.where(below, x1, x0) + (at - np.where(below, y1, y0)) * np.where(
@@ -191,7 +200,7 @@ def _fragments(
     slope_x = np.where(twice_area == 0, 0.0, (zab * ac[:, 1] - zac * ab[:, 1]) / safe)
     slope_y = np.where(twice_area == 0, 0.0, (zac * ab[:, 0] - zab * ac[:, 0]) / safe)
     t = spans.triangle
-    low, high = inverse_depth.min(axis=1)[t], inverse_depth.max(axis=1)[t]
+    low, high = (reach[t, 0] for reach in reach_of_triangles(inverse_depth[:, :, None]))
     base = za[t] + slope_y[t] * (spans.row + 0.5 - a[t, 1]) - slope_x[t] * a[t, 0]
     z_start = np.clip(base + slope_x[t] * (spans.start + 0.5), low, high)
     z_last = np.clip(base + slope_x[t] * (spans.stop - 0.5), low, high)
@@ -275,7 +284,7 @@ def hidden_points(points_xy: FloatArray, inverse_depth: FloatArray, occluders: P
     hidden = np.zeros(len(points_xy), np.bool_)
     if not len(points_xy) or not len(occluders.xy):
         return hidden
-    low, high = occluders.xy.min(axis=1), occluders.xy.max(axis=1)
+    low, high = reach_of_triangles(occluders.xy)
     reach_low, reach_high = points_xy.min(axis=0), points_xy.max(axis=0)
     possible = (
         (low <= reach_high).all(axis=1)
@@ -336,7 +345,7 @@ def inside_fraction(
     centre = np.array([w, h]) / 2
     if min_depth >= near_m:
         xy = xyz[:, :2] * (camera.focal_px / depth)[:, None] + centre
-        (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+        x0, y0, x1, y1 = box_of_points(xy)
         if x0 >= 0 and y0 >= 0 and x1 <= w and y1 <= h:
             return 1.0, min_depth
         if x1 <= 0 or y1 <= 0 or x0 >= w or y0 >= h:
@@ -347,14 +356,14 @@ def inside_fraction(
         if not len(clipped):
             return 0.0, min_depth
         corners = clipped[:, :, :2] * (camera.focal_px / clipped[:, :, 2:]) + centre
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    if (high <= 0).any() or (low >= (w, h)).any():
+    box = box_of_points(corners.reshape(-1, 2))
+    if (box[2:] <= 0).any() or (box[:2] >= (w, h)).any():
         return 0.0, min_depth
-    grid = SampleGrid.over_box(np.concatenate([low, high]), longest)
+    grid = SampleGrid.over_box(box, longest)
     covered = covered_samples(corners, grid)
     total = int(covered.sum())
     if not total:  # thinner than the samples' pitch everywhere: the box's centre decides
-        middle = (low + high) / 2
+        middle = (box[:2] + box[2:]) / 2
         return float(((middle >= 0) & (middle <= (w, h))).all()), min_depth
     x, y = grid.columns_x(), grid.rows_y()
     inside = covered[(y >= 0) & (y <= h)][:, (x >= 0) & (x <= w)]
