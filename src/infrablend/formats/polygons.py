@@ -1,0 +1,181 @@
+"""A mask as one polygon, for formats that know nothing else: parts and holes joined by bridges of zero width.
+
+YOLO-seg holds one closed polygon per object. Ultralytics rasterises it by cutting the coordinates to integers and
+calling `cv2.fillPoly`, which fills by the even-odd rule and always paints the outline. The polygon made here runs along
+the outer edges of the mask's pixels, `INSET_PX` inside them: cut to integers its corners are the pixels themselves,
+so the raster is the mask, and its bounding box is the mask's box to `INSET_PX`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.masks import Mask
+
+# Far above what ten decimals and float32 lose (4e-5 px), far below what anybody sees.
+INSET_PX = 0.01
+# Ultralytics resamples polygons of 1,000 corners or more, which cuts bridges.
+MAX_CORNERS = 990
+# Largest parts and holes kept; what is beyond is noise of single pixels, and counted in the raster difference.
+MAX_RINGS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A mask's polygon, (n, 2) float64 px, and the number of pixels by which its raster differs from the mask."""
+
+    polygon_xy: NDArray[np.float64]
+    raster_difference_px: int
+
+
+def rasterise(polygon_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """(h, w) mask of a polygon (n, 2) in px, as Ultralytics rasterises it."""
+    canvas = np.zeros((size_wh[1], size_wh[0]), np.uint8)
+    cv2.fillPoly(canvas, [polygon_xy.astype(np.int32)], 1)
+    return canvas.astype(np.bool_)
+
+
+def outline(mask: Mask) -> Outline:
+    """One polygon for a mask with any number of parts and holes, of at most `MAX_CORNERS` corners if possible.
+
+    An empty mask gives an empty polygon. Bridges between parts paint the pixels under them, and simplification to the
+    limit moves edges: `raster_difference_px` counts both.
+    """
+    pixels = mask.to_array()
+    if not pixels.any():
+        return Outline(np.zeros((0, 2)), 0)
+    rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
+    y0, x0 = int(rows[0]), int(columns[0])
+    part = pixels[y0 : rows[-1] + 1, x0 : columns[-1] + 1].astype(np.uint8)
+    contours, tree = cv2.findContours(part, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    polygon = np.zeros((0, 2))
+    for tolerance_px in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
+        polygon = _join(contours, tree[0], tolerance_px)
+        if len(polygon) <= MAX_CORNERS:
+            break
+    polygon = polygon + np.array([x0, y0], np.float64)
+    # The bounding box of the polygon is known, so only this part of the frame can differ.
+    raster = rasterise(polygon - np.array([x0, y0]), (part.shape[1], part.shape[0]))
+    return Outline(polygon, int((raster != part.astype(np.bool_)).sum()))
+
+
+def _join(contours: Sequence[NDArray[np.int32]], tree: NDArray[np.int32], tolerance_px: float) -> NDArray[np.float64]:
+    """All rings as one polygon: holes into the ring around them, then parts into the largest, nearest first."""
+    rings = [_edge_ring(_simplified(c[:, 0, :], tolerance_px)) for c in contours]
+    largest = sorted(range(len(rings)), key=lambda k: (-len(contours[k]), k))[:MAX_RINGS]
+    parts = []
+    for k in largest:
+        if tree[k][3] < 0:
+            holes = [rings[j] for j in sorted(largest) if tree[j][3] == k]
+            parts.append(_bridge([rings[k], *holes]))
+    return _bridge(parts)
+
+
+def _bridge(rings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """One closed ring out of several: a minimum spanning tree of bridges between nearest corners, from the first."""
+    best = {k: (*_nearest(rings[0], rings[k]), 0) for k in range(1, len(rings))}
+    children: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    while best:
+        k = min(best, key=lambda key: (best[key][0], key))
+        _, i, j, parent = best.pop(k)
+        children.setdefault((parent, i), []).append((k, j))
+        for other, held in best.items():
+            found = _nearest(rings[k], rings[other])
+            if found[0] < held[0]:
+                best[other] = (*found, k)
+
+    def walk(k: int, start: int, closed: bool) -> list[tuple[float, float]]:
+        """Once around ring k from a corner (and back onto it), with a trip over every bridge on the way."""
+        n = len(rings[k])
+        points: list[tuple[float, float]] = []
+        for i in [(start + s) % n for s in range(n)]:
+            corner = (float(rings[k][i][0]), float(rings[k][i][1]))
+            points.append(corner)
+            for child, j in children.get((k, i), []):
+                points += [*walk(child, j, True), corner]
+        return points + points[:1] if closed else points
+
+    return np.array(walk(0, 0, False))
+
+
+def _nearest(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int, int]:
+    """Squared distance, index in a and index in b of the nearest pair of corners."""
+    distance = ((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=2)
+    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
+    return float(distance[i, j]), int(i), int(j)
+
+
+def _simplified(ring: NDArray[np.int32], tolerance_px: float) -> NDArray[np.int32]:
+    if tolerance_px == 0.0 or len(ring) < 4:
+        return ring
+    return np.asarray(cv2.approxPolyDP(ring, tolerance_px, True)[:, 0, :])
+
+
+def _edge_ring(ring: NDArray[np.int32]) -> NDArray[np.float64]:
+    """The pixels of one contour (n, 2), replaced by points on their outer edges, `INSET_PX` inside.
+
+    cv2 runs around parts counter-clockwise and around holes clockwise, both with the mask on the left; reversed, the
+    mask lies on the right hand of every step and the outer edge on the left. A diagonal step cuts from the middle of
+    one pixel's edge to the middle of the next one's, which keeps the area.
+    """
+    pixels = [(int(x), int(y)) for x, y in ring[::-1]]
+    n = len(pixels)
+    if n == 1:
+        x, y = pixels[0]
+        return np.array([_inside(x, y, s) for s in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    points: list[tuple[int, int, float, float]] = []
+    for k, (x, y) in enumerate(pixels):
+        before, after = pixels[k - 1], pixels[(k + 1) % n]
+        # Signs alone: steps may be long after simplification.
+        step_in = (_sign(x - before[0]), _sign(y - before[1]))
+        step_out = (_sign(after[0] - x), _sign(after[1] - y))
+        points += [(x, y, *_inside(x, y, s)) for s in _sides(step_in, step_out)]
+    kept = [
+        b for a, b, c in zip(points[-1:] + points, points, points[1:] + points[:1], strict=False) if _bends(a, b, c)
+    ]
+    return np.array([p[2:] for p in kept or points])
+
+
+_COMPASS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))  # clockwise on screen
+
+
+def _sides(step_in: tuple[int, int], step_out: tuple[int, int]) -> list[tuple[int, int]]:
+    """Sides and corners of a pixel that its outer edge runs along, between two steps of a contour, clockwise."""
+    eighth_in, eighth_out = _COMPASS.index(step_in), _COMPASS.index(step_out)
+    diagonal_in, diagonal_out = eighth_in % 2, eighth_out % 2
+    turn = (eighth_out - eighth_in + 3) % 8 - 3  # eighths to the right, -3 to 4; a reversal goes around the outside
+    # A diagonal step is a left turn along the edges of its two pixels: it ends an eighth to the left of itself and
+    # begins an eighth to the right.
+    side = (eighth_in - diagonal_in - 2) % 8
+    quarters = (turn + diagonal_in + diagonal_out) // 2
+    if quarters < 0:  # an inner corner
+        return [_COMPASS[(side - 1) % 8]]
+    # Corners of the pixel stay where the contour really turns; on a slanting line they would be teeth.
+    with_corners = turn >= 3 or not (diagonal_in or diagonal_out)
+    return [_COMPASS[(side + e) % 8] for e in range(0, 2 * quarters + 1, 1 if with_corners else 2)]
+
+
+def _sign(value: int) -> int:
+    return (value > 0) - (value < 0)
+
+
+def _inside(x: int, y: int, side: tuple[int, int]) -> tuple[float, float]:
+    """The point of pixel (x, y) nearest to a side or corner, `INSET_PX` inside; its middle where side is 0."""
+    reach = 0.5 - INSET_PX
+    return x + 0.5 + reach * side[0], y + 0.5 + reach * side[1]
+
+
+_Point = tuple[int, int, float, float]
+
+
+def _bends(a: _Point, b: _Point, c: _Point) -> bool:
+    """False if b lies on the way from a to c, as a point and as a pixel."""
+    pixel = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+    exact = (b[2] - a[2]) * (c[3] - b[3]) - (b[3] - a[3]) * (c[2] - b[2])
+    onward = (b[2] - a[2]) * (c[2] - b[2]) + (b[3] - a[3]) * (c[3] - b[3])
+    return pixel != 0 or abs(exact) > 1e-9 or onward < 0

@@ -1,0 +1,616 @@
+"""Ultralytics' YOLO formats: detect, OBB and seg, read and written.
+
+    data.yaml    images/<split>/<name>.<ext>    labels/<split>/<name>.txt
+
+One line per object, numbers as shares of the picture's width and height: detect `cls cx cy w h`, OBB
+`cls x1 y1 x2 y2 x3 y3 x4 y4` (corners clockwise on screen), seg `cls x1 y1 x2 y2 ...` (one closed polygon).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_of_points, corners_of_box
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import (
+    Match,
+    Text,
+    Written,
+    check_box,
+    check_splits,
+    few,
+    is_ignored_name,
+    overhang_px,
+    require_size,
+    sort_images,
+)
+from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.files import link_or_copy, write_text
+from infrablend.formats.pictures import assign_ids, check_name, list_pictures, read_size
+from infrablend.formats.polygons import outline, rasterise
+
+NAME = "yolo"
+
+Task = Literal["detect", "obb", "seg"]
+TASKS: tuple[Task, ...] = ("detect", "obb", "seg")
+Classes = Mapping[str, int]
+WithoutMask = Literal["omit", "obb"]
+
+# Ten decimals: 640 px times half a unit is 3e-8 px.
+_DECIMALS = 10
+_YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "keep"] = "drop") -> dict[str, int]:
+    """YOLO class number by category name: categories by id, counted from 0, ignore regions left out or kept.
+
+    HIT-UAV with a drone: Person 0, Car 1, Bicycle 2, OtherVehicle 3, drone 4; kept, DontCare is 4 and drone 5.
+    """
+    kept = [c for c in sorted(categories, key=lambda c: c.id) if dont_care == "keep" or not c.ignore]
+    return {c.name: k for k, c in enumerate(kept)}
+
+
+def _number(value: float) -> str:
+    """A share of the frame, clipped to [0, 1]: shortest form of at most ten decimals."""
+    text = f"{min(max(value, 0.0), 1.0):.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return text or "0"
+
+
+def _line(number: int, values: Iterable[float]) -> str:
+    return " ".join([str(number), *map(_number, values)]) + "\n"
+
+
+def _shares(points_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> list[float]:
+    return [float(v) for v in (points_xy / np.array(size_wh, np.float64)).reshape(-1)]
+
+
+def _count_flags(instance: Instance, losses: Counter[str]) -> None:
+    losses["truncated_dropped"] += instance.truncated is True
+    losses["difficult_dropped"] += instance.difficult is True
+    losses["visibility_dropped"] += instance.visibility is not None
+
+
+def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
+    """The box clipped to the frame; None, counted, if nothing of it is inside."""
+    w, h = size_wh
+    box = np.clip(instance.box_xyxy, 0.0, np.array([w, h, w, h], np.float64))
+    if box[2] <= box[0] or box[3] <= box[1]:
+        losses["box_outside"] += 1
+        return None
+    losses["box_clipped"] += bool((box != instance.box_xyxy).any())
+    return box
+
+
+def detect_text(image: ImageRecord, classes: Classes) -> Text:
+    """The detect label file of an image, and the losses. Empty text for an image without objects."""
+    size_wh = require_size(image)
+    w, h = size_wh
+    losses: Counter[str] = Counter()
+    lines = []
+    for instance in image.instances:
+        if instance.category not in classes:
+            losses["ignore_dropped"] += 1
+            continue
+        box = _box_in_frame(instance, size_wh, losses)
+        if box is None:
+            continue
+        _count_flags(instance, losses)
+        losses["obb_dropped"] += instance.corners_xy is not None
+        losses["mask_dropped"] += instance.mask is not None
+        x0, y0, x1, y1 = box.tolist()
+        values = ((x0 + x1) / 2 / w, (y0 + y1) / 2 / h, (x1 - x0) / w, (y1 - y0) / h)
+        lines.append(_line(classes[instance.category], values))
+    return Text("".join(lines), _counted(losses))
+
+
+def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
+    """Four corners inside the frame, since Ultralytics refuses a whole image for one outside."""
+    corners = instance.corners_xy
+    if corners is None:
+        box = _box_in_frame(instance, size_wh, losses)
+        losses["obb_from_box"] += box is not None
+        return None if box is None else corners_of_box(box)
+    if overhang_px(corners, size_wh) > 0:
+        box = box_of_points(corners)
+        if box[0] >= size_wh[0] or box[1] >= size_wh[1] or box[2] <= 0 or box[3] <= 0:
+            losses["box_outside"] += 1
+            return None
+        losses["corners_clamped"] += 1
+        corners = np.clip(corners, 0.0, np.array(size_wh, np.float64))
+    return corners
+
+
+def obb_text(image: ImageRecord, classes: Classes) -> Text:
+    """The OBB label file of an image: four corners per object, clockwise on screen, and the losses."""
+    size_wh = require_size(image)
+    losses: Counter[str] = Counter()
+    lines = []
+    for instance in image.instances:
+        if instance.category not in classes:
+            losses["ignore_dropped"] += 1
+            continue
+        corners = _corners_in_frame(instance, size_wh, losses)
+        if corners is None:
+            continue
+        _count_flags(instance, losses)
+        losses["mask_dropped"] += instance.mask is not None
+        lines.append(_line(classes[instance.category], _shares(corners, size_wh)))
+    return Text("".join(lines), _counted(losses))
+
+
+def seg_text(image: ImageRecord, classes: Classes, without_mask: WithoutMask = "omit") -> Text:
+    """The seg label file of an image: one polygon per mask (see `polygons.outline`), and the losses.
+
+    Args:
+        image: The image.
+        classes: From `yolo_classes`.
+        without_mask: What happens to objects without a mask: left out, or their oriented box (else the box) written.
+    """
+    size_wh = require_size(image)
+    losses: Counter[str] = Counter()
+    lines = []
+    for instance in image.instances:
+        if instance.category not in classes:
+            losses["ignore_dropped"] += 1
+            continue
+        if instance.mask is None or instance.mask.area_px == 0:
+            if without_mask == "omit":
+                losses["without_mask_omitted"] += 1
+                continue
+            corners = _corners_in_frame(instance, size_wh, losses)
+            if corners is None:
+                continue
+            losses["mask_from_obb"] += 1
+            points = corners
+        else:
+            if instance.mask.size_hw != (size_wh[1], size_wh[0]):
+                raise ValueError(f"{image.id}: mask of {instance.mask.size_hw} in a frame of {size_wh}")
+            made = outline(instance.mask)
+            points = made.polygon_xy
+            losses["mask_raster_px"] += made.raster_difference_px
+        _count_flags(instance, losses)
+        losses["obb_dropped"] += instance.corners_xy is not None
+        lines.append(_line(classes[instance.category], _shares(points, size_wh)))
+    return Text("".join(lines), _counted(losses))
+
+
+def _counted(losses: Counter[str]) -> dict[str, int]:
+    return {k: v for k, v in sorted(losses.items()) if v}
+
+
+def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: WithoutMask = "omit") -> Text:
+    """The label file of an image for one task, and the losses."""
+    if task == "detect":
+        return detect_text(image, classes)
+    return obb_text(image, classes) if task == "obb" else seg_text(image, classes, without_mask)
+
+
+def write_frame(
+    out: Path, image: ImageRecord, classes: Classes, task: Task, *, without_mask: WithoutMask = "omit"
+) -> Written:
+    """Write one image below `out`: `labels/<split>/<name>.txt` and `images/<split>/<name>`, a link of `image.path`.
+
+    The label comes first, so that a picture never stands without it. Files appear whole or not at all.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: `size_wh` is unknown.
+    """
+    name = PurePosixPath(image.name)
+    made = label_text(image, classes, task, without_mask)
+    label = write_text(out / "labels" / image.split / name.with_suffix(".txt"), made.text)
+    picture = link_or_copy(image.path, out / "images" / image.split / name)
+    return Written((label, picture), made.losses)
+
+
+def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
+    """Text of a `data.yaml` and warnings.
+
+    It names no `path`: Ultralytics then takes the file's own folder, so the data set can be moved. Ultralytics insists
+    on `train` and `val`: an absent val points to train, an absent train to what there is, each with a warning.
+    """
+    present = [s for s in SPLITS if s in set(splits)]
+    if not present:
+        raise ValueError("data.yaml needs at least one split")
+    problems = []
+    lines = ["# InfraBlend; paths are relative to this file\n"]
+    for split in SPLITS:
+        stand_in: str = split
+        if split not in present:
+            if split == "test":
+                continue
+            stand_in = "train" if "train" in present else present[0]
+            found = f"no split {split}; it points to {stand_in}"
+            todo = f"do not read results on {split} as independent"
+            problems.append(
+                Problem("data.yaml", f"{split}-absent", found, f"pictures of split {split}", todo, severity="warning")
+            )
+        lines.append(f"{split}: images/{stand_in}\n")
+    names = {number: name for name, number in sorted(classes.items(), key=lambda item: item[1])}
+    lines.append(yaml.safe_dump({"names": names}, sort_keys=True, allow_unicode=True, default_flow_style=False))
+    return "".join(lines), tuple(problems)
+
+
+def write_data_yaml(out: Path, classes: Classes, splits: Iterable[str]) -> Written:
+    """Write `out/data.yaml`; see `data_yaml`."""
+    text, problems = data_yaml(classes, splits)
+    return Written((write_text(out / "data.yaml", text),), {}, problems)
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    task: Task = "detect",
+    dont_care: Literal["drop", "keep"] = "drop",
+    without_mask: WithoutMask = "omit",
+) -> Written:
+    """Write a whole data set: every frame and `data.yaml`; see `write_frame` and `data_yaml`."""
+    ordered = sort_images(images)
+    classes = yolo_classes(categories, dont_care)
+    written = Written()
+    for image in ordered:
+        written += write_frame(out, image, classes, task, without_mask=without_mask)
+    return written + write_data_yaml(out, classes, {i.split for i in ordered})
+
+
+# -- reading one label file ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LabelLines:
+    """The numbers of a label file: (line number, class, values) per object, and what could not be read."""
+
+    rows: tuple[tuple[int, int, tuple[float, ...]], ...]
+    problems: tuple[Problem, ...]
+
+
+def parse_labels(text: str, where: str) -> LabelLines:
+    """Split a label file into numbers; a line that is none is an error and left out."""
+    rows: list[tuple[int, int, tuple[float, ...]]] = []
+    problems: list[Problem] = []
+    seen: set[tuple[int, tuple[float, ...]]] = set()
+    for n, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        here = f"{where}: line {n}"
+        try:
+            numbers = [float(w) for w in words]
+        except ValueError:
+            numbers = []
+        shape = len(numbers) == 5 or (len(numbers) >= 7 and len(numbers) % 2 == 1)
+        if not shape or not numbers[0].is_integer() or numbers[0] < 0:
+            expected = "class cx cy w h, or class and three or more x y pairs"
+            problems.append(Problem(here, "label-malformed", repr(line[:80]), expected, "correct the line"))
+            continue
+        values = tuple(numbers[1:])
+        if not all(math.isfinite(v) for v in values):
+            problems.append(Problem(here, "box-not-finite", repr(line[:80]), "finite numbers", "correct the line"))
+            continue
+        if (int(numbers[0]), values) in seen:
+            found = "the same line again, kept"
+            problems.append(Problem(here, "annotation-duplicate", found, "each object once", severity="warning"))
+        seen.add((int(numbers[0]), values))
+        rows.append((n, int(numbers[0]), values))
+    return LabelLines(tuple(rows), tuple(problems))
+
+
+def _instances(
+    labels: LabelLines, names: Mapping[int, str], size_wh: tuple[int, int], where: str, task: Task
+) -> tuple[tuple[Instance, ...], list[Problem]]:
+    problems = list(labels.problems)
+    instances: list[Instance] = []
+    w, h = size_wh
+    for n, number, values in labels.rows:
+        here = f"{where}: line {n}"
+        if number not in names:
+            found, expected = f"class {number}", f"one of {sorted(names)}"
+            problems.append(Problem(here, "category-unknown", found, expected, "add it to data.yaml"))
+            continue
+        if len(values) == 4:
+            cx, cy, bw, bh = values[0] * w, values[1] * h, values[2] * w, values[3] * h
+            points = None
+            raw: Sequence[float] = (cx - bw / 2, cy - bh / 2, cx + bw / 2, cy + bh / 2)
+            # Ten decimals put a box at the frame's edge up to 1e-7 px outside: that is rounding, not a fault.
+            raw = [_snap(raw[0], w), _snap(raw[1], h), _snap(raw[2], w), _snap(raw[3], h)]
+        else:
+            points = np.array(values, np.float64).reshape(-1, 2) * np.array([w, h], np.float64)
+            raw = [float(v) for v in box_of_points(points)]
+        box, problem = check_box(raw, size_wh, here)
+        if problem is not None:
+            problems.append(problem)
+        if box is None:
+            continue
+        corners = points if points is not None and task == "obb" and len(points) == 4 else None
+        mask = Mask.from_array(rasterise(points, size_wh)) if points is not None and corners is None else None
+        instances.append(Instance(names[number], box, corners, mask))
+    return tuple(instances), problems
+
+
+def _snap(value: float, size: int) -> float:
+    if -1e-6 < value < 0:
+        return 0.0
+    return float(size) if size < value < size + 1e-6 else value
+
+
+# -- reading folders -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FoundPicture:
+    """A picture of a folder data set: its name below its split's folder, and its label file, if there is one."""
+
+    name: str
+    path: Path
+    split: Split
+    label: Path | None
+    unique_name: str
+
+
+def find_label(path: Path, root: Path) -> Path | None:
+    """The label of a picture: beside it, or in the mirror of its `images` folder, or below `root/labels`."""
+    candidates = [path.with_suffix(".txt")]
+    relative = path.relative_to(root)
+    parts = list(relative.parts)
+    for k in reversed(range(len(parts) - 1)):
+        if parts[k] == "images":
+            candidates.append(root.joinpath(*parts[:k], "labels", *parts[k + 1 :]).with_suffix(".txt"))
+            break
+    candidates.append((root / "labels" / relative).with_suffix(".txt"))
+    return next((c for c in candidates if c.is_file() and c.name not in ("classes.txt",)), None)
+
+
+def build_records(
+    root: Path,
+    pictures: Sequence[FoundPicture],
+    names: Mapping[int, str] | None,
+    table: CaptureTable | None,
+    problems: list[Problem],
+    task: Task | None,
+) -> tuple[list[ImageRecord], dict[int, str]]:
+    """Image records of a folder, with the labels found; adds to `problems`.
+
+    Args:
+        root: The data set's folder.
+        pictures: What was found.
+        names: Category name by class number; None makes names `class_<n>`, with a warning.
+        table: Pitch and altitude, over what the file names say.
+        problems: Gets what is wrong.
+        task: What lines of nine numbers are: `obb` corners, `seg` polygons of four corners; None decides by the
+            whole: oriented boxes if every line that is no box has nine numbers.
+    """
+    parsed: dict[str, LabelLines] = {}
+    for p in pictures:
+        if p.label is None:
+            continue
+        where = p.label.relative_to(root).as_posix()
+        try:
+            parsed[p.unique_name] = parse_labels(p.label.read_text(encoding="utf-8-sig"), where)
+        except (OSError, UnicodeDecodeError) as error:
+            found = f"no text ({type(error).__name__})"
+            problems.append(Problem(where, "annotation-unreadable", found, "a YOLO label file", "replace or remove it"))
+    used = {number for labels in parsed.values() for _, number, _ in labels.rows}
+    known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
+    if names is None and used:
+        found = f"no data.yaml and no classes.txt; classes are called {', '.join(known.values())}"
+        problems.append(Problem(root.name, "names-missing", found, "the classes' names", severity="warning"))
+    if task is None:
+        longer = [len(v) for labels in parsed.values() for _, _, v in labels.rows if len(v) != 4]
+        task = "obb" if longer and all(n == 8 for n in longer) else "seg"
+    ids = assign_ids([p.unique_name for p in pictures])
+    records = []
+    unlabelled = 0
+    for p in pictures:
+        where = p.path.relative_to(root).as_posix()
+        size_wh: tuple[int, int] | None = None
+        instances: tuple[Instance, ...] = ()
+        if p.unique_name in parsed:
+            size_wh, problem = read_size(p.path, where)
+            if size_wh is None:
+                problems += [problem] if problem else []
+                continue
+            label = p.label.relative_to(root).as_posix() if p.label else where
+            instances, more = _instances(parsed[p.unique_name], known, size_wh, label, task)
+            problems += more
+        else:
+            unlabelled += 1
+        records.append(_record(p, ids[p.unique_name], size_wh, instances, table, where, problems))
+    if parsed and unlabelled:
+        found = f"{unlabelled} picture(s) have no label file, taken as without objects"
+        problems.append(Problem(root.name, "label-missing", found, "a label file each", severity="warning"))
+    return records, known
+
+
+def _record(
+    p: FoundPicture,
+    id_: str,
+    size_wh: tuple[int, int] | None,
+    instances: tuple[Instance, ...],
+    table: CaptureTable | None,
+    where: str,
+    problems: list[Problem],
+) -> ImageRecord:
+    facts = facts_from_name(p.name)
+    named = facts.capture if facts else Capture()
+    listed = table.find(p.unique_name) if table else None
+    if listed is not None:
+        for conflict in listed.conflicts(named):
+            found = f"{conflict} (table, file name); the table counts"
+            problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
+        named = listed.over(named)
+    return ImageRecord(
+        id_, p.path, p.split, size_wh, named.pitch_deg, named.altitude_m, named.time_of_day, instances,
+        file_name=p.name,
+    )  # fmt: skip
+
+
+def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], root: Path) -> list[Problem]:
+    """The table's own problems, and a warning for rows that name no picture."""
+    if table is None:
+        return []
+    unused = table.unused([p.unique_name for p in pictures])
+    problems = list(table.problems)
+    if unused:
+        found = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
+        problems.append(Problem(root.name, "table-unused", found, "a picture for each row", severity="warning"))
+    return problems
+
+
+# -- reading a data set with data.yaml -------------------------------------------------------------------------
+
+
+def find_yaml(root: Path) -> Path | None:
+    """The data set's description: `data.yaml` or a like name, or the only YAML file that has `names`."""
+    named = next((root / n for n in _YAML_NAMES if (root / n).is_file()), None)
+    if named is not None:
+        return named
+    others = sorted(p for p in root.glob("*.y*ml") if not p.name.startswith(".") and p.is_file())
+    return others[0] if len(others) == 1 else None
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a `data.yaml`.
+
+    Raises:
+        DatasetError: No YAML, or no mapping with `names`.
+    """
+    try:
+        value = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        problem = Problem(path.name, "annotation-not-yaml", f"no YAML ({type(error).__name__})", "a data.yaml")
+        raise DatasetError(f"{path}: no YAML", [problem]) from error
+    if not isinstance(value, dict) or "names" not in value:
+        problem = Problem(path.name, "annotation-layout", "no key `names`", "train, val, test and names")
+        raise DatasetError(f"{path}: no data.yaml of YOLO", [problem])
+    return value
+
+
+def class_names(value: object, where: str) -> dict[int, str]:
+    """Category name by class number from a list or a mapping.
+
+    Raises:
+        DatasetError: It is neither.
+    """
+    pairs = list(enumerate(value)) if isinstance(value, list) else []
+    if isinstance(value, dict):
+        pairs = [(int(k), v) for k, v in value.items() if str(k).isdigit()]
+    names = {int(k): str(v) for k, v in pairs}
+    if not names or len(set(names.values())) != len(names):
+        problem = Problem(where, "names", f"names: {value!r}"[:120], "a list, or numbers with one name each")
+        raise DatasetError(f"{where}: no class names", [problem])
+    return dict(sorted(names.items()))
+
+
+def categories_of(names: Mapping[int, str]) -> tuple[Category, ...]:
+    """Categories with the class numbers as ids."""
+    return tuple(Category(k, v, "", is_ignored_name(v)) for k, v in sorted(names.items()))
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` is a YOLO data set: it holds a `data.yaml` with `names` and a split that exists."""
+    path = find_yaml(root)
+    if path is None:
+        return Match(NAME, False, "no data.yaml")
+    try:
+        top = read_yaml(path)
+        class_names(top["names"], path.name)
+    except DatasetError as error:
+        return Match(NAME, False, f"{path.name}: {error.problems[0].found if error.problems else error.message}")
+    folders, _ = _split_folders(root, top, SPLITS, path.name)
+    if not folders:
+        return Match(NAME, False, f"{path.name} names no folder of pictures that exists")
+    return Match(NAME, True, f"{path.name} with {len(folders)} folder(s) of pictures")
+
+
+def _split_folders(
+    root: Path, top: Mapping[str, Any], splits: Sequence[Split], where: str
+) -> tuple[list[tuple[Split, Path]], list[Problem]]:
+    """(split, folder) as data.yaml says; a folder named twice counts for the first split."""
+    problems: list[Problem] = []
+    folders: list[tuple[Split, Path]] = []
+    home = root
+    base = top.get("path")
+    if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
+        home = root / base
+    seen: dict[Path, Split] = {}
+    for split in SPLITS:
+        value = top.get(split)
+        entries = value if isinstance(value, list) else [value] if value else []
+        for entry in entries:
+            here = f"{where}: {split}"
+            # Roboflow writes `../train/images` for what lies beside data.yaml; Ultralytics reads it so, too.
+            name = str(entry).removeprefix("../") if isinstance(entry, str) else entry
+            fault = check_name(name, here)
+            if fault is not None:
+                problems.append(fault)
+                continue
+            folder = home / str(name)
+            if not folder.is_dir():
+                found = f"{entry!r} is no folder"
+                problems.append(Problem(here, "folder-missing", found, "a folder of pictures", severity="warning"))
+                continue
+            if folder in seen:
+                found = f"{entry!r} is {seen[folder]} already, which counts"
+                problems.append(Problem(here, "split-twice", found, "a folder of its own", severity="warning"))
+                continue
+            seen[folder] = split
+            if split in splits:
+                folders.append((split, folder))
+    return folders, problems
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    task: Task | None = None,
+) -> Dataset:
+    """Read a YOLO data set with its `data.yaml`.
+
+    Args:
+        root: The folder with `data.yaml`.
+        splits: The splits wanted; None reads all there are.
+        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        task: What lines of nine numbers are; None decides, see `build_records`.
+
+    Raises:
+        DatasetError: No `data.yaml`, or no picture.
+    """
+    wanted = check_splits(splits)
+    path = find_yaml(root)
+    if path is None:
+        problem = Problem(str(root), "annotation-missing", "no data.yaml", "one", "read it as a plain folder")
+        raise DatasetError(f"{root}: no YOLO data set", [problem])
+    top = read_yaml(path)
+    names = class_names(top["names"], path.name)
+    folders, problems = _split_folders(root, top, wanted, path.name)
+    pictures = [
+        FoundPicture(name, file, split, find_label(file, root), file.relative_to(root).as_posix())
+        for split, folder in folders
+        for name, file in list_pictures(folder, ("labels",)).items()
+    ]
+    table_path = metadata or find_table(root)
+    table = read_table(table_path) if table_path else None
+    records, known = build_records(root, pictures, names, table, problems, task)
+    problems += check_table(table, pictures, root)
+    if not records:
+        raise DatasetError(f"{root}: no picture to read", few(problems))
+    notes = {"labels": "yolo", "table": table_path.name if table_path else None}
+    return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)
