@@ -548,7 +548,8 @@ def _split_folders(
     base = top.get("path")
     if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
         home = root / base
-    seen: dict[Path, Split] = {}
+    # A folder may stand in for a split that is absent (ours do): its own name then says what it is.
+    said: dict[Path, list[Split]] = {}
     for split in SPLITS:
         value = top.get(split)
         entries = value if isinstance(value, list) else [value] if value else []
@@ -561,17 +562,18 @@ def _split_folders(
                 problems.append(fault)
                 continue
             folder = home / str(name)
-            if not folder.is_dir():
+            if folder.is_dir():
+                said.setdefault(folder, []).append(split)
+            else:
                 found = f"{entry!r} is no folder"
                 problems.append(Problem(here, "folder-missing", found, "a folder of pictures", severity="warning"))
-                continue
-            if folder in seen:
-                found = f"{entry!r} is {seen[folder]} already, which counts"
-                problems.append(Problem(here, "split-twice", found, "a folder of its own", severity="warning"))
-                continue
-            seen[folder] = split
-            if split in splits:
-                folders.append((split, folder))
+    for folder, claims in said.items():
+        split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
+        if len(set(claims)) > 1:
+            found = f"{folder.name!r} is {' and '.join(claims)}; taken as {split}"
+            problems.append(Problem(where, "split-twice", found, "a folder for each split", severity="warning"))
+        if split in splits:
+            folders.append((split, folder))
     return folders, problems
 
 

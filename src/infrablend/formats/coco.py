@@ -1,0 +1,487 @@
+"""COCO JSON: one file per split, masks as run lengths, oriented boxes and InfraBlend's facts as extra fields."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pycocotools import mask as _rle
+
+from infrablend.core.boxes import corners_of_box, polygon_area
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import (
+    Match,
+    Written,
+    category_ids,
+    check_box,
+    check_splits,
+    few,
+    is_ignored_name,
+    number_ids,
+    read_json,
+    require_size,
+    sort_images,
+    to_bool,
+    to_floats,
+    to_int,
+    to_size,
+)
+from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.files import write_text
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+
+NAME = "coco"
+
+WithoutMask = Literal["polygon", "omit"]
+
+_INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
+# Far below a pixel; keeps sums such as 0.1 + 0.2 from filling the file with digits.
+_DIGITS = 9
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    ids: Literal["source", "new"] = "new",
+    without_mask: WithoutMask = "polygon",
+    info: Mapping[str, Any] | None = None,
+) -> Written:
+    """Write `out/<split>.json` for every split there is; pictures are not touched. See `coco_files`.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size, category or id is missing.
+    """
+    texts, losses = coco_files(images, categories, ids=ids, without_mask=without_mask, info=info)
+    return Written(tuple(write_text(out / name, text) for name, text in texts.items()), losses)
+
+
+def coco_files(
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    ids: Literal["source", "new"] = "new",
+    without_mask: WithoutMask = "polygon",
+    info: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, str], dict[str, int]]:
+    """Text of `<split>.json` by file name, and the losses. Sorted keys, no dates: same records, same bytes.
+
+    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their native ids;
+    those with `ignore` get `"ignore": 1` and their annotations `iscrowd` 1.
+
+    Args:
+        images: With `size_wh` known.
+        categories: With the ids to write.
+        ids: `new` numbers images and annotations from 1 over all splits (pycocotools takes annotation id 0 for "no
+            match") and writes the source's id as `source_id`; `source` keeps the source's own.
+        without_mask: What `segmentation` of an object without a mask is: the polygon of its oriented box, else of its
+            box, or the field omitted. `segmentation_from` says `mask`, `obb` or `box`.
+        info: The `info` object; it should hold no dates.
+    """
+    ordered = sort_images(images)
+    of_category = category_ids(categories)
+    ignored = {c.name for c in categories if c.ignore}
+    image_ids, object_ids = number_ids(ordered, ids, 1)
+    losses: Counter[str] = Counter()
+    texts: dict[str, str] = {}
+    names = [
+        {"id": c.id, "name": c.name, "supercategory": c.supercategory or c.name} | ({"ignore": 1} if c.ignore else {})
+        for c in categories
+    ]
+    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
+        records, annotations = [], []
+        for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
+            if image.split != split:
+                continue
+            records.append(_image_record(image, image_id, ids == "new"))
+            for instance, number in zip(image.instances, numbers, strict=True):
+                a = _annotation(instance, require_size(image), without_mask, losses)
+                a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
+                a["iscrowd"] = int(instance.category in ignored or instance.extra.get("iscrowd") == 1)
+                annotations.append(a | _source_id(instance, ids == "new"))
+        top = {
+            "info": dict(info or _INFO),
+            "licenses": [],
+            "images": records,
+            "annotations": annotations,
+            "categories": names,
+        }
+        texts[f"{split}.json"] = json.dumps(top, sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
+    return texts, {k: v for k, v in sorted(losses.items()) if v}
+
+
+def _source_id(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
+    if new and item.source_id is not None:
+        return {"source_id": item.source_id}
+    return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
+
+
+def _known(**fields: Any) -> dict[str, Any]:
+    return {k: v for k, v in fields.items() if v is not None}
+
+
+def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
+    w, h = require_size(image)
+    record = {"id": number, "file_name": image.name, "width": w, "height": h} | _source_id(image, new)
+    return record | _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
+
+
+def _tidy(values: NDArray[np.float64]) -> list[float]:
+    return [round(float(v), _DIGITS) for v in values.reshape(-1)]
+
+
+def _annotation(
+    instance: Instance, size_wh: tuple[int, int], without_mask: WithoutMask, losses: Counter[str]
+) -> dict[str, Any]:
+    x0, y0, x1, y1 = instance.box_xyxy
+    a: dict[str, Any] = {
+        "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
+        "area": round(float((x1 - x0) * (y1 - y0)), _DIGITS),
+        "inserted": instance.inserted,
+    }
+    corners = instance.corners_xy
+    if corners is not None:
+        a["obb"] = _tidy(corners)
+    a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
+    if instance.mask is not None:
+        if instance.mask.size_hw != (size_wh[1], size_wh[0]):
+            raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")
+        a |= {"segmentation": instance.mask.to_coco(), "segmentation_from": "mask", "area": instance.mask.area_px}
+    elif without_mask == "omit":
+        losses["without_mask_omitted"] += 1
+    else:
+        outline = corners if corners is not None else corners_of_box(instance.box_xyxy)
+        a |= {"segmentation": [_tidy(outline)], "segmentation_from": "box" if corners is None else "obb"}
+        if corners is not None:
+            a["area"] = round(abs(polygon_area(corners)), _DIGITS)
+    return a
+
+
+# -- finding ---------------------------------------------------------------------------------------------------
+
+
+def _is_coco(top: object) -> bool:
+    """True for a COCO object of a detection data set (HIT-UAV's own JSON has other keys)."""
+    if not isinstance(top, dict):
+        return False
+    lists = all(isinstance(top.get(k), list) for k in ("images", "annotations", "categories"))
+    return lists and all("file_name" in i for i in top["images"][:1] if isinstance(i, dict))
+
+
+def find_files(root: Path) -> dict[Path, Split]:
+    """COCO files of a folder with their splits: in the folder, or in `annotations/` or `coco/` below it.
+
+    The split is told by the name (`test.json`, `instances_val2017.json`); one file alone is train.
+    """
+    for folder in (root, root / "annotations", root / "coco"):
+        found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
+        files = [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
+        if files:
+            return {p: _split_of(p.stem) for p in files}
+    return {}
+
+
+def _split_of(stem: str) -> Split:
+    return next((s for s in ("val", "test") if s in stem.lower()), "train")
+
+
+def _looks_like_coco(path: Path) -> bool:
+    try:
+        return _is_coco(read_json(path))
+    except DatasetError:
+        # A broken file with a split's name is reported when read; any other is none of ours.
+        return path.stem in SPLITS or path.stem.startswith("instances_")
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds COCO files."""
+    files = find_files(root)
+    if not files:
+        reason = "no JSON with images, annotations and categories in the folder, annotations/ or coco/"
+        return Match(NAME, False, reason)
+    return Match(NAME, True, f"COCO: {', '.join(p.relative_to(root).as_posix() for p in files)}")
+
+
+def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) -> PictureFolder:
+    """The folder that holds most of the named pictures, among the usual places."""
+    stem = file.stem.removeprefix("instances_")
+    bases = [root, file.parent, file.parent.parent] if file.parent != root else [root]
+    if root.name == "coco":
+        bases.append(root.parent)
+    best, most = root, -1
+    for base in bases:
+        for part in (f"images/{split}", f"images/{stem}", split, stem, "images", "."):
+            folder = base / part
+            count = sum((folder / n).is_file() for n in names[:50]) if folder.is_dir() else 0
+            if count > most:
+                best, most = folder, count
+    return PictureFolder.scan(best)
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    file: Path | None = None,
+) -> Dataset:
+    """Read COCO files and find their pictures.
+
+    Args:
+        root: Folder with the JSON files (or with `annotations/` or `coco/`).
+        splits: The splits wanted; None reads all there are.
+        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        file: Read this JSON alone.
+
+    Raises:
+        DatasetError: No COCO file, or nothing can be read.
+    """
+    wanted = check_splits(splits)
+    files = {file: _split_of(file.stem)} if file is not None else find_files(root)
+    if not files:
+        problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
+        raise DatasetError(f"{root}: no COCO data set", [problem])
+    table_path = metadata or find_table(root)
+    table = read_table(table_path) if table_path else None
+    problems: list[Problem] = list(table.problems) if table else []
+    categories: list[Category] = []
+    found: list[tuple[str, ImageRecord]] = []
+    for path, split in files.items():
+        if split not in wanted:
+            continue
+        where = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+        try:
+            top = read_json(path)
+        except DatasetError as error:
+            problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+            continue
+        if not _is_coco(top):
+            problems.append(
+                Problem(where, "annotation-layout", "no COCO keys", "images, annotations, categories", "use COCO")
+            )
+            continue
+        found += _read_file(top, root, path, split, where, categories, table, problems)
+    ids = assign_ids([key for key, _ in found])
+    images = [_with_id(record, ids[key]) for key, record in found]
+    if not images:
+        raise DatasetError(f"{root}: no picture to read", few(problems))
+    if table is not None and (unused := table.unused([r.name for r in images])):
+        text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
+        problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))
+    notes = {"labels": "coco", "table": table_path.name if table_path else None}
+    return Dataset(root, NAME, tuple(categories), sort_images(images), tuple(problems), notes)
+
+
+def _with_id(record: ImageRecord, id_: str) -> ImageRecord:
+    return ImageRecord(
+        id_, record.path, record.split, record.size_wh, record.pitch_deg, record.altitude_m, record.time_of_day,
+        record.instances, record.source_id, record.extra, record.file_name,
+    )  # fmt: skip
+
+
+def _read_file(
+    top: Mapping[str, Any],
+    root: Path,
+    path: Path,
+    split: Split,
+    where: str,
+    categories: list[Category],
+    table: CaptureTable | None,
+    problems: list[Problem],
+) -> list[tuple[str, ImageRecord]]:
+    """(name unique in the data set, record) for every picture that can be used."""
+    names: dict[int, str] = {}
+    for i, c in enumerate(top["categories"]):
+        number = to_int(c.get("id")) if isinstance(c, dict) else None
+        if number is None or not isinstance(c.get("name"), str) or number in names:
+            problems.append(
+                Problem(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
+            )
+            continue
+        names[number] = c["name"]
+        if all(k.name != c["name"] for k in categories):
+            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
+            ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
+            categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
+    listed = [str(i["file_name"]) for i in top["images"] if isinstance(i, dict) and "file_name" in i]
+    folder = _picture_folder(root, path, split, [n for n in listed if check_name(n, "") is None])
+    of_image: dict[int, list[Mapping[str, Any]]] = {}
+    for i, a in enumerate(top["annotations"]):
+        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
+        if number is None:
+            found = repr(a)[:80]
+            problems.append(Problem(f"{where}: annotation {i}", "annotation-malformed", found, "an annotation record"))
+            continue
+        of_image.setdefault(number, []).append(a)
+    records: list[tuple[str, ImageRecord]] = []
+    seen_names: set[str] = set()
+    seen_ids: set[int] = set()
+    for i, r in enumerate(top["images"]):
+        here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
+        number = to_int(r.get("id")) if isinstance(r, dict) else None
+        if number is None:
+            problems.append(Problem(here, "image-malformed", repr(r)[:80], "an image record with an id"))
+            continue
+        fault = check_name(r.get("file_name"), here)
+        name, file = str(r.get("file_name")), None
+        if fault is None:
+            name, file, fault = folder.find(name, here)
+        if fault is None and file is None:
+            fault = Problem(here, "image-missing", f"no picture {name!r}", "a file in the picture folder", "restore it")
+        if fault is None and (name in seen_names or number in seen_ids):
+            fault = Problem(here, "image-duplicate", f"{name!r}, id {number}, a second time", "each picture once")
+        if fault is not None or file is None:
+            problems += [fault] if fault else []
+            if number not in seen_ids:
+                of_image.pop(number, None)
+            continue
+        seen_names.add(name)
+        seen_ids.add(number)
+        size_wh = to_size(r.get("width"), r.get("height"))
+        instances = _read_annotations(of_image.pop(number, []), names, size_wh, where, problems)
+        records.append(
+            (f"{split}/{name}", _image(r, number, name, file, split, size_wh, instances, table, here, problems))
+        )
+    for number, left in sorted(of_image.items()):
+        text = f"{len(left)} annotation(s) of image_id {number}"
+        problems.append(Problem(where, "image-unknown", text, "the id of a picture that is read"))
+    return records
+
+
+def _image(
+    r: Mapping[str, Any],
+    number: int,
+    name: str,
+    file: Path,
+    split: Split,
+    size_wh: tuple[int, int] | None,
+    instances: tuple[Instance, ...],
+    table: CaptureTable | None,
+    where: str,
+    problems: list[Problem],
+) -> ImageRecord:
+    facts = facts_from_name(name)
+    pitch, altitude = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
+    time = r.get("time_of_day")
+    own = Capture(
+        pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
+        altitude[0] if altitude and altitude[0] >= 0 else None,
+        time if time in ("day", "night") else None,
+    )
+    capture = own.over(facts.capture if facts else Capture())
+    listed = table.find(name) if table else None
+    if listed is not None:
+        for conflict in listed.conflicts(capture):
+            found = f"{conflict} (table, annotation); the table counts"
+            problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
+        capture = listed.over(capture)
+    extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+    return ImageRecord(
+        "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
+        number, extra, name,
+    )  # fmt: skip
+
+
+def _read_annotations(
+    records: Sequence[Mapping[str, Any]],
+    names: Mapping[int, str],
+    size_wh: tuple[int, int] | None,
+    where: str,
+    problems: list[Problem],
+) -> tuple[Instance, ...]:
+    instances: list[Instance] = []
+    seen: set[int] = set()
+    for a in records:
+        number = to_int(a.get("id"))
+        here = f"{where}: annotation {a.get('id')}"
+        if number is not None and number in seen:
+            text = f"id {number} a second time"
+            problems.append(Problem(here, "annotation-duplicate", text, "each id once", severity="warning"))
+        seen |= {number} if number is not None else set()
+        category = to_int(a.get("category_id"))
+        if category is None or category not in names:
+            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names)}"
+            problems.append(Problem(here, "category-unknown", text, expected, "add it to categories"))
+            continue
+        bbox = to_floats(a.get("bbox"), 4)
+        if bbox is None:
+            text = f"bbox {a.get('bbox')!r}"[:120]
+            problems.append(Problem(here, "box-malformed", text, "[x, y, w, h]", "correct the annotation"))
+            continue
+        x, y, w, h = bbox
+        box, problem = check_box((x, y, *_far(x, y, w, h, size_wh)), size_wh, here)
+        if problem is not None:
+            problems.append(problem)
+        if box is None:
+            continue
+        corners = to_floats(a.get("obb"), 8)
+        visibility = to_floats([a.get("visibility")], 1)
+        extra = {k: a[k] for k in ("source_id",) if k in a}
+        if a.get("iscrowd") == 1:
+            extra["iscrowd"] = 1
+        instances.append(
+            Instance(
+                names[category],
+                box,
+                None if corners is None or not np.isfinite(corners).all() else np.array(corners).reshape(4, 2),
+                _read_mask(a, size_wh, here, problems),
+                visibility[0] if visibility else None,
+                to_bool(a.get("truncated")),
+                to_bool(a.get("difficult")),
+                a.get("inserted") is True,
+                number,
+                extra,
+            )
+        )
+    return tuple(instances)
+
+
+def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:
+    """Right and lower edge; a sum that misses the frame's edge by rounding alone is on it."""
+    x1, y1 = x + w, y + h
+    if size_wh is not None:
+        x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
+        y1 = float(size_wh[1]) if 0 < y1 - size_wh[1] < 1e-6 else y1
+    return x1, y1
+
+
+def _read_mask(
+    a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str, problems: list[Problem]
+) -> Mask | None:
+    """The mask of a segmentation in run lengths or polygons; None if there is none or it only repeats the box."""
+    value = a.get("segmentation")
+    if not value or a.get("segmentation_from") in ("obb", "box"):
+        return None
+    if size_wh is None:
+        return None
+    w, h = size_wh
+    try:
+        if isinstance(value, list):
+            made = _rle.merge(_rle.frPyObjects([[float(v) for v in ring] for ring in value], h, w))
+        elif isinstance(value.get("counts"), list):
+            made = _rle.frPyObjects(value, *value["size"])
+        else:
+            made = {"size": list(value["size"]), "counts": value["counts"].encode("ascii")}
+        if list(made["size"]) != [h, w]:
+            raise ValueError(f"size {made['size']}, not {[h, w]}")
+        counts = made["counts"]
+        return Mask(counts if isinstance(counts, str) else counts.decode("ascii"), (h, w))
+    except Exception as error:  # pycocotools raises what it likes on broken run lengths
+        text = f"segmentation that cannot be read ({type(error).__name__}: {error}), left out"
+        problems.append(Problem(where, "mask-malformed", text, "run lengths or polygons", severity="warning"))
+        return None

@@ -1,0 +1,138 @@
+"""A plain folder of pictures, with YOLO or COCO labels or none, and perhaps a table of pitch and altitude.
+
+[images/][train|val|test/]**/*.jpg    [**/*.txt beside the pictures or in labels/]    [classes.txt | data.yaml]
+[one COCO .json]    [metadata.csv | metadata.json]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from infrablend.core.dataset import Dataset, Split
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats import coco
+from infrablend.formats.base import Match, check_splits, few, sort_images
+from infrablend.formats.capture import find_table, read_table
+from infrablend.formats.pictures import list_pictures
+from infrablend.formats.yolo import (
+    FoundPicture,
+    Task,
+    build_records,
+    categories_of,
+    check_table,
+    class_names,
+    find_label,
+    find_yaml,
+    read_yaml,
+)
+
+NAME = "folder"
+
+Labels = Literal["auto", "none", "yolo", "coco"]
+_SPLIT_NAMES: dict[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+}  # fmt: skip
+# Folders that hold no backgrounds.
+_SKIP = ("labels", "annotations", "coco", "scenes")
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds pictures at all."""
+    if not root.is_dir():
+        return Match(NAME, False, "no such folder")
+    if not list_pictures(root, _SKIP):
+        return Match(NAME, False, "no picture (JPEG, PNG, BMP, TIFF) in it or below")
+    return Match(NAME, True, "a folder with pictures")
+
+
+def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
+    """(split, folder) of a plain folder: its `train`, `val`, `test` (in `images/` too), else all of it as train."""
+    for base in (root, root / "images"):
+        if not base.is_dir():
+            continue
+        folders = sorted(d for d in base.iterdir() if d.is_dir() and d.name.lower() in _SPLIT_NAMES)
+        split_folders = [(_SPLIT_NAMES[d.name.lower()], d) for d in folders]
+        if split_folders and any(list_pictures(d, _SKIP) for _, d in split_folders):
+            problems: list[Problem] = []
+            inside = {p for _, d in split_folders for p in list_pictures(d, _SKIP).values()}
+            outside = [n for n, p in list_pictures(root, _SKIP).items() if p not in inside]
+            if outside:
+                found = f"{len(outside)} picture(s) outside the split folders, left out: {', '.join(outside[:3])}"
+                expected = "all pictures in train, val or test"
+                problems.append(Problem(root.name, "image-unlisted", found, expected, severity="warning"))
+            return split_folders, problems
+    return [("train", root)], []
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    labels: Labels = "auto",
+    task: Task | None = None,
+) -> Dataset:
+    """Read a folder of pictures. Nothing is decoded; sizes are read only where labels need them.
+
+    Args:
+        root: The folder; subfolders are entered.
+        splits: The splits wanted; without `train`, `val`, `test` subfolders everything is train.
+        metadata: Table of pitch and altitude (`capture.read_table`); None takes `metadata.csv` or `.json` in the
+            folder, if there. Names in HIT-UAV's grammar give pitch and altitude, too; the table counts more.
+        labels: `auto` takes what is there: one COCO file, else text files; `none` ignores labels.
+        task: What YOLO lines of nine numbers are, see `yolo.build_records`.
+
+    Raises:
+        DatasetError: No picture, or the labels asked for are not there.
+    """
+    wanted = check_splits(splits)
+    if not root.is_dir():
+        problem = Problem(str(root), "folder-missing", "no such folder", "a folder of pictures", "check the path")
+        raise DatasetError(f"{root}: no such folder", [problem])
+    if labels in ("auto", "coco"):
+        files = coco.find_files(root)
+        if files:
+            return replace(coco.read(root, splits=wanted, metadata=metadata), format=NAME)
+        if labels == "coco":
+            raise DatasetError(f"{root}: no COCO file", [Problem(str(root), "annotation-missing", "no COCO file")])
+    folders, problems = find_pictures(root)
+    pictures = [
+        FoundPicture(
+            name, path, split, None if labels == "none" else find_label(path, root), path.relative_to(root).as_posix()
+        )
+        for split, folder in folders
+        if split in wanted
+        for name, path in list_pictures(folder, _SKIP).items()
+    ]
+    if not pictures:
+        problems.append(Problem(str(root), "image-missing", "no picture", "JPEG, PNG, BMP or TIFF files"))
+        raise DatasetError(f"{root}: no picture to read in the splits {', '.join(wanted)}", problems)
+    table_path = metadata or find_table(root)
+    table = read_table(table_path) if table_path else None
+    labelled = [p for p in pictures if p.label is not None]
+    if labels == "yolo" and not labelled:
+        problem = Problem(str(root), "annotation-missing", "no label file", "a .txt for each picture")
+        raise DatasetError(f"{root}: no YOLO labels", [problem])
+    names = _find_names(root, pictures) if labelled else None
+    records, known = build_records(root, pictures, names, table, problems, task)
+    problems += check_table(table, pictures, root)
+    if not records:
+        raise DatasetError(f"{root}: no picture can be read", few(problems))
+    notes = {"labels": "yolo" if labelled else "none", "table": table_path.name if table_path else None}
+    return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)
+
+
+def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:
+    """Class names from `data.yaml`, or from `classes.txt` in the folder, in `labels/` or beside the first label."""
+    path = find_yaml(root)
+    if path is not None:
+        return class_names(read_yaml(path)["names"], path.name)
+    first = next(p.label for p in pictures if p.label is not None)
+    for candidate in (root / "classes.txt", root / "labels" / "classes.txt", first.parent / "classes.txt"):
+        if candidate.is_file():
+            lines = candidate.read_text(encoding="utf-8-sig").splitlines()
+            return class_names([s.strip() for s in lines if s.strip()], candidate.name)
+    return None

@@ -1,0 +1,112 @@
+"""The table of formats, and the two functions that use it: which format is a folder, and read it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import Dataset
+from infrablend.errors import DatasetError, Problem, UnknownFormatError
+from infrablend.formats.base import Match
+from infrablend.formats.hit_uav import FORMS, Form
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: its name, the module with `detect`, `read` and perhaps `write`, and what it is in a line."""
+
+    name: str
+    module: str
+    writes: bool
+    summary: str
+
+    def load(self, function: str) -> Callable[..., Any]:
+        """A function of the format's module."""
+        found: Callable[..., Any] = getattr(import_module(self.module), function)
+        return found
+
+
+FORMATS: tuple[Format, ...] = (
+    Format("hit-uav", "infrablend.formats.hit_uav", True, "HIT-UAV in any of its four annotation forms"),
+    Format("coco", "infrablend.formats.coco", True, "COCO JSON, one file per split"),
+    Format("yolo", "infrablend.formats.yolo", True, "YOLO with a data.yaml: detect, OBB or seg"),
+    Format("folder", "infrablend.formats.folder", False, "a plain folder of pictures, labels optional"),
+)
+"""In the order of detection: the most particular first."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """The format found (None if none fits), and what each format said about the folder, in order."""
+
+    format: str | None
+    matches: tuple[Match, ...]
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Reason by format: why it fits, or why it does not."""
+        return {m.format: m.reason for m in self.matches}
+
+
+def find_format(name: str) -> Format:
+    """The format of that name.
+
+    Raises:
+        UnknownFormatError: There is none.
+    """
+    for f in FORMATS:
+        if f.name == name:
+            return f
+    raise UnknownFormatError(f"format {name!r}: expected one of {', '.join(f.name for f in FORMATS)}")
+
+
+def detect(root: Path) -> Detection:
+    """Ask every format whether the folder is its own; the first that says yes is taken."""
+    matches = tuple(f.load("detect")(root) for f in FORMATS)
+    return Detection(next((m.format for m in matches if m.ok), None), matches)
+
+
+def read_dataset(
+    root: Path,
+    *,
+    format: str | None = None,
+    form: Form | None = None,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+) -> Dataset:
+    """Read a folder as a background data set, whatever its format.
+
+    Args:
+        root: The folder.
+        format: A name in `FORMATS`; None detects it.
+        form: HIT-UAV only: read this annotation form alone.
+        splits: The splits wanted; None reads all.
+        metadata: Table of pitch and altitude, for formats whose files do not hold them (not HIT-UAV).
+
+    Raises:
+        UnknownFormatError: No format fits; `problems` gives each one's reason.
+        DatasetError: The folder cannot be read, or an option does not belong to its format.
+    """
+    if not root.is_dir():
+        problem = Problem(str(root), "folder-missing", "no such folder", "a data set's folder", "check --data")
+        raise DatasetError(f"{root}: no such folder", [problem])
+    if format is None:
+        found = detect(root)
+        if found.format is None:
+            problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
+            raise UnknownFormatError(f"{root}: no format fits", problems)
+        format = found.format
+    chosen = find_format(format)
+    if form is not None and chosen.name != "hit-uav":
+        raise DatasetError(f"{root}: form {form!r} is one of HIT-UAV ({', '.join(FORMS)}), the format is {chosen.name}")
+    if metadata is not None and chosen.name == "hit-uav":
+        raise DatasetError(f"{root}: HIT-UAV says pitch and altitude itself; leave out the table {metadata.name}")
+    read = chosen.load("read")
+    if chosen.name == "hit-uav":
+        dataset: Dataset = read(root, splits=splits, form=form)
+    else:
+        dataset = read(root, splits=splits, metadata=metadata)
+    return dataset
