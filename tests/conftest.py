@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from PIL import Image
 
 # The same examples on every machine and in every run; shared machines make deadlines meaningless.
 settings.register_profile(
@@ -42,6 +47,75 @@ def real_data(real_data_or_none: Path | None, request: pytest.FixtureRequest) ->
         _skipped_without_real_data.append(request.node.nodeid)
         pytest.skip(f"NEEDS REAL DATA: set {REAL_DATA_VARIABLE} to the folder that holds hit-uav")
     return real_data_or_none
+
+
+HIT_UAV_CATEGORIES = ("Person", "Car", "Bicycle", "OtherVehicle", "DontCare")
+# Split, file name, objects as (category, cx, cy, w, h, angle): a cut object, an empty image, a region to ignore.
+TINY_FRAMES = (
+    ("train", "0_60_30_0_00001.jpg", ((1, 120.5, 200.25, 60.0, 28.0, 0.5), (0, 400.0, 300.0, 12.0, 20.0, 0.0))),
+    ("train", "1_90_60_0_00002.jpg", ()),
+    ("val", "1_100_50_0_00003.jpg", ((2, 610.0, 480.0, 24.0, 12.0, 0.0), (4, 300.0, 100.0, 80.0, 40.0, 0.0))),
+    ("test", "0_130_90_0_00004.jpg", ((3, 320.0, 256.0, 70.0, 30.0, 2.0),)),
+)
+
+
+@pytest.fixture(scope="session")
+def write_tiny_hit_uav() -> Callable[..., Path]:
+    """Write a made-up dataset of four 640 x 512 images in HIT-UAV's layout: (folder, forms) -> folder."""
+
+    def write(root: Path, forms: tuple[str, ...] = ("normal_json", "rotate_json")) -> Path:
+        sizes = {"width": 640, "height": 512}
+        for form in forms:
+            for split in ("train", "val", "test"):
+                images, annotations = [], []
+                for image_id, (of_split, name, objects) in enumerate(TINY_FRAMES):
+                    if of_split != split:
+                        continue
+                    path = root / form / split / name
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    _tiny_picture(image_id).save(path, quality=90)
+                    day, altitude, pitch, weather, _ = path.stem.split("_")
+                    images.append({"id": image_id, "filename": name, **sizes})
+                    if form == "normal_json":
+                        images[-1]["date_captured"] = "20210101"
+                    else:
+                        facts = {"scenario": day, "weather": weather, "perspective": pitch, "altitude": altitude}
+                        images[-1] |= {"depth": 1, **facts, "date": "20210101"}
+                    for k, (category, *box) in enumerate(objects):
+                        common = {"id": 10 * image_id + k, "image_id": image_id, "category_id": category}
+                        annotations.append(common | _tiny_annotation(form, box))
+                key = "annotation" if form == "normal_json" else "annotations"
+                content = {
+                    "info": {"description": "made up"},
+                    "licenses": [],
+                    "images": images,
+                    "categories": [{"id": i, "name": name} for i, name in enumerate(HIT_UAV_CATEGORIES)],
+                    key: annotations,
+                }
+                target = root / form / "annotations" / f"{split}.json"
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_text(json.dumps(content))
+        return root
+
+    return write
+
+
+def _tiny_picture(number: int) -> Image.Image:
+    """A smooth ramp with a few steps: something that JPEG and percentiles can work on."""
+    x, y = np.meshgrid(np.arange(640), np.arange(512))
+    return Image.fromarray((60 + x / 10 + y / 20 + 10 * number + 15 * ((x // 80 + y // 64) % 2)).astype(np.uint8))
+
+
+def _tiny_annotation(form: str, box: list[float]) -> dict[str, object]:
+    """The box fields of one annotation; the axis-aligned form is truncated as HIT-UAV's is."""
+    if form == "rotate_json":
+        return {"difficult": False, "bbox": box}
+    cx, cy, w, h, angle = box
+    c, s = abs(math.cos(angle)), abs(math.sin(angle))
+    half_w, half_h = (w * c + h * s) / 2, (w * s + h * c) / 2
+    x0, y0, x1, y1 = (int(v) for v in (cx - half_w, cy - half_h, cx + half_w, cy + half_h))
+    corners = [x0, y0, x1, y0, x1, y1, x0, y1]
+    return {"segmentation": [corners], "area": (x1 - x0) * (y1 - y0), "bbox": [x0, y0, x1 - x0, y1 - y0]}
 
 
 @pytest.hookimpl(tryfirst=True)

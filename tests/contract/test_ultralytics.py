@@ -95,3 +95,31 @@ def test_the_check_fails_when_nothing_loads(ultralytics_check, tmp_path: Path) -
     code, answer = ultralytics_check(tmp_path / "data.yaml", "detect")
     assert code == 1
     assert "error" in answer
+
+
+EXPECTED_CLASSES = {"Person": 2, "Car": 2, "Bicycle": 2, "OtherVehicle": 2, "drone": 8}
+
+
+@pytest.mark.parametrize("folder", ["yolo", "yolo-obb", "yolo-seg"])
+def test_ultralytics_takes_all_of_a_run(ultralytics_check, finished_run: Path, folder: str) -> None:
+    task = {"yolo": "detect", "yolo-obb": "obb", "yolo-seg": "segment"}[folder]
+    code, answer = ultralytics_check(finished_run / folder / "data.yaml", task)
+    assert code == 0, answer
+    assert answer["images"] == 8
+    assert answer["dropped"] == answer["corrupt"] == 0
+    assert answer["per_class"]["drone"] == 8
+    if folder != "yolo-seg":
+        assert answer["per_class"] == EXPECTED_CLASSES
+
+
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> Path:
+    """A run on the made-up dataset with the software renderer: two configurations of four images."""
+    from infrablend import api
+
+    root = tmp_path_factory.mktemp("run")
+    data = write_tiny_hit_uav(root / "data")
+    settings = {"labels.remove_covered": 1.0}
+    report = api.generate("hit-uav-drone", data, root / "out", renderer="fake", in_process=True, settings=settings)
+    assert report.ok, report.problems
+    return report.out
