@@ -34,7 +34,7 @@ from infrablend.formats.base import (
     to_size,
 )
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
-from infrablend.formats.files import write_text
+from infrablend.formats.files import link_or_copy, write_text
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 
 NAME = "coco"
@@ -57,15 +57,23 @@ def write(
     ids: Literal["source", "new"] = "new",
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
+    pictures: bool = True,
 ) -> Written:
-    """Write `out/<split>.json` for every split there is; pictures are not touched. See `coco_files`.
+    """Write `out/<split>.json` for every split there is, see `coco_files`, and link the pictures.
+
+    Pictures go to `out/images/<split>/`, as hard links of `ImageRecord.path` (copies where that is impossible);
+    `pictures=False` writes the JSON alone, for pictures that lie in `images/<split>/` beside or above already.
 
     Raises:
         OutputError: A file cannot be written.
         ValueError: A size, category or id is missing.
     """
-    texts, losses = coco_files(images, categories, ids=ids, without_mask=without_mask, info=info)
-    return Written(tuple(write_text(out / name, text) for name, text in texts.items()), losses)
+    ordered = sort_images(images)
+    texts, losses = coco_files(ordered, categories, ids=ids, without_mask=without_mask, info=info)
+    files = [write_text(out / name, text) for name, text in texts.items()]
+    for image in ordered if pictures else ():
+        files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    return Written(tuple(files), losses)
 
 
 def coco_files(

@@ -11,7 +11,7 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match
-from infrablend.formats.hit_uav import FORMS, Form
+from infrablend.formats.hit_uav import FORMS
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,11 @@ def detect(root: Path) -> Detection:
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
-def read_dataset(
+def read(
     root: Path,
     *,
     format: str | None = None,
-    form: Form | None = None,
+    form: str | None = None,
     splits: Iterable[str] | None = None,
     metadata: Path | None = None,
 ) -> Dataset:
@@ -100,13 +100,15 @@ def read_dataset(
             raise UnknownFormatError(f"{root}: no format fits", problems)
         format = found.format
     chosen = find_format(format)
+    if form is not None and form not in FORMS:
+        raise DatasetError(f"form {form!r}: expected one of {', '.join(FORMS)}")
     if form is not None and chosen.name != "hit-uav":
         raise DatasetError(f"{root}: form {form!r} is one of HIT-UAV ({', '.join(FORMS)}), the format is {chosen.name}")
     if metadata is not None and chosen.name == "hit-uav":
         raise DatasetError(f"{root}: HIT-UAV says pitch and altitude itself; leave out the table {metadata.name}")
-    read = chosen.load("read")
+    reader = chosen.load("read")
     if chosen.name == "hit-uav":
-        dataset: Dataset = read(root, splits=splits, form=form)
+        dataset: Dataset = reader(root, splits=splits, form=form)
     else:
-        dataset = read(root, splits=splits, metadata=metadata)
+        dataset = reader(root, splits=splits, metadata=metadata)
     return dataset
