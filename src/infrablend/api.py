@@ -17,8 +17,10 @@ from typing import Any
 
 from infrablend.assets import catalogue
 from infrablend.config import loading
+from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
-from infrablend.errors import DatasetError, OutputError
+from infrablend.errors import OutputError
+from infrablend.formats import detection
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.plan import RunPlan, make_plan
 from infrablend.pipeline.rerender import rerender_frame
@@ -67,6 +69,7 @@ def generate(
     device: str = "auto",
     formats: Sequence[str] | None = None,
     form: str | None = None,
+    metadata: str | Path | None = None,
     settings: Settings = (),
     resume: bool = False,
     overwrite: bool = False,
@@ -87,6 +90,7 @@ def generate(
         device: auto, cpu, cuda, optix, hip, metal, oneapi.
         formats: Some of yolo, yolo-obb, yolo-seg, coco, native; as the recipe says by default.
         form: Read only this form of the dataset (HIT-UAV: normal_json, rotate_json, normal_xml, rotate_xml).
+        metadata: Table of pitch and altitude (CSV or JSON), for datasets that do not say it themselves.
         settings: Recipe fields to set: `["output.image=png"]` or `{"output.image": "png"}`.
         resume: Go on with an interrupted run in `out`.
         overwrite: Delete an earlier run in `out` first.
@@ -97,7 +101,7 @@ def generate(
     Raises:
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, settings)
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, settings)
     return run_plan(
         prepared,
         Path(out),
@@ -123,10 +127,11 @@ def plan(
     device: str = "auto",
     formats: Sequence[str] | None = None,
     form: str | None = None,
+    metadata: str | Path | None = None,
     settings: Settings = (),
 ) -> PlanReport:
     """What `generate` with the same arguments would do: frames, disk, estimated time. Writes nothing."""
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, settings)
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, settings)
     facts = prepared.estimate(workers or default_workers())
     facts["device"] = device
     facts["categories"] = [c.name for c in prepared.categories]
@@ -143,6 +148,7 @@ def _prepare(
     seed: int,
     formats: Sequence[str] | None,
     form: str | None,
+    metadata: str | Path | None,
     settings: Settings,
 ) -> RunPlan:
     pairs: Settings = settings
@@ -157,7 +163,7 @@ def _prepare(
     root = Path(data)
     if out is not None:
         _require_apart(root, Path(out))
-    dataset = read_dataset(root, splits=splits, form=form)
+    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata)
     return make_plan(loaded, dataset, seed, splits=splits, limit=limit)
 
 
@@ -167,19 +173,28 @@ def _require_apart(data: Path, out: Path) -> None:
         raise OutputError(f"--out {out}: holds the data folder {data}; choose a folder of its own")
 
 
-def read_dataset(data: str | Path, *, splits: Sequence[str] | None = None, form: str | None = None) -> Any:
-    """A background dataset in memory (`core.dataset.Dataset`), its format detected.
+def read_dataset(
+    data: str | Path,
+    *,
+    splits: Sequence[str] | None = None,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+) -> Dataset:
+    """A background dataset in memory, its format detected.
+
+    Args:
+        data: The folder.
+        splits: The splits wanted; all by default.
+        form: Read only this form (HIT-UAV).
+        metadata: CSV or JSON table of pitch and altitude, for datasets that do not say it themselves.
 
     Raises:
         UnknownFormatError: With the reason for each format that does not match.
         DatasetError: If it cannot be read.
     """
-    from infrablend.formats.detection import read
-
-    root = Path(data)
-    if not root.is_dir():
-        raise DatasetError(f"--data {root}: no such folder; expected the folder of a dataset")
-    return read(root, splits=splits, form=form)
+    return detection.read(
+        Path(data), form=form, splits=splits, metadata=None if metadata is None else Path(metadata)
+    )
 
 
 def default_workers() -> int:

@@ -7,13 +7,19 @@ import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
+from infrablend.formats import coco, hit_uav, yolo
+from infrablend.formats.base import Written
+from infrablend.formats.files import link_or_copy
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
+
+YOLO_TASKS: Mapping[str, yolo.Task] = {"yolo": "detect", "yolo-obb": "obb", "yolo-seg": "seg"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,45 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
     """Write every format the recipe asks for; the same records give the same bytes."""
     records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
     images = [labelled_image(f, r, folder) for f, r in records]
-    return summarize(plan, records, images)
+    losses: Counter[str] = Counter()
+    problems: list[Problem] = []
+    for name in plan.recipe.output.formats if images else ():
+        written = _write_format(name, plan, folder, images)
+        losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
+        problems += written.problems
+    finished = summarize(plan, records, images)
+    return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(problems))
+
+
+def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> Written:
+    labels, categories = plan.recipe.labels, plan.categories
+    out = folder.root / name
+    if name in YOLO_TASKS:
+        return yolo.write(
+            out,
+            images,
+            categories,
+            task=YOLO_TASKS[name],
+            dont_care=labels.dont_care,
+            without_mask=labels.seg_originals,
+        )
+    if name == "coco":
+        return coco.write(out, images, categories)
+    return _write_native(plan, out, images)
+
+
+def _write_native(plan: RunPlan, out: Path, images: Sequence[ImageRecord]) -> Written:
+    """The dataset in the input's own format. A folder of bare pictures has none: its pictures are in `images/`."""
+    source = plan.dataset
+    if source.format == "hit-uav":
+        return hit_uav.write(out, images, plan.categories, extra=source.extra)
+    if source.format == "yolo":
+        return yolo.write(out, images, plan.categories, task="detect", dont_care="keep")
+    if source.format == "coco":
+        for image in images:
+            link_or_copy(image.path, out / "images" / image.split / image.name)
+        return coco.write(out / "annotations", images, plan.categories)
+    return Written()
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:

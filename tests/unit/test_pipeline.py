@@ -1,0 +1,349 @@
+"""The pipeline without Blender: fake renderer, a small HIT-UAV-shaped dataset made here."""
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend import api
+from infrablend.core.tasks import Progress
+from infrablend.errors import DatasetError, Interrupted, OutputError
+from infrablend.pipeline.record import FrameRecord, read_record
+
+NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
+SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}
+
+
+@pytest.fixture
+def dataset(tmp_path) -> Path:
+    """normal_json with four pictures, five labels, one DontCare."""
+    root = tmp_path / "data"
+    rng = np.random.default_rng(7)
+    categories = ["Person", "Car", "Bicycle", "OtherVehicle", "DontCare"]
+    number = 0
+    for split, names in SPLIT.items():
+        folder = root / "normal_json" / split
+        folder.mkdir(parents=True)
+        images, labels = [], []
+        for k, name in enumerate(names):
+            grey = np.clip(rng.normal(126, 30, (512, 640)), 16, 235).astype(np.uint8)
+            Image.fromarray(grey).save(folder / f"{name}.jpg", quality=95)
+            images.append(
+                {"filename": f"{name}.jpg", "height": 512, "width": 640, "id": k, "date_captured": "20210116"}
+            )
+            for category, x, y in ((0, 40, 50), (4, 300, 300)):
+                labels.append(
+                    {
+                        "segmentation": [[x, y, x + 10, y, x + 10, y + 12, x, y + 12]],
+                        "area": 120,
+                        "image_id": k,
+                        "bbox": [x, y, 10, 12],
+                        "category_id": category,
+                        "id": number,
+                    }
+                )
+                number += 1
+        (root / "normal_json" / "annotations").mkdir(exist_ok=True)
+        (root / "normal_json" / "annotations" / f"{split}.json").write_text(
+            json.dumps(
+                {
+                    "info": {},
+                    "licenses": [],
+                    "images": images,
+                    "annotation": labels,
+                    "categories": [{"id": i, "name": n, "supercategory": n} for i, n in enumerate(categories)],
+                }
+            )
+        )
+    return root
+
+
+def generate(data, out, **kwargs):
+    options = {"renderer": "fake", "in_process": True, "settings": ["output.image=png"]}
+    return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
+
+
+def hashes(run: Path) -> dict[str, str]:
+    """Digest of every file but logs; of run.json without the timing and the machine's facts."""
+    found = {}
+    for path in sorted(p for p in run.rglob("*") if p.is_file()):
+        name = path.relative_to(run).as_posix()
+        if name.startswith("log/"):
+            continue
+        data = path.read_bytes()
+        if name == "run.json":
+            record = json.loads(data)
+            for key in ("timing", "machine"):
+                record.pop(key)
+            data = json.dumps(record, sort_keys=True).encode()
+        found[name] = hashlib.sha256(data).hexdigest()
+    return found
+
+
+def test_a_run_from_end_to_end(dataset, tmp_path):
+    seen: list[Progress] = []
+    report = generate(dataset, tmp_path / "run", on_progress=seen.append)
+    assert report.ok
+    assert (report.counts["frames"], report.counts["labels_inserted"]) == (8, {"drone": 8})
+    assert [p.done for p in seen] == list(range(1, 9))
+    run = tmp_path / "run"
+    for split, names in SPLIT.items():
+        for name in names:
+            for k in range(2):
+                stem = f"{name}_c{k}"
+                assert (run / "images" / split / f"{stem}.png").is_file()
+                label = run / "yolo" / "labels" / split / f"{stem}.txt"
+                classes = [line.split()[0] for line in label.read_text().splitlines()]
+                assert classes == ["0", "4"]  # Person, drone; DontCare is left out
+                image = run / "yolo" / "images" / split / f"{stem}.png"
+                assert image.samefile(run / "images" / split / f"{stem}.png")
+    coco = json.loads((run / "coco" / "train.json").read_text())
+    assert [c["id"] for c in coco["categories"]] == [0, 1, 2, 3, 4, 5]
+    assert sum(a["category_id"] == 5 for a in coco["annotations"]) == 4
+    assert all(a["iscrowd"] == 1 for a in coco["annotations"] if a["category_id"] == 4)
+    native = api.read_dataset(run / "native")
+    assert len(native.images) == 8
+    assert {c.name: c.id for c in native.categories}["drone"] == 5
+    assert {i.pitch_deg for i in native.images} == {50, 90, 30, 70}
+
+
+def test_labels_describe_the_pixels(dataset, tmp_path):
+    """Every changed pixel lies in reach of the mask's object; every mask pixel that must change has changed."""
+    generate(dataset, tmp_path / "run", settings={"output.image": "png", "overlay.softness_px": 0.0})
+    changed_in_masks = 0
+    for record in records(tmp_path / "run"):
+        before = np.array(Image.open(dataset / "normal_json" / record.background["path"].partition("/")[2]))
+        after = np.array(Image.open(tmp_path / "run" / "images" / record.image))
+        changed = before != after
+        (instance,) = record.inserted
+        x0, y0, x1, y1 = instance.box_xyxy
+        rows, columns = np.nonzero(changed)
+        assert columns.min() >= np.floor(x0)
+        assert rows.min() >= np.floor(y0)
+        assert columns.max() < np.ceil(x1)
+        assert rows.max() < np.ceil(y1)
+        mask = instance.mask.to_array()
+        rows, columns = np.nonzero(mask)
+        assert columns.min() + 1 >= x0
+        assert columns.max() <= x1
+        changed_in_masks += (changed & mask).sum() / mask.sum()
+    assert changed_in_masks / 8 > 0.9
+
+
+def records(run: Path) -> list[FrameRecord]:
+    found = [read_record(p) for p in sorted((run / "scenes").rglob("*.json"))]
+    assert all(found)
+    return found
+
+
+def test_twice_the_same_bytes_and_another_seed_others(dataset, tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        generate(dataset, tmp_path / name, seed=seed)
+    a, b, c = (hashes(tmp_path / n) for n in "abc")
+    assert a == b
+    images = [k for k in a if k.startswith("images/")]
+    assert len(images) == 8
+    assert all(a[k] != c[k] for k in images)
+
+
+@pytest.mark.slow
+def test_worker_count_does_not_matter(dataset, tmp_path):
+    generate(dataset, tmp_path / "a")
+    for workers in (1, 2):
+        out = tmp_path / f"w{workers}"
+        generate(dataset, out, workers=workers, in_process=False)
+        assert hashes(out) == hashes(tmp_path / "a")
+
+
+def test_interrupted_and_resumed_gives_the_same_bytes(dataset, tmp_path, monkeypatch):
+    generate(dataset, tmp_path / "whole")
+    run = tmp_path / "part"
+
+    def stop_after_three(progress: Progress) -> None:
+        if progress.done == 3:
+            raise Interrupted("stop")
+
+    with pytest.raises(Interrupted, match="--resume"):
+        generate(dataset, run, on_progress=stop_after_three)
+    assert json.loads((run / "run.json").read_text())["status"] == "interrupted"
+    made = {p: p.stat().st_mtime_ns for p in (run / "images").rglob("*.png")}
+    assert 3 <= len(made) < 8
+    report = generate(dataset, run, resume=True)
+    assert report.counts["frames"] == 8
+    assert {p: p.stat().st_mtime_ns for p in made} == made  # not made again
+    assert hashes(run) == hashes(tmp_path / "whole")
+
+
+def test_resume_mends_damaged_frames(dataset, tmp_path):
+    run = tmp_path / "run"
+    generate(dataset, run)
+    whole = hashes(run)
+    images = sorted((run / "images").rglob("*.png"))
+    scenes = sorted((run / "scenes").rglob("*.json"))
+    # Unlink first: the images are hard-linked into the formats' folders.
+    data = images[0].read_bytes()
+    images[0].unlink()
+    images[0].write_bytes(data[: len(data) // 2])
+    images[1].unlink()
+    scenes[4].write_text("{")
+    generate(dataset, run, resume=True)
+    assert hashes(run) == whole
+
+
+def test_resume_refuses_another_run_and_says_what_differs(dataset, tmp_path):
+    generate(dataset, tmp_path / "run")
+    with pytest.raises(OutputError, match=r"recipe\.camera\.distance_m was \[1\.0, 10\.0\], is \[2\.0, 3\.0\]"):
+        generate(dataset, tmp_path / "run", resume=True, settings=["output.image=png", "camera.distance_m=[2, 3]"])
+    with pytest.raises(OutputError, match="seed was 0, is 5"):
+        generate(dataset, tmp_path / "run", resume=True, seed=5)
+
+
+def test_output_folder_rules(dataset, tmp_path):
+    out = tmp_path / "full"
+    out.mkdir()
+    (out / "precious.txt").write_text("mine")
+    for options in ({}, {"overwrite": True}, {"resume": True}):
+        with pytest.raises(OutputError):
+            generate(dataset, out, **options)
+    assert [p.name for p in out.iterdir()] == ["precious.txt"]
+    generate(dataset, tmp_path / "run", limit=1)
+    (tmp_path / "run" / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match="--resume"):
+        generate(dataset, tmp_path / "run", limit=1)
+    generate(dataset, tmp_path / "run", limit=2, overwrite=True)
+    assert (tmp_path / "run" / "mine.txt").read_text() == "mine"
+    assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 4
+    with pytest.raises(OutputError, match="exclude each other"):
+        generate(dataset, tmp_path / "run", resume=True, overwrite=True)
+    with pytest.raises(OutputError, match="holds the data"):
+        generate(dataset, dataset.parent)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_unwritable_output(dataset, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    with pytest.raises(OutputError, match="cannot be written"):
+        generate(dataset, tmp_path / "locked" / "run")
+
+
+def test_a_bad_background_is_skipped_named_and_counted(dataset, tmp_path):
+    path = dataset / "normal_json" / "train" / f"{NAMES[0]}.jpg"
+    path.write_bytes(path.read_bytes()[:3000])
+    report = generate(dataset, tmp_path / "run")
+    assert not report.ok
+    assert report.counts["skipped_backgrounds"] == 1
+    assert report.counts["frames"] == 6
+    assert any(NAMES[0] in str(p) for p in report.problems)
+    labels = sorted(p.stem for p in (tmp_path / "run" / "yolo" / "labels").rglob("*.txt"))
+    assert len(labels) == 6
+    assert not any(n.startswith(NAMES[0]) for n in labels)
+    # Once mended, resume makes what is missing.
+    report = generate(dataset, tmp_path / "run", resume=True)
+    assert report.counts["frames"] == 6
+
+
+def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path, monkeypatch):
+    from infrablend.pipeline import frame
+
+    real, calls = frame.write_bytes, []
+
+    def full_after_two(path, data):
+        calls.append(path)
+        if len(calls) > 2:
+            raise OutputError(f"cannot write {path}: No space left on device")
+        return real(path, data)
+
+    monkeypatch.setattr(frame, "write_bytes", full_after_two)
+    with pytest.raises(OutputError, match="No space left"):
+        generate(dataset, tmp_path / "run")
+    assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 2
+    monkeypatch.undo()
+    assert generate(dataset, tmp_path / "run", resume=True).counts["frames"] == 8
+
+
+def test_original_labels_are_kept_or_listed(dataset, tmp_path):
+    """A drone that fills the frame covers every original object: each removal is listed, none is lost."""
+    settings = {
+        "output.image": "png",
+        "configurations": 1,
+        "objects.0.scale": 40,
+        "objects.0.x_m": 0,
+        "objects.0.y_m": 0,
+        "camera.distance_m": 30,
+        "placement.min_inside": 0.0,
+        "objects.0.options.body": "shell",
+    }
+    report = generate(dataset, tmp_path / "run", settings=settings)
+    run = json.loads((tmp_path / "run" / "run.json").read_text())
+    before = sum(len(i.instances) for i in api.read_dataset(dataset).images)
+    after = sum(n for c, n in report.counts["labels"].items() if c != "drone")
+    assert after + len(run["removed"]) == before
+    assert all(r["covered_share"] >= 0.99 for r in run["removed"])
+
+
+def test_label_modes_and_categories(dataset, tmp_path):
+    def labels(name, **settings):
+        settings = {"output.image": "png", "configurations": 1, **settings}
+        return generate(dataset, tmp_path / name, settings=settings).counts["labels"]
+
+    assert labels("merged") == {"Person": 4, "DontCare": 4, "drone": 4}
+    assert labels("new", **{"labels.mode": "new"}) == {"drone": 4}
+    assert labels("original", **{"labels.mode": "original"}) == {"Person": 4, "DontCare": 4}
+    assert labels("some", **{"labels.keep_categories": ["DontCare"]}) == {"DontCare": 4, "drone": 4}
+    assert labels("existing", **{"objects.0.category": "Person"}) == {"Person": 8, "DontCare": 4}
+    coco = json.loads((tmp_path / "existing" / "coco" / "train.json").read_text())
+    assert len(coco["categories"]) == 5
+    assert sorted(a["inserted"] for a in coco["annotations"] if a["category_id"] == 0) == [False, False, True, True]
+
+
+def test_originals_groups_and_same_file_type(dataset, tmp_path):
+    settings = {"output.originals": True, "output.group_by": ["pitch", "altitude", "day_night"]}
+    report = generate(dataset, tmp_path / "run", settings=settings)
+    assert report.counts["images"] == 12
+    source = dataset / "normal_json" / "train" / f"{NAMES[0]}.jpg"
+    copy = tmp_path / "run" / "images" / "train" / "pitch_50" / "altitude_60" / "day" / f"{NAMES[0]}.jpg"
+    assert copy.read_bytes() == source.read_bytes()
+    made = copy.with_name(f"{NAMES[0]}_c0.jpg")
+    with Image.open(made) as a, Image.open(source) as b:
+        assert a.quantization == b.quantization
+        assert a.mode == "L"
+    assert len(api.read_dataset(tmp_path / "run" / "native").images) == 12
+
+
+def test_limit_splits_and_plan(dataset, tmp_path):
+    facts = api.plan("hit-uav-drone", dataset, splits=["val", "test"]).to_json()
+    assert (facts["frames"], facts["new_categories"]) == (4, ["drone"])
+    assert generate(dataset, tmp_path / "run", splits=["val"]).counts["images_per_split"] == {"val": 2}
+    yaml = (tmp_path / "run" / "yolo" / "data.yaml").read_text()
+    assert "train: images/val" in yaml
+    with pytest.raises(DatasetError):
+        api.plan("hit-uav-drone", tmp_path / "nothing")
+
+
+def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for k, p in enumerate(sorted((dataset / "normal_json").rglob("*.jpg"))):
+        shutil.copy(p, plain / f"picture {k}.jpg")
+    with pytest.raises(DatasetError, match="no camera pitch"):
+        generate(plain, tmp_path / "a")
+    report = generate(plain, tmp_path / "b", settings={"camera.pitch.fixed_deg": 45, "output.image": "png"})
+    assert report.counts["labels"] == {"drone": 8}
+    (plain / "metadata.csv").write_text("file,pitch_deg\npicture 0.jpg,30\npicture 2.jpg,-5\n")
+    report = generate(plain, tmp_path / "c")
+    assert report.counts["frames"] == 4
+    assert report.counts["skipped_backgrounds"] == 2
+
+
+def test_rerender_gives_the_same_bytes(dataset, tmp_path):
+    generate(dataset, tmp_path / "run", limit=1)
+    frame = f"train/{NAMES[0]}_c1"
+    again = api.rerender(tmp_path / "run", frame, tmp_path / "again.png")
+    assert again.read_bytes() == (tmp_path / "run" / "images" / f"{frame}.png").read_bytes()
+    with pytest.raises(OutputError, match="no finished frame"):
+        api.rerender(tmp_path / "run", "train/other")
