@@ -82,8 +82,8 @@ class Obedient:
     def bulk(self, size):
         return bytes(size)
 
-    def subprocess(self, _):
-        subprocess.Popen(["sleep", "600"])
+    def subprocess(self, pid_file):
+        Path(pid_file).write_text(str(subprocess.Popen(["sleep", "600"]).pid))
         time.sleep(600)
 
     def close(self):

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -40,6 +39,13 @@ def assert_no_children():
     while (left := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not left
+
+
+def is_running(pid):
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 # ---- every executor
@@ -204,11 +210,13 @@ def test_task_that_always_hangs_fails():
 
 
 def test_slow_consumer_is_no_hang():
-    values = []
-    for r in pool(task_timeout_s=0.3, retries=0).run(orders(*[("give", i) for i in range(4)])):
-        time.sleep(0.5)
-        values.append(r.value)
-    assert sorted(values) == [0, 1, 2, 3]
+    """While the consumer thinks about one worker's result, the other's lies unread for longer than the limit."""
+    tasks = orders(*[("sleep", 0.05)] * 8)
+    results = []
+    for r in pool(workers=2, task_timeout_s=0.3, retries=0).run(tasks):
+        time.sleep(0.4)
+        results.append(r)
+    assert [r.failure for r in results] == [None] * 8
 
 
 def test_workers_are_recycled_by_count():
@@ -257,12 +265,18 @@ def test_no_more_workers_than_tasks():
     assert {r.worker for r in results} <= {0, 1}
 
 
-def test_closing_ends_workers_and_what_they_started():
-    results = pool(workers=2).run(orders(("give", 1), ("subprocess", None), ("sleep", 600)))
+def test_closing_ends_workers_and_what_they_started(tmp_path):
+    pid_file = tmp_path / "pid"
+    results = pool(workers=2).run(orders(("give", 1), ("subprocess", str(pid_file)), ("sleep", 600)))
     assert next(results).value == 1
-    time.sleep(0.2)
+    while not (pid_file.exists() and pid_file.read_text()):
+        time.sleep(0.02)
     results.close()
     assert_no_children()
+    deadline = time.monotonic() + 5
+    while is_running(int(pid_file.read_text())) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not is_running(int(pid_file.read_text()))
 
 
 def test_works_outside_the_main_thread():
@@ -282,10 +296,10 @@ from infrablend.errors import Interrupted
 from infrablend.execution import PoolSettings, ProcessPool, Serial
 tasks = [Task("quick", ("give", "quick"))] + [Task(f"s{i}", ("sleep", float(sys.argv[2]))) for i in range(20)]
 worker = WorkerSpec("executor_work:obey")
-run = Serial(worker) if sys.argv[1] == "serial" else ProcessPool(worker, PoolSettings(workers=2, grace_s=5))
+run = Serial(worker) if sys.argv[1] == "serial" else ProcessPool(worker, PoolSettings(workers=2, grace_s=5, retries=0))
 try:
     for r in run.run(tasks):
-        print(r.key, flush=True)
+        print(r.key, '' if r.ok else 'FAILED', flush=True)
 except Interrupted as e:
     print("INTERRUPTED", e.message, flush=True)
     sys.exit(7)
@@ -302,10 +316,10 @@ def program():
             [sys.executable, "-c", PROGRAM, kind, str(sleep_s)],
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         )
         running.append(p)
-        assert p.stdout.readline() == "quick\n"
+        assert p.stdout.readline() == "quick \n"
         time.sleep(0.3)
         return p, psutil.Process(p.pid).children()
 
@@ -326,7 +340,8 @@ def test_first_signal_lets_running_tasks_finish(program, kind, number):
     *finished, last = out.splitlines()
     assert last.startswith("INTERRUPTED")
     assert "--resume" in last
-    assert 1 <= len(finished) <= 4  # what ran, not what waited
+    assert 1 <= len(finished) <= 2  # what ran, not what waited
+    assert "FAILED" not in out  # what was dropped has not failed
     assert not psutil.wait_procs(workers, timeout=5)[1]
 
 

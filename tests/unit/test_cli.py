@@ -290,7 +290,7 @@ def test_warnings_of_the_run_reach_stderr_not_stdout(api, capsys):
             "preview",
             (Path("r"), Path("p.png"), 3, ("obb",)),
         ),
-        (["rerender", "r", "test/a_c1"], "rerender", (Path("r"), "test/a_c1", Path("a_c1.png"))),
+        (["rerender", "r", "test/a_c1"], "rerender", (Path("r"), "test/a_c1", None)),
         (["models", "show", "my/deer.yaml"], "show_model", ("my/deer.yaml", Path("deer.png"))),
         (["asset", "infrared-effect", "--out", "x.blend"], "write_infrared_effect", (Path("x.blend"),)),
     ],

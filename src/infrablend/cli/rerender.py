@@ -17,11 +17,12 @@ def rerender(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Picture to write [default: the frame's name + .png, here]."),
+        typer.Option(metavar="FILE", help="Picture to write; .png is lossless [default: the frame's file name, here]."),
     ] = None,
+    data: Annotated[Path | None, typer.Option(metavar="DIR", help="The backgrounds' folder, if it has moved.")] = None,
 ) -> None:
     """Make one frame of a run again, alone."""
     from infrablend import api
     from infrablend.cli.results import say
 
-    say(str(api.rerender(run, frame, out or Path(f"{frame.rsplit('/', 1)[-1]}.png"))))
+    say(str(api.rerender(run, frame, out, data=data)))
