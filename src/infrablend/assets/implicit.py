@@ -1,0 +1,443 @@
+"""Bodies grown from signed distances: elliptic tubes along a skeleton, smoothly joined, and their surface.
+
+An organic body is described by primitives whose (approximate) signed distances are joined by a smooth minimum; the
+surface is then taken out by surface nets (one vertex per sheet in a crossed cell, one quad per crossed grid edge;
+after Gibson, "Constrained elastic surface nets", 1998). Distances are evaluated on a coarse grid first and refined
+only in blocks the surface may cross, and in each block only for the primitives that reach it. All lengths share one
+unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infrablend.core.mesh import FloatArray, IntArray
+
+BLOCK = 4  # grid nodes per side of a block of the coarse grid
+FAR = 1e3
+
+
+class Primitive(Protocol):
+    """A solid by its signed distance: negative inside, close to true distance near the surface."""
+
+    @property
+    def part(self) -> str:
+        """Name of the part its surface belongs to."""
+
+    @property
+    def blend(self) -> float:
+        """Width of the smooth joint with what came before it; 0 joins sharply."""
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(N,) signed distance of (N, 3) points."""
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner (3,) of a box around the solid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """A bar along a path with elliptic sections and domed ends.
+
+    Attributes:
+        part: Name of the part.
+        path: (P, 3) points.
+        half_width: (P,) half extent of the section along `side`.
+        half_height: (P,) half extent across it.
+        side: (3,) direction of the width, made perpendicular to the path.
+        blend: Width of the smooth joint.
+        caps: Length of the dome at the start and at the end.
+        beyond: (position, part) in rising order: from that position along the path on, in [0, P - 1], the surface
+            belongs to that part instead.
+    """
+
+    part: str
+    path: FloatArray
+    half_width: FloatArray
+    half_height: FloatArray
+    side: FloatArray
+    blend: float
+    caps: tuple[float, float]
+    beyond: tuple[tuple[float, str], ...] = ()
+
+    def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Position of (N, 3) points relative to the tube, and the distance, each (N,).
+
+        Returns:
+            `along` in [0, P - 1] (index on the path), `across` along the side and `above` along (direction of the
+            path) x side, both -1 and 1 on the surface, and the signed distance.
+        """
+        count = len(self.path) - 1
+        start, step = self.path[:-1], np.diff(self.path, axis=0)
+        length2 = np.einsum("ij,ij->i", step, step)
+        # Squared distance to every segment, up to |point|^2 which is the same for all: three products of matrices.
+        run = points @ step.T - np.einsum("ij,ij->i", start, step)
+        t = np.clip(run / length2, 0.0, 1.0)
+        d2 = t * (t * length2 - 2.0 * run) - 2.0 * (points @ start.T) + np.einsum("ij,ij->i", start, start)
+        index = d2.argmin(axis=1)
+        share = np.take_along_axis(t, index[:, None], axis=1)[:, 0]
+        tangents, sides, heights = self._frames()
+        rel = points - (self.path[index] * (1 - share)[:, None] + self.path[index + 1] * share[:, None])
+        along = index + share
+        w = np.interp(along, np.arange(count + 1), self.half_width)
+        h = np.interp(along, np.arange(count + 1), self.half_height)
+        a = np.einsum("ij,ij->i", rel, tangents[index])
+        v = np.einsum("ij,ij->i", rel, sides[index])
+        u = np.einsum("ij,ij->i", rel, heights[index])
+        # Off the ends the overrun counts against the dome's length; between them it is what the kinks leave over.
+        cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
+        across, above, over = v / w, u / h, a / cap
+        k0 = np.sqrt(across**2 + above**2 + over**2)
+        k1 = np.sqrt((across / w) ** 2 + (above / h) ** 2 + (over / cap) ** 2)
+        thin = np.minimum(np.minimum(w, h), cap)
+        distance = np.where(k1 > 1e-6, k0 * (k0 - 1.0) / np.maximum(k1, 1e-6), -thin)
+        return along, across, above, distance
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(N,) signed distance of (N, 3) points."""
+        return self.coordinates(points)[3]
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner (3,) of a box around the solid."""
+        reach = np.maximum(self.half_width, self.half_height)
+        reach[0], reach[-1] = max(reach[0], self.caps[0]), max(reach[-1], self.caps[1])
+        return (self.path - reach[:, None]).min(axis=0), (self.path + reach[:, None]).max(axis=0)
+
+    def _frames(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(P - 1, 3) each: direction, side and height of every segment."""
+        step = np.diff(self.path, axis=0)
+        tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
+        sides = self.side - (tangents @ self.side)[:, None] * tangents
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        return tangents, sides, np.cross(tangents, sides)
+
+
+def tube(
+    part: str,
+    path: ArrayLike,
+    half_width: ArrayLike,
+    half_height: ArrayLike | None = None,
+    *,
+    side: ArrayLike = (0.0, 1.0, 0.0),
+    blend: float = 0.0,
+    caps: tuple[float, float] | None = None,
+    steps: int = 1,
+    beyond: Sequence[tuple[float, str]] = (),
+) -> Tube:
+    """A tube through control points.
+
+    Args:
+        part: Name of the part.
+        path: (P, 3) points it passes.
+        half_width: Of the section along `side`, one value or (P,).
+        half_height: Of the section across it; by default the width.
+        side: Direction of the width.
+        blend: Width of the smooth joint.
+        caps: Lengths of the domes at the ends; by default the smaller half extent there.
+        steps: Segments between two control points; more than 1 draws a Catmull-Rom curve through them.
+        beyond: (control point index, part): see `Tube`.
+    """
+    points = np.asarray(path, np.float64)
+    w = np.broadcast_to(np.asarray(half_width, np.float64), len(points))
+    h = w if half_height is None else np.broadcast_to(np.asarray(half_height, np.float64), len(points))
+    if caps is None:
+        caps = (float(min(w[0], h[0])), float(min(w[-1], h[-1])))
+    table = np.column_stack([points, w, h])
+    if steps > 1:
+        table = catmull_rom(table, steps)
+    return Tube(
+        part,
+        np.ascontiguousarray(table[:, :3]),
+        table[:, 3].copy(),
+        table[:, 4].copy(),
+        np.asarray(side, np.float64),
+        blend,
+        caps,
+        tuple((at * steps, name) for at, name in beyond),
+    )
+
+
+def catmull_rom(rows: FloatArray, steps: int) -> FloatArray:
+    """((P - 1) * steps + 1, C) rows on the uniform Catmull-Rom curve through (P, C) rows."""
+    ahead = 2 * rows[-1] - rows[-2]
+    behind = 2 * rows[0] - rows[1]
+    p = np.concatenate([behind[None], rows, ahead[None]])
+    p0, p1, p2, p3 = p[:-3, None], p[1:-2, None], p[2:-1, None], p[3:, None]
+    t = (np.arange(steps) / steps)[None, :, None]
+    curve = 0.5 * (2 * p1 + (p2 - p0) * t + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2 + (3 * p1 - p0 - 3 * p2 + p3) * t**3)
+    return np.concatenate([curve.reshape(-1, rows.shape[1]), rows[-1:]])
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """An ellipsoid: centre (3,), half axes (3,), and its axes as the rows of a rotation (3, 3)."""
+
+    part: str
+    centre: FloatArray
+    half: FloatArray
+    axes: FloatArray
+    blend: float
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(N,) signed distance of (N, 3) points."""
+        q = ((points - self.centre) @ self.axes.T) / self.half
+        k0 = np.sqrt(np.einsum("ij,ij->i", q, q))
+        q /= self.half
+        k1 = np.sqrt(np.einsum("ij,ij->i", q, q))
+        return np.asarray(np.where(k1 > 1e-6, k0 * (k0 - 1.0) / np.maximum(k1, 1e-6), -self.half.min()))
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner (3,) of a box around the solid."""
+        reach = np.sqrt(((self.axes * self.half[:, None]) ** 2).sum(axis=0))
+        return self.centre - reach, self.centre + reach
+
+
+def ellipsoid(
+    part: str, centre: ArrayLike, half: ArrayLike, *, axes: ArrayLike | None = None, blend: float = 0.0
+) -> Ellipsoid:
+    """An ellipsoid; `axes` (3, 3) holds its axes as rows, by default the coordinate axes."""
+    return Ellipsoid(
+        part,
+        np.asarray(centre, np.float64),
+        np.asarray(half, np.float64),
+        np.eye(3) if axes is None else np.asarray(axes, np.float64),
+        blend,
+    )
+
+
+def smooth_minimum(a: FloatArray, b: FloatArray, width: float) -> FloatArray:
+    """min(a, b), rounded by a parabola where both differ by less than `width`."""
+    low = np.asarray(np.minimum(a, b), np.float64)
+    if width <= 0:
+        return low
+    gap = np.maximum(width - np.abs(a - b), 0.0)
+    return np.asarray(low - gap * gap * (0.25 / width))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Primitives joined in order, each with its own blend; `floor` cuts off what lies below z = 0."""
+
+    primitives: tuple[Primitive, ...]
+    floor: bool = False
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(N,) signed distance of (N, 3) points."""
+        d = np.full(len(points), FAR)
+        for p in self.primitives:
+            d = smooth_minimum(d, p.distance(points), p.blend)
+        return np.maximum(d, -points[:, 2]) if self.floor else d
+
+    def parts(self, points: FloatArray, names: Sequence[str]) -> IntArray:
+        """(N,) part of each point near the surface, as an index into `names`: that of the nearest primitive."""
+        nearest = self.nearest(points)
+        part = np.array([names.index(p.part) for p in self.primitives], np.int32)[nearest]
+        for i, p in enumerate(self.primitives):
+            if isinstance(p, Tube) and p.beyond:
+                own = np.flatnonzero(nearest == i)
+                along = p.coordinates(points[own])[0]
+                for at, name in p.beyond:
+                    part[own[along >= at]] = names.index(name)
+        return part
+
+    def nearest(self, points: FloatArray) -> NDArray[np.intp]:
+        """(N,) index of the primitive whose own surface is nearest to (or farthest outside of) each point."""
+        best = np.full(len(points), np.inf)
+        index = np.zeros(len(points), np.intp)
+        for i, p in enumerate(self.primitives):
+            low, high = p.bounds()
+            reach = 2.0 * p.blend + 0.25 * float(np.max(high - low))
+            close = np.flatnonzero(np.all((points > low - reach) & (points < high + reach), axis=1))
+            d = p.distance(points[close])
+            win = d < best[close]
+            best[close[win]] = d[win]
+            index[close[win]] = i
+        return index
+
+    def sample_grid(self, cell: float, shift: float) -> tuple[FloatArray, FloatArray]:
+        """Signed distances on a grid around the body: (X, Y, Z) values, and its first node (3,).
+
+        Exact in all blocks that the surface may cross; elsewhere one value per block, of the right sign.
+        """
+        corners = [p.bounds() for p in self.primitives]
+        widest = max(p.blend for p in self.primitives)
+        low = np.min([c[0] for c in corners], axis=0) - widest - 2 * cell
+        high = np.max([c[1] for c in corners], axis=0) + widest + 2 * cell
+        if self.floor:
+            low[2] = max(low[2], -2 * cell)
+        low = (np.floor(low / cell) + shift) * cell
+        side = BLOCK * cell
+        blocks = np.maximum(np.ceil((high - low) / side).astype(int) + 1, 1)
+        index = np.stack(np.meshgrid(*(np.arange(n) for n in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
+        centres = low + (index + 0.5 * (BLOCK - 1) / BLOCK) * side
+        radius = 0.5 * np.sqrt(3.0) * (BLOCK - 1) * cell
+        # The distances are approximate, off by the sections' aspect ratio at worst: leave slack.
+        slack = 1.6 * radius + 2.0 * cell
+        own = [p.distance(centres) for p in self.primitives]
+        coarse = np.full(len(centres), FAR)
+        for p, d in zip(self.primitives, own, strict=True):
+            coarse = smooth_minimum(coarse, d, p.blend)
+        if self.floor:
+            coarse = np.maximum(coarse, -centres[:, 2])
+        active = np.flatnonzero(np.abs(coarse) < slack)
+        offsets = np.stack(np.meshgrid(*(np.arange(BLOCK),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        nodes = low + (index[active][:, None] * BLOCK + offsets) * cell
+        values = np.full(nodes.shape[:2], FAR)
+        for p, d in zip(self.primitives, own, strict=True):
+            reached = np.flatnonzero(d[active] < slack + widest + p.blend)
+            if not len(reached):
+                continue
+            fine = p.distance(nodes[reached].reshape(-1, 3)).reshape(len(reached), -1)
+            values[reached] = smooth_minimum(values[reached], fine, p.blend)
+        if self.floor:
+            values = np.maximum(values, -nodes[:, :, 2])
+        blockwise = np.repeat(coarse[:, None], BLOCK**3, axis=1)
+        blockwise[active] = values
+        grid = blockwise.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
+        return np.ascontiguousarray(grid.reshape(*(blocks * BLOCK))), low
+
+
+def surface(body: Body, cell: float, attempts: int = 8) -> tuple[FloatArray, IntArray]:
+    """The body's surface: (V, 3) vertices and (T, 3) triangles, closed, counter-clockwise seen from outside.
+
+    Where a cell holds a thin handle or gap an edge can still get four triangles; the grid is then moved by a fraction
+    of a cell and the surface taken again, at most `attempts` times.
+
+    Raises:
+        ValueError: If no grid position gives a closed surface, so that `cell` is too coarse for the body.
+    """
+    for attempt in range(attempts):
+        grid, low = body.sample_grid(cell, 0.381966 * attempt % 1.0)
+        vertices, triangles = surface_nets(grid, cell, low)
+        if is_closed(triangles):
+            return vertices, triangles
+    raise ValueError(f"no closed surface at a cell of {cell:g}: the body has details thinner than that")
+
+
+# Corners of a cell in the order of their bits, and its twelve edges as pairs of corners, by (axis, lower corner).
+_CORNERS = np.array([[i & 1, (i >> 1) & 1, (i >> 2) & 1] for i in range(8)])
+_EDGES = [(a, a | 1 << b) for b in range(3) for a in range(8) if not a & 1 << b]
+_EDGE_NUMBER = {pair: i for i, pair in enumerate(_EDGES)}
+
+
+def _sheets_table() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """Which sheet of the surface crosses each edge, per pattern of inside corners: (256, 12), and sheets (256,).
+
+    Crossed edges of a face belong together; where all four are crossed, those around the same inside corner do. Both
+    cells at a face decide alike, so that two sheets that share a cell get a vertex each and do not pinch.
+    """
+    sheet = np.full((256, 12), -1, np.int8)
+    sheets = np.zeros(256, np.int8)
+    for pattern in range(256):
+        group = {e: e for e, (a, b) in enumerate(_EDGES) if (pattern >> a ^ pattern >> b) & 1}
+        for axis in range(3):
+            b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+            for base in (0, 1 << axis):
+                face = [base, base | b, base | b | c, base | c]
+                rim = [_EDGE_NUMBER[min(p, q), max(p, q)] for p, q in zip(face, face[1:] + face[:1], strict=True)]
+                crossed = [e for e in rim if e in group]
+                links = [tuple(crossed)] if len(crossed) == 2 else []
+                if len(crossed) == 4:
+                    links = [(rim[i - 1], rim[i]) for i in range(4) if pattern >> face[i] & 1]
+                for p, q in links:
+                    old, new = group[p], group[q]
+                    group = {e: new if g == old else g for e, g in group.items()}
+        names = sorted(set(group.values()))
+        sheets[pattern] = len(names)
+        for e, g in group.items():
+            sheet[pattern, e] = names.index(g)
+    return sheet, sheets
+
+
+_SHEET, _SHEETS = _sheets_table()
+
+
+def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Surface of (X, Y, Z) signed distances: (V, 3) vertices and (T, 3) triangles seen from outside.
+
+    Args:
+        grid: Signed distances, positive on all outer faces.
+        cell: Distance of the grid's nodes.
+        low: (3,) position of node (0, 0, 0).
+    """
+    inside = grid < 0
+    nx, ny, nz = grid.shape
+    pattern_grid = np.zeros((nx - 1, ny - 1, nz - 1), np.uint8)
+    for bit, (i, j, k) in enumerate(_CORNERS):
+        pattern_grid |= inside[i : nx - 1 + i, j : ny - 1 + j, k : nz - 1 + k] * np.uint8(1 << bit)
+    cells = np.argwhere((pattern_grid > 0) & (pattern_grid < 255))
+    pattern = pattern_grid[tuple(cells.T)]
+    first = np.concatenate([[0], np.cumsum(_SHEETS[pattern], dtype=np.int64)])
+    at = cells[:, None] + _CORNERS
+    corner = grid[at[..., 0], at[..., 1], at[..., 2]]
+    total = np.zeros((first[-1], 3))
+    crossings = np.zeros(first[-1])
+    for e, (a, b) in enumerate(_EDGES):
+        which = np.flatnonzero(_SHEET[pattern, e] >= 0)
+        vertex = first[which] + _SHEET[pattern[which], e]
+        da, db = corner[which, a], corner[which, b]
+        # Keep clear of the nodes, where vertices of neighbouring cells would fall together.
+        t = np.clip(da / (da - db), 0.02, 0.98)
+        total[vertex] += cells[which] + _CORNERS[a] + t[:, None] * (_CORNERS[b] - _CORNERS[a])
+        crossings[vertex] += 1
+    vertices = low + (total / crossings[:, None]) * cell
+    number = np.full(pattern_grid.shape, -1, np.int64)
+    number[tuple(cells.T)] = np.arange(len(cells))
+    quads = []
+    for axis in range(3):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        here: list[slice] = [slice(1, -1)] * 3
+        there: list[slice] = [slice(1, -1)] * 3
+        here[axis], there[axis] = slice(None, -1), slice(1, None)
+        edge = np.argwhere(inside[tuple(here)] != inside[tuple(there)])
+        leaves = inside[tuple(here)][tuple(edge.T)]
+        edge[:, b] += 1
+        edge[:, c] += 1
+        ring = []
+        for db, dc in ((-1, -1), (0, -1), (0, 0), (-1, 0)):
+            spot = edge.copy()
+            spot[:, b] += db
+            spot[:, c] += dc
+            at_cell = number[tuple(spot.T)]
+            lower = -db << b | -dc << c
+            ring.append(first[at_cell] + _SHEET[pattern[at_cell], _EDGE_NUMBER[lower, lower | 1 << axis]])
+        quad = np.stack(ring, axis=1)
+        quads.append(np.where(leaves[:, None], quad, quad[:, ::-1]))
+    q = np.concatenate(quads)
+    v = vertices[q]
+    short = np.linalg.norm(v[:, 0] - v[:, 2], axis=1) <= np.linalg.norm(v[:, 1] - v[:, 3], axis=1)
+    split = np.where(short[:, None], q[:, [0, 1, 2, 0, 2, 3]], q[:, [1, 2, 3, 1, 3, 0]])
+    return vertices, np.ascontiguousarray(split.reshape(-1, 3), np.int32)
+
+
+def is_closed(triangles: IntArray) -> bool:
+    """Whether every edge belongs to exactly two triangles, which run along it in opposite directions."""
+    size = int(triangles.max(initial=0)) + 1
+    a = triangles.ravel().astype(np.int64)
+    b = np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
+    forward, backward = a * size + b, b * size + a
+    forward.sort()
+    backward.sort()
+    return bool(np.array_equal(forward, backward) and np.all(forward[1:] != forward[:-1]))
+
+
+def signed_volume(vertices: FloatArray, triangles: IntArray) -> float:
+    """Enclosed volume; negative if the triangles run clockwise seen from outside."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def concatenate(
+    pieces: Sequence[tuple[FloatArray, IntArray]],
+) -> tuple[FloatArray, IntArray]:
+    """Several surfaces as one list of vertices and triangles."""
+    offsets = np.cumsum([0, *(len(v) for v, _ in pieces)])
+    return (
+        np.concatenate([v for v, _ in pieces]),
+        np.concatenate([t + np.int32(o) for (_, t), o in zip(pieces, offsets, strict=False)]).astype(np.int32),
+    )
