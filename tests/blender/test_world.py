@@ -78,7 +78,7 @@ def test_dataset_reads_back_and_repeats(tmp_path):
             assert picture.mode == "L" and picture.size == (640, 512) and picture.format == "JPEG"
             grey = np.asarray(picture, np.float64)
         assert image.path.name == entry["name"] and image.pitch_deg is not None
-        assert 100 < grey.mean() < 155 and 8 < grey.std() < 70
+        assert 90 < grey.mean() < 168 and 8 < grey.std() < 70
         for instance in image.instances:
             x0, y0, x1, y1 = instance.box_xyxy
             assert 0 <= x0 < x1 <= 640 and 0 <= y0 < y1 <= 512

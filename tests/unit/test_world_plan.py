@@ -191,7 +191,7 @@ def test_frame_has_hit_uavs_levels_and_noise():
     kelvin = np.full((512, 640), 280.0, np.float32)
     kelvin[200:260, 300:330] = 310
     kelvin[:, :100] = 250
-    frame = thermal_frame(kelvin, 6.0, 33.0, rng)
+    frame = thermal_frame(kelvin, 6.0, 33.0, 126.0, rng)
     assert frame.dtype == np.uint8 and frame.min() >= 16 and frame.max() <= 235
     n = noise(stream(1), (256, 256), 1.5)
     assert n.std() == pytest.approx(1.5, rel=1e-3)

@@ -208,7 +208,9 @@ def _make_frame(
     from infrablend.blender.world.look import jpeg_bytes, thermal_frame
 
     kelvin, labels = renderer.render(plan)
-    grey = thermal_frame(kelvin, plan.gain_per_k, plan.std_grey, stream(seed, "world", frame.number, "look"))
+    grey = thermal_frame(
+        kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, stream(seed, "world", frame.number, "look")
+    )
     path = folder / frame.split / frame.name
     write_bytes(path, jpeg_bytes(grey))
     instances = tuple(

@@ -67,16 +67,19 @@ def ground_kelvin(plan: WorldPlan, oversample: int = 2) -> Field:
     x, y = ground_grid(plan, oversample)
     noise = Noise(plan.seed)
     metre_per_sample = plan.camera.distance_m / plan.camera.focal_px / oversample
-    # Three patterns that all materials share, each with its own strength: weather, wear, grain.
-    weather = 0.75 * noise(x, y, 17.0) + 0.66 * noise(x, y, 5.5)
+    # Patterns that all materials share, each with its own strength: slow ones of every size (the larger, the
+    # stronger, as on real ground), and the material's grain.
+    weather = np.zeros_like(x)
+    for size_m, weight in ((26.0, 0.62), (12.0, 0.5), (5.5, 0.4), (2.5, 0.33), (1.2, 0.28)):
+        if size_m > 3 * metre_per_sample:
+            weather += np.float32(weight) * noise(x, y, size_m)
     grain_sizes = sorted({m.grain_m for m in plan.materials})
     fine = {g: noise(x, y, max(g, 3 * metre_per_sample)) for g in grain_sizes}
-    coarse = noise(x, y, 2.0)
 
     def lay(name: str, rows: slice = slice(None), columns: slice = slice(None)) -> Field:
         m = plan.material(name)
         part = (rows, columns)
-        out = m.stain_k * weather[part] + m.grain_k * (0.8 * fine[m.grain_m][part] + 0.6 * coarse[part])
+        out = m.stain_k * weather[part] + m.grain_k * fine[m.grain_m][part]
         return np.asarray(out + m.kelvin, np.float32)
 
     kelvin = lay(plan.base)

@@ -248,7 +248,8 @@ class WorldPlan:
         sun: Unit vector to the sun, or None at night.
         shade_k: What ground in full shade loses (positive), by day.
         gain_per_k: Grey levels per kelvin that the automatic gain starts from.
-        std_grey: Deviation of grey levels that it aims at.
+        mean_grey: Mean grey level of the picture.
+        std_grey: Deviation of grey levels that the gain aims at.
         seed: Of the patterns on the ground and of the sensor's noise.
         base: Name of the material everywhere else.
         materials: The ground's materials.
@@ -264,6 +265,7 @@ class WorldPlan:
     sun: tuple[float, float, float] | None
     shade_k: float
     gain_per_k: float
+    mean_grey: float
     std_grey: float
     seed: int
     base: str
@@ -407,13 +409,13 @@ class _Sampler:
         else:
             s = self.solar
             table = {
-                "asphalt": (14.5 * s, 1.6, 0.8, 0.7),
-                "concrete": (12.0 * s, 1.3, 0.7, 0.5),
-                "paving": (11.0 * s, 1.5, 1.0, 0.4),
-                "court": (14.0 * s, 1.5, 0.7, 0.6),
-                "grass": (5.0 * s, 1.4, 1.3, 0.5),
-                "soil": (12.0 * s, 1.8, 1.5, 0.7),
-                "bed": (3.5 * s, 1.2, 1.5, 0.4),
+                "asphalt": (10.0 * s, 1.1, 0.5, 0.6),
+                "concrete": (8.5 * s, 1.0, 0.5, 0.5),
+                "paving": (8.0 * s, 1.1, 0.7, 0.4),
+                "court": (10.0 * s, 1.1, 0.4, 0.6),
+                "grass": (3.5 * s, 1.3, 0.9, 0.4),
+                "soil": (8.0 * s, 1.5, 1.0, 0.6),
+                "bed": (2.5 * s, 1.2, 1.2, 0.4),
             }
         # Laid by different hands: hard grounds differ more from place to place than grass does.
         spread = {"paving": 1.5, "concrete": 1.2, "court": 1.5} if self.night else {"paving": 3.5, "court": 2.5}
@@ -434,22 +436,22 @@ class _Sampler:
         }[kind]
         length, width, height = u(*size[:2]), u(*size[2:4]), u(*size[4:])
         if self.night:
-            paint = a - 1.0 - 4.2 * self.clear + u(-0.8, 0.8)
-            glass = a - 0.8 - 2.6 * self.clear + u(-0.6, 0.6)
+            paint = a - 0.6 - 4.2 * self.clear + u(-1.0, 1.0)
+            glass = paint + u(-1.0, 3.2)
             bonnet = (
                 a + (u(8, 22) if self.pick(0.35) else u(-3, 6))
                 if driven
                 else a + u(3, 10)
                 if warm
-                else paint + u(-0.3, 0.8)
+                else paint + u(-0.3, 2.0)
             )
             wheel = a + (u(5, 12) if driven else u(-1.5, 1.5))
             under, solar = a + (u(4, 10) if driven else u(0.5, 3)), 0.0
         else:
             # Dark paint takes up to three times what white paint takes of the sun.
-            solar = self.solar * u(8, 33)
+            solar = self.solar * u(1, 26)
             paint = a + u(1, 5)
-            glass = a + u(1, 8)
+            glass = a + u(-2, 8)
             bonnet = paint + (u(6, 16) if driven else u(0, 3))
             wheel, under = a + u(5, 14), a + u(0, 6)
         return Vehicle(kind, x, y, heading, length, width, height, paint, glass, bonnet, wheel, under, solar)
@@ -461,10 +463,11 @@ class _Sampler:
             top = a + u(8.5, 16)
             legs, hair, solar = a + u(8, 15), a + u(8, 14), 0.0
         else:
-            top, legs = a + u(5, 13), a + u(5, 13)
-            hair, solar = a + u(8, 12), self.solar * u(3, 18)
+            # Dark cloth in the sun glows, light cloth does not; top and trousers differ.
+            top, legs = a + u(7, 17), a + u(5, 15)
+            hair, solar = a + u(8, 13), self.solar * u(5, 20)
         return Person(
-            x_m=x, y_m=y, heading_rad=heading, height_m=u(1.56, 1.84), girth=u(0.95, 1.25), pose=pose,
+            x_m=x, y_m=y, heading_rad=heading, height_m=u(1.56, 1.84), girth=u(1.05, 1.4), pose=pose,
             stride=u(-1, 1), spread=u(0.05, 0.35) if pose != "reach" else u(0.6, 1.0),
             skin_k=skin, hair_k=hair, top_k=top, legs_k=legs, solar_k=solar,
         )  # fmt: skip
@@ -480,11 +483,11 @@ class _Sampler:
         rider = replace(self._person(x, y, heading, "ride"), stride=0.0) if ridden else None
         return Cycle(
             "scooter" if scooter else "bicycle", x, y, heading, body, seat, motor, solar,
-            cover=scooter and self.pick(0.35), rider=rider,
+            cover=scooter and self.pick(0.5), rider=rider,
         )  # fmt: skip
 
     def _tree_kelvin(self) -> float:
-        return self.air_k + (-0.4 - 1.9 * self.clear + self.u(-0.5, 0.5) if self.night else self.u(-0.5, 2.0))
+        return self.air_k + (-0.4 - 1.9 * self.clear + self.u(-0.5, 0.5) if self.night else self.u(-2.0, 1.0))
 
     # Where there is room --------------------------------------------------------------------------------------
 
@@ -528,7 +531,7 @@ class _Sampler:
         self.taken.append((x, y, heading, v.length_m / 2, v.width_m / 2))
         if self.seen(x, y, v.length_m / 2, v.height_m):
             self.vehicles.append(v)
-            halo = (0.7, 1.6) if self.night else (-5.0, -3.0)
+            halo = (0.9, 2.3) if self.night else (-5.0, -3.0)
             # The ground beside a car keeps warm at night (it does not see the sky) and is cool by day.
             self.paints.append(
                 Paint("rect", x, y, heading, v.length_m + 0.5, v.width_m + 0.5, None, self.u(*halo), 0.7)
@@ -587,7 +590,7 @@ class _Sampler:
             window, solar = a + u(-1.5, 3.0), 0.0
         else:
             roof, wall = a + u(2, 8), a + u(2, 5)
-            window, solar = a + u(0, 4), self.solar * u(10, 26)
+            window, solar = a + u(0, 4), self.solar * u(7, 18)
         roofs: tuple[Literal["flat", "gable", "arrays"], ...] = ("flat", "flat", "gable", "arrays")
         kind = "gable" if height < 5 and self.pick(0.5) else self.one_of(roofs)
         self.buildings.append(
@@ -610,8 +613,9 @@ class _Sampler:
         return WorldPlan(
             camera=self.camera, pitch_deg=self.pitch_deg, altitude_m=self.altitude_m,
             time_of_day=self.time_of_day, kind=self.kind, air_k=self.air_k, sky_drop_k=self.sky_drop_k,
-            sun=self.sun, shade_k=0.0 if self.night else u(4.0, 7.5) * self.solar,
-            gain_per_k=u(5.6, 8.2) if self.night else u(3.8, 6.0),
+            sun=self.sun, shade_k=0.0 if self.night else u(5.0, 10.0) * self.solar,
+            gain_per_k=u(5.6, 8.2) if self.night else u(4.6, 7.4),
+            mean_grey=float(np.clip(self.rng.normal(126 if self.night else 129, 10 if self.night else 17), 96, 162)),
             std_grey=float(np.clip((35 if self.night else 45) * np.exp(self.rng.normal(0, 0.28)), 19, 58)),
             seed=int(self.rng.integers(2**31)), base=base, materials=self.materials, roads=tuple(self.roads),
             paints=tuple(self.paints), vehicles=tuple(self.vehicles), people=tuple(self.people),
@@ -621,6 +625,14 @@ class _Sampler:
 
     def _spills(self) -> None:
         """Traces of use: stains and repairs on hard ground."""
+        for _ in range(int(self.rng.integers(2, 6))):  # cracks wander
+            x, y, a = self.u(self.x0, self.x1), self.u(self.y0, self.y1), self.u(0, 6.28)
+            amount = self.u(-1.2, -0.5) if self.night else self.u(1.2, 3.0)
+            for _ in range(int(self.rng.integers(6, 22))):
+                step = self.u(0.4, 1.2)
+                x, y = x + step * math.cos(a), y + step * math.sin(a)
+                self.paints.append(Paint("rect", x, y, a, 1.15 * step, 0.05, None, amount, 0.05))
+                a += self.u(-0.5, 0.5)
         for _ in range(int(self.rng.integers(6, 15))):
             x, y = self.u(self.x0, self.x1), self.u(self.y0, self.y1)
             k = 1.0 if self.night else 2.5
@@ -806,8 +818,8 @@ class _Sampler:
                 edge = road.half_width_m + road.pavement_m
                 self._strip(road, side * (edge + 1.0), 1.6, "bed")
                 self._alley(road, side * (edge + 1.0), 1.1, ("shrub",))
-            if self.pick(0.5):
-                self._cycle_row(road, side, u(-0.6, 0.4) * self.reach, int(self.rng.integers(4, 16)))
+            if self.pick(0.55):
+                self._cycle_row(road, side, u(-0.45, 0.2) * self.reach, int(self.rng.integers(5, 20)))
             if self.pick(0.75):
                 row: Sequence[TreeKind] = ("crown",) if self.pick(0.55) else ("bare", "bare", "crown")
                 self._alley(road, side * (road.half_width_m + min(1.0, 0.35 * road.pavement_m)), u(5.5, 9), row, 0.8)
@@ -886,6 +898,8 @@ class _Sampler:
         self._walkers(replace(road, pavement_m=0.0), int(self.rng.integers(2, 12)))
         if lit:
             self._lamps(road, 1)
+        if self.pick(0.4):
+            self._cycle_row(replace(road, pavement_m=1.0), 1, u(-0.4, 0.2) * self.reach, int(self.rng.integers(4, 10)))
         return "grass"
 
     def _hedge_row(self, road: Road, left: float, width: float) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 Field = NDArray[np.float32]
 # HIT-UAV keeps the video's limited range; means are held near mid-grey by the camera.
 LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
+HEADROOM_GREY = 90.0
 
 
 def optics(kelvin: Field, sigma_px: float) -> Field:
@@ -32,6 +33,8 @@ def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = M
     centre, limit = float(np.median(kelvin)), 110.0 / gain_per_k
     inner = np.clip(kelvin, centre - limit, centre + limit)
     slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
+    # Room is left above the ground for what is hotter, so that nobody vanishes on a white road.
+    slope = min(slope, HEADROOM_GREY / max(float(np.percentile(inner, 96)) - float(inner.mean()), 1e-6))
     grey = (kelvin - np.float32(inner.mean())) * np.float32(slope) + np.float32(mean_grey)
     for _ in range(4):
         grey += np.float32(mean_grey) - np.clip(grey, LOW_GREY, HIGH_GREY).mean()
@@ -65,10 +68,12 @@ def codec(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     return np.asarray(Image.open(buffer), np.uint8).copy()
 
 
-def thermal_frame(kelvin: Field, gain_per_k: float, std_grey: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def thermal_frame(
+    kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float, rng: np.random.Generator
+) -> NDArray[np.uint8]:
     """(h, w) uint8 white-hot picture of (h, w) float32 scene temperatures."""
     h, w = kelvin.shape
-    grey = gain(optics(kelvin, float(rng.uniform(0.7, 0.95))), gain_per_k, std_grey, float(rng.normal(MEAN_GREY, 7)))
+    grey = gain(optics(kelvin, float(rng.uniform(0.7, 0.95))), gain_per_k, std_grey, mean_grey)
     # Clipped before the enhancement: bodies far above the range get no fringe of matching size.
     grey = detail(np.clip(grey, LOW_GREY - 25, HIGH_GREY + 25), float(rng.uniform(0.45, 0.8)), 1.6)
     grey = grey + noise(rng, (h, w), float(rng.uniform(1.3, 2.1))) + vignette((h, w), float(rng.uniform(2, 8)))

@@ -132,6 +132,7 @@ def _car(p: _Pieces, v: Vehicle) -> None:
     kelvin[on_bonnet] = v.bonnet_k
     # The grille and the wheel arches let warm air out.
     kelvin[(centre[:, 0] > 0.46 * length) & (centre[:, 2] < 0.6)] = 0.5 * (v.bonnet_k + v.paint_k)
+    _warm_flanks(kelvin, body, v)
     kelvin[centre[:, 2] < 0.3] = v.under_k
     p.add(body, kelvin, PAINT, v.solar_k)
     # The cabin: glass between belt line and roof.
@@ -158,17 +159,22 @@ def _car(p: _Pieces, v: Vehicle) -> None:
     if v.kind == "van":
         post |= (centre[:, 0] < -0.05 * length) & (np.abs(centre[:, 1]) > 0.5 * half)
     glass &= ~post
-    p.add(
-        cabin,
-        np.where(glass, v.glass_k, v.paint_k),
-        np.where(glass, GLASS, PAINT),
-        np.where(glass, 0.25, 1.0) * v.solar_k,
-    )
+    kelvin = np.where(glass, v.glass_k, v.paint_k)
+    _warm_flanks(kelvin, cabin, v)
+    p.add(cabin, kelvin, np.where(glass, GLASS, PAINT), np.where(glass, 0.25, 1.0) * v.solar_k)
     for side in (-1, 1):  # mirrors
         p.add(
-            shapes.moved(shapes.box((0.16, 0.2, 0.14), 0.02), (0.2 * length, side * (half + 0.06), belt + 0.02)),
+            shapes.moved(shapes.box((0.1, 0.16, 0.1), 0.02), (0.2 * length, side * (half + 0.02), belt + 0.02)),
             v.paint_k, PAINT, v.solar_k,
         )  # fmt: skip
+
+
+def _warm_flanks(kelvin: FloatArray, solid: Solid, v: Vehicle) -> None:
+    """What faces sideways sees the ground as much as the sky, and stays nearer to the ground's temperature."""
+    a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    upward = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    kelvin += 0.5 * np.clip(1 - 1.25 * upward, 0, 1) * (v.under_k - kelvin)
 
 
 def _cabin_outline(ends: tuple[float, float], half: float, length: float) -> FloatArray:
@@ -238,7 +244,7 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
     """A clothed person with bare head and hands; `seat_m` is the height of the saddle sat on."""
     p = _Pieces()
     h, g = q.height_m / 1.72, q.girth
-    swing = {"stand": 0.12, "walk": 0.55, "run": 0.9, "reach": 0.25, "ride": 0.0}[q.pose] * q.stride
+    swing = {"stand": 0.1, "walk": 0.42, "run": 0.68, "reach": 0.2, "ride": 0.0}[q.pose] * q.stride
     lean = {"stand": 0.0, "walk": 0.05, "run": 0.2, "reach": 0.05, "ride": 0.16}[q.pose]
     hip = 0.93 if seat_m is None else seat_m / h + 0.08
     chest = hip + 0.47
@@ -334,14 +340,14 @@ def cycle(c: Cycle) -> Surface:
         )
     if scooter:
         rear = shapes.sweep(
-            [(-0.78, 0, 0.62), (-0.45, 0, 0.6), (-0.02, 0, 0.52)], [0.1, 0.15, 0.13], [0.08, 0.16, 0.14], n=8
+            [(-0.78, 0, 0.62), (-0.45, 0, 0.6), (-0.02, 0, 0.52)], [0.13, 0.2, 0.15], [0.1, 0.17, 0.15], n=8
         )
         p.add(rear, c.body_k, PAINT, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.72, 0.3, 0.12), 0.04), (-0.4, 0, 0.79)), c.seat_k, CLOTH, c.solar_k)
+        p.add(shapes.moved(shapes.box((0.72, 0.34, 0.12), 0.06), (-0.4, 0, 0.79)), c.seat_k, CLOTH, c.solar_k)
         p.add(shapes.moved(shapes.box((0.5, 0.32, 0.12), 0.03), (0.18, 0, 0.3)), c.body_k, PAINT, c.solar_k)
         p.add(shapes.moved(shapes.box((0.3, 0.16, 0.2), 0.03), (-0.45, 0, 0.36)), c.motor_k, PAINT)
         shield = shapes.sweep(
-            [(0.46, 0, 0.32), (0.42, 0, 0.7), (0.34, 0, 1.0)], [0.17, 0.19, 0.1], [0.05, 0.07, 0.08], n=8, up=(1, 0, 0)
+            [(0.46, 0, 0.32), (0.42, 0, 0.7), (0.34, 0, 1.0)], [0.2, 0.25, 0.14], [0.06, 0.1, 0.12], n=8, up=(1, 0, 0)
         )
         p.add(shield, c.body_k, PAINT, c.solar_k)
         if c.cover:  # the padded wind guard that hangs before the rider's legs in winter
@@ -392,9 +398,9 @@ def tree_prototype(kind: str, index: int) -> Surface:
     # Prototypes are part of the program, like a model file: the same in every world.
     rng = np.random.Generator(np.random.PCG64([7, sorted(TREE_KINDS).index(kind), index]))
     if kind == "crown":
-        return _crown(rng, 230, 0.30, 0.72)
+        return _crown(rng, 560, 0.30, 0.72)
     if kind == "shrub":
-        return _crown(rng, 60, 0.05, 0.5)
+        return _crown(rng, 170, 0.05, 0.5)
     return _bare(rng)
 
 
@@ -408,7 +414,7 @@ def tree_matrix(t: Tree) -> FloatArray:
 
 def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> Surface:
     p = _Pieces()
-    ball = _icosphere()
+    ball = _icosahedron()
     flatten = (1 - low) / 2
     trunk = shapes.capsule((0, 0, 0), (0, 0, 0.6), 0.06, 0.04, n=6)
     p.add(Solid(trunk.vertices * (1, 1, 1), trunk.triangles), 1.6, LEAF, 0.3, 0.3)
@@ -421,7 +427,7 @@ def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> 
         bulge = 0.72 + 0.28 * float(np.max(np.clip(lobes @ d, 0, 1)) ** 3)
         r = bulge * float(rng.uniform(0.35, 1.0) ** 0.45)
         c = np.array([d[0] * r, d[1] * r, centre - 0.02 + d[2] * r * flatten])
-        size = float(rng.uniform(0.08, 0.22))
+        size = float(rng.uniform(0.07, 0.17))
         jitter = 1 + 0.38 * rng.uniform(-1, 1, (len(ball.vertices), 1))
         v = ball.vertices * jitter * (size, size, size * 0.62) + c
         v[:, 2] = np.clip(v[:, 2], 0.02, 1.0)
@@ -461,8 +467,8 @@ def _bare(rng: np.random.Generator) -> Surface:
     return Surface(v, s.triangles, s.kelvin, s.mirror, s.solar_k, s.grain_k)
 
 
-def _icosphere() -> Solid:
-    """A ball of 80 triangles, radius 1."""
+def _icosahedron() -> Solid:
+    """A ball of 20 triangles, radius 1."""
     g = (1 + 5**0.5) / 2
     v = [
         (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g),
@@ -473,22 +479,7 @@ def _icosphere() -> Solid:
         (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10),
         (8, 6, 7), (9, 8, 1),
     ]  # fmt: skip
-    points = [np.array(p, np.float64) / math.hypot(1, g) for p in v]
-    middle: dict[tuple[int, int], int] = {}
-
-    def mid(a: int, b: int) -> int:
-        key = (min(a, b), max(a, b))
-        if key not in middle:
-            m = points[a] + points[b]
-            points.append(m / np.linalg.norm(m))
-            middle[key] = len(points) - 1
-        return middle[key]
-
-    faces = []
-    for a, b, c in f:
-        ab, bc, ca = mid(a, b), mid(b, c), mid(c, a)
-        faces += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-    return Solid(np.array(points), np.array(faces, np.int32))
+    return Solid(np.array(v, np.float64) / math.hypot(1, g), np.array(f, np.int32))
 
 
 # Buildings and furniture --------------------------------------------------------------------------------------
