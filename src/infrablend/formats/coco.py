@@ -57,12 +57,12 @@ def write(
     ids: Literal["source", "new"] = "new",
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
-    pictures: bool = True,
+    pictures: bool = False,
 ) -> Written:
-    """Write `out/<split>.json` for every split there is, see `coco_files`, and link the pictures.
+    """Write `out/<split>.json` for every split there is, see `coco_files`.
 
-    Pictures go to `out/images/<split>/`, as hard links of `ImageRecord.path` (copies where that is impossible);
-    `pictures=False` writes the JSON alone, for pictures that lie in `images/<split>/` beside or above already.
+    With `pictures` they go to `out/images/<split>/`, as hard links of `ImageRecord.path` (copies where that is
+    impossible); without, they should lie in an `images/<split>/` beside or above `out`.
 
     Raises:
         OutputError: A file cannot be written.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -26,6 +27,12 @@ def output_error(path: Path, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path}: {error.strerror or error}", [problem])
 
 
+def _discard(part: Path) -> None:
+    """Remove a half-written file; where even that fails, the first error is the one to tell."""
+    with contextlib.suppress(OSError):
+        part.unlink(missing_ok=True)
+
+
 def write_bytes(path: Path, data: bytes) -> Path:
     """Write `data` to `path` atomically (beside, then renamed), making parent folders.
 
@@ -38,7 +45,7 @@ def write_bytes(path: Path, data: bytes) -> Path:
         part.write_bytes(data)
         part.replace(path)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        _discard(part)
         raise output_error(path, error) from error
     return path
 
@@ -70,6 +77,6 @@ def link_or_copy(source: Path, target: Path) -> Path:
             shutil.copyfile(real, part)
         part.replace(target)
     except OSError as error:
-        part.unlink(missing_ok=True)
+        _discard(part)
         raise output_error(target, error) from error
     return target

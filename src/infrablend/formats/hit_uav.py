@@ -173,7 +173,9 @@ def _own_form(folder: Path) -> Form | None:
             continue
         if isinstance(top.get("annotation"), list):
             return "normal_json"
-        if isinstance(top.get("annotations"), list) and ("scenarios" in top or "weather" in top):
+        first = next(iter(top.get("annotations") or []), None)
+        bbox = first.get("bbox") if isinstance(first, dict) else None
+        if "scenarios" in top or (isinstance(bbox, list) and len(bbox) == 5):
             return "rotate_json"
     if named and named.endswith("_json") and _has_layout(folder, named):
         return named

@@ -1,0 +1,100 @@
+"""HIT-UAV's real files: read, written and read again in all four forms."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infrablend.core.dataset import Dataset
+from infrablend.formats import detection, hit_uav, yolo
+
+COUNTS = {"train": (1000, 8706), "val": (290, 2460), "test": (579, 4811)}
+
+
+def assert_equal(a: Dataset, b: Dataset, atol_px: float = 0.0) -> None:
+    assert [i.id for i in a.images] == [i.id for i in b.images]
+    for x, y in zip(a.images, b.images, strict=True):
+        facts = [(i.split, i.size_wh, i.pitch_deg, i.altitude_m, i.time_of_day, i.source_id) for i in (x, y)]
+        assert facts[0] == facts[1]
+        assert len(x.instances) == len(y.instances)
+        for p, q in zip(x.instances, y.instances, strict=True):
+            assert p.equals(q, atol_px), (x.id, p, q)
+
+
+def test_all_forms_agree_on_every_object_and_are_read_quickly(real_data: Path) -> None:
+    start = time.perf_counter()
+    d = detection.read(real_data / "hit-uav")
+    took_s = time.perf_counter() - start
+    assert d.format == "hit-uav"
+    for split, (images, boxes) in COUNTS.items():
+        part = [i for i in d.images if i.split == split]
+        assert (len(part), sum(len(i.instances) for i in part)) == (images, boxes)
+    assert set(d.notes["forms"]) == set(hit_uav.FORMS)
+    assert set(d.notes["disagreements"].values()) == {0}
+    assert d.notes["boxes_checked"] == 15977 + 513 + 513
+    assert [p.code for p in d.problems] == ["form-partial", "form-partial"]
+    assert all(i.pitch_deg is not None and i.altitude_m is not None for i in d.images)
+    assert sum(o.truncated is not None for i in d.images for o in i.instances) == 513
+    assert took_s < 3
+
+
+def test_normal_json_boxes_are_unchanged(real_data: Path) -> None:
+    d = detection.read(real_data / "hit-uav", splits=["test"])
+    top = json.loads((real_data / "hit-uav/normal_json/annotations/test.json").read_text())
+    boxes = {a["id"]: a["bbox"] for a in top["annotation"]}
+    assert len(boxes) == 4811
+    for image in d.images:
+        for o in image.instances:
+            x, y, w, h = boxes.pop(o.source_id)
+            assert o.box_xyxy.tolist() == [x, y, x + w, y + h]
+    assert boxes == {}
+
+
+@pytest.mark.parametrize("form", hit_uav.FORMS)
+def test_written_and_read_again_it_is_equal(real_data: Path, form: hit_uav.Form, tmp_path: Path) -> None:
+    d = hit_uav.read(real_data / "hit-uav" / form)
+    ids = "source" if form.endswith("_json") else "new"
+    texts, losses = hit_uav.native_files(d.images, d.categories, forms=[form], ids=ids, extra=d.extra)
+    assert not any(k.endswith("fraction_truncated") for k in losses)
+    hit_uav.write(tmp_path, d.images, d.categories, forms=[form], ids=ids, extra=d.extra)
+    assert_equal(d, hit_uav.read(tmp_path / form))
+    key = {"normal_json": "annotation", "rotate_json": "annotations"}.get(form)
+    for name, text in texts.items() if key else ():
+        ours, theirs = json.loads(text), json.loads((real_data / "hit-uav" / name).read_text())
+        assert list(ours) == list(theirs)
+        for records in ("images", key):
+            assert sorted(ours[records], key=lambda r: r["id"]) == sorted(theirs[records], key=lambda r: r["id"])
+        assert ours["categories"] == theirs["categories"]
+
+
+def test_truncating_oriented_boxes_gives_the_normal_ones(real_data: Path) -> None:
+    d = hit_uav.read(real_data / "hit-uav", form="rotate_json")
+    texts, losses = hit_uav.native_files(d.images, d.categories, forms=["normal_json"], ids="source")
+    for name, text in texts.items():
+        ours = {a["id"]: a["bbox"] for a in json.loads(text)["annotation"]}
+        top = json.loads((real_data / "hit-uav" / name).read_text())
+        assert ours == {a["id"]: a["bbox"] for a in top["annotation"]}
+    assert losses["normal_json.fraction_truncated"] > 0
+
+
+def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: Path) -> None:
+    d = detection.read(real_data / "hit-uav", splits=["val"])
+    written = yolo.write(tmp_path, d.images, d.categories)
+    assert written.losses["ignore_dropped"] == 7
+    again = detection.read(tmp_path)
+    assert again.format == "yolo"
+    for a, b in zip(d.images, again.images, strict=True):
+        boxes = [o.box_xyxy for o in a.instances if o.category != "DontCare"]
+        np.testing.assert_allclose([o.box_xyxy for o in b.instances], boxes, rtol=0, atol=1e-6) if boxes else None
+
+
+def test_folders_of_other_data_are_read(real_data: Path) -> None:
+    wisard = detection.read(real_data / "wisard")
+    assert wisard.format == "folder" and wisard.notes["labels"] == "yolo"
+    assert [p for p in wisard.problems if p.severity == "error"] == []
+    assert sum(len(i.instances) for i in wisard.images) > 30
+    assert len(detection.read(real_data / "birdsai").images) == 7

@@ -1,0 +1,121 @@
+"""Files appear whole or not at all; the disk's errors say what to do; polygons hold their masks."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from infrablend.core.boxes import polygon_area
+from infrablend.core.masks import Mask
+from infrablend.errors import OutputError
+from infrablend.formats import polygons
+from infrablend.formats.files import link_or_copy, part_path, write_bytes, write_text
+from infrablend.formats.pictures import assign_ids
+from infrablend.formats.polygons import outline, rasterise
+
+
+def test_a_full_disk_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_text(tmp_path / "a" / "x.txt", "old")
+
+    def full(self: Path, data: bytes) -> int:
+        self.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OutputError, match="No space") as caught:
+        write_bytes(path, b"new")
+    assert caught.value.problems[0].code == "disk-full"
+    assert path.read_text() == "old" and not part_path(path).exists()
+
+
+def test_a_folder_in_the_way_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("a file")
+    with pytest.raises(OutputError, match="cannot write"):
+        write_text(tmp_path / "a" / "x.txt", "new")
+
+
+def test_links_are_made_repeated_and_replaced(tmp_path: Path) -> None:
+    source = write_text(tmp_path / "s", "one")
+    target = link_or_copy(source, tmp_path / "d" / "t")
+    assert target.samefile(source)
+    assert link_or_copy(source, target).samefile(source)
+    other = write_text(tmp_path / "o", "two")
+    assert link_or_copy(other, target).read_text() == "two"
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == ["t"]
+    (tmp_path / "link").symlink_to(source)
+    assert not link_or_copy(tmp_path / "link", tmp_path / "d" / "u").is_symlink()
+
+
+def test_where_links_are_impossible_files_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+
+    monkeypatch.setattr(os, "link", refuse)
+    source = write_text(tmp_path / "s", "one")
+    target = link_or_copy(source, tmp_path / "t")
+    assert target.read_text() == "one" and not target.samefile(source)
+    with pytest.raises(OutputError):
+        link_or_copy(tmp_path / "absent", tmp_path / "u")
+
+
+def test_ids_are_stems_where_they_can_be() -> None:
+    names = ["a/x.jpg", "b/x.jpg", "b/y.jpg", "c/z.jpg", "c/z.png"]
+    assert assign_ids(reversed(names)) == {
+        "a/x.jpg": "a__x", "b/x.jpg": "b__x", "b/y.jpg": "y", "c/z.jpg": "c__z_jpg", "c/z.png": "c__z_png",
+    }  # fmt: skip
+    assert len(set(assign_ids(["a/b.jpg", "c/b.jpg", "a__b.jpg", "q/a__b.jpg"]).values())) == 4
+
+
+def disc(radius_px: float, size: int = 80) -> np.ndarray:
+    y, x = np.mgrid[:size, :size]
+    return np.asarray((x - size / 2 + 0.5) ** 2 + (y - size / 2 + 0.5) ** 2 <= radius_px**2)
+
+
+def test_outline_of_one_part_is_exact() -> None:
+    rectangle = np.zeros((20, 30), np.bool_)
+    rectangle[5:12, 4:15] = True
+    made = outline(Mask.from_array(rectangle))
+    assert made.raster_difference_px == 0 and len(made.polygon_xy) == 4
+    inset = polygons.INSET_PX
+    assert polygon_area(made.polygon_xy) == pytest.approx((11 - 2 * inset) * (7 - 2 * inset))
+    for radius in (0.8, 3, 10, 35):
+        made = outline(Mask.from_array(disc(radius)))
+        assert made.raster_difference_px == 0
+        assert abs(polygon_area(made.polygon_xy)) == pytest.approx(disc(radius).sum(), rel=0.06)
+
+
+def test_outline_of_a_single_pixel_and_of_nothing() -> None:
+    one = np.zeros((9, 9), np.bool_)
+    one[3, 8] = True
+    made = outline(Mask.from_array(one))
+    assert made.raster_difference_px == 0 and (rasterise(made.polygon_xy, (9, 9)) == one).all()
+    np.testing.assert_allclose([made.polygon_xy.min(0), made.polygon_xy.max(0)], [[8, 3], [9, 4]], atol=0.011)
+    assert outline(Mask.from_array(one & False)).polygon_xy.shape == (0, 2)
+
+
+def test_holes_stay_holes_and_parts_are_bridged() -> None:
+    ring = disc(30) & ~disc(12)
+    made = outline(Mask.from_array(ring))
+    assert made.raster_difference_px == 0
+    assert abs(polygon_area(made.polygon_xy)) == pytest.approx(ring.sum(), rel=0.02)
+    two = np.zeros((20, 40), np.bool_)
+    two[5:10, 2:10] = True
+    two[5:10, 18:30] = True
+    made = outline(Mask.from_array(two))
+    assert made.raster_difference_px == 8  # one row of pixels, columns 10 to 17
+    assert not (two & ~rasterise(made.polygon_xy, (40, 20))).any()
+
+
+def test_a_ragged_mask_stays_below_the_corner_limit() -> None:
+    noise = np.random.default_rng(0).random((200, 200)) < 0.9
+    mask = disc(95, 200) & noise
+    made = outline(Mask.from_array(mask))
+    assert len(made.polygon_xy) <= polygons.MAX_CORNERS
+    differ = (rasterise(made.polygon_xy, (200, 200)) != mask).sum()
+    assert made.raster_difference_px == differ > 0
+    assert cv2.contourArea(made.polygon_xy.astype(np.float32)) > 0.7 * disc(95, 200).sum()

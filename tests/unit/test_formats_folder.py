@@ -1,0 +1,247 @@
+"""Plain folders, YOLO and COCO as input: layouts, tables of pitch and altitude, bad labels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend.core.dataset import Category, Dataset
+from infrablend.errors import DatasetError, UnknownFormatError
+from infrablend.formats import coco, detection, folder, yolo
+from infrablend.formats.capture import read_table
+from infrablend.formats.hit_uav import CATEGORIES
+
+
+def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full(size_wh[::-1], 90, np.uint8)).save(path)
+    return path
+
+
+def codes(dataset: Dataset, severity: str = "error") -> list[str]:
+    return [p.code for p in dataset.problems if p.severity == severity]
+
+
+def test_a_bare_folder_is_train(tmp_path: Path) -> None:
+    for name in ("b.png", "sub/a.jpg", ".hidden.png", "sub/.x/c.png", "notes.txt"):
+        picture(tmp_path / name) if name.endswith(("png", "jpg")) else (tmp_path / name).write_text("1 2 3")
+    d = detection.read(tmp_path)
+    assert (d.format, [i.id for i in d.images], {i.split for i in d.images}) == ("folder", ["a", "b"], {"train"})
+    assert [i.size_wh for i in d.images] == [None, None] and d.problems == () and d.categories == ()
+
+
+@pytest.mark.parametrize("inside", ["", "images/"])
+def test_split_folders_are_splits(tmp_path: Path, inside: str) -> None:
+    for name in ("train/a.png", "valid/a.png", "test/0_60_30_0_00001.png"):
+        picture(tmp_path / (inside + name))
+    picture(tmp_path / "stray.png")
+    d = folder.read(tmp_path)
+    where = inside.replace("/", "__")
+    expected = [(f"{where}train__a", "train"), (f"{where}valid__a", "val"), ("0_60_30_0_00001", "test")]
+    assert [(i.id, i.split) for i in d.images] == expected
+    assert (d.images[2].pitch_deg, d.images[2].altitude_m, d.images[2].time_of_day) == (30, 60, "day")
+    assert codes(d, "warning") == ["image-unlisted"]
+    assert [i.split for i in folder.read(tmp_path, splits=["test"]).images] == ["test"]
+
+
+def test_tables_give_pitch_and_altitude(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png", "c.png", "0_60_30_0_00001.png"):
+        picture(tmp_path / name)
+    rows = ["file,pitch_deg,altitude_m,time_of_day", "a.png,35.5,80,night", "0_60_30_0_00001.png,40,,", "z.png,1,1,"]
+    rows += ["b.png,nan,3,", "a.png,1,1,day", "c.png,-12,,dusk"]
+    (tmp_path / "metadata.csv").write_text("\n".join(rows))
+    d = detection.read(tmp_path)
+    by_id = {i.id: i for i in d.images}
+    assert (by_id["a"].pitch_deg, by_id["a"].altitude_m, by_id["a"].time_of_day) == (35.5, 80, "night")
+    assert (by_id["0_60_30_0_00001"].pitch_deg, by_id["0_60_30_0_00001"].altitude_m) == (40, 60)
+    assert by_id["b"].pitch_deg is None
+    assert codes(d) == ["table-value", "table-duplicate", "table-value"]
+    assert codes(d, "warning") == ["metadata-disagrees", "table-unused"]
+    assert "line 5" in next(p.where for p in d.problems if p.code == "table-value")
+
+
+@pytest.mark.parametrize(
+    "content", [[{"stem": "a", "pitch_deg": 45}], {"a": {"pitch_deg": "45"}}, {"a.png": {"pitch_deg": 45.0}}]
+)
+def test_tables_may_be_json(tmp_path: Path, content: Any) -> None:
+    picture(tmp_path / "in" / "a.png")
+    (tmp_path / "t.json").write_text(json.dumps(content))
+    assert folder.read(tmp_path / "in", metadata=tmp_path / "t.json").images[0].pitch_deg == 45
+
+
+@pytest.mark.parametrize("text", ["", "name,pitch\na,1\n", "file,size\na,1\n", "\xff"])
+def test_tables_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "t.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(DatasetError):
+        read_table(tmp_path / "t.csv")
+
+
+def test_labels_beside_the_pictures(tmp_path: Path) -> None:
+    picture(tmp_path / "clip" / "a b.png")
+    picture(tmp_path / "clip" / "c.png")
+    (tmp_path / "clip" / "a b.txt").write_text("1 0.5 0.5 0.2 0.25\n")
+    d = folder.read(tmp_path)
+    assert d.categories == (Category(1, "class_1"),)
+    assert d.images[0].instances[0].box_xyxy.tolist() == pytest.approx([40, 30, 60, 50])
+    assert codes(d, "warning") == ["names-missing", "label-missing"]
+    (tmp_path / "classes.txt").write_text("cow\nhorse\n")
+    assert folder.read(tmp_path).images[0].instances[0].category == "horse"
+    assert folder.read(tmp_path, labels="none").images[0].instances == ()
+
+
+BAD_LINES = (
+    ("0 0.5 0.5 0.2", "label-malformed"),
+    ("0 0.5 0.5 0.2 x", "label-malformed"),
+    ("-1 0.5 0.5 0.2 0.2", "label-malformed"),
+    ("0.5 0.5 0.5 0.2 0.2", "label-malformed"),
+    ("0 0.5 0.5 0.2 0.2 0.9", "label-malformed"),
+    ("0 nan 0.5 0.2 0.2", "box-not-finite"),
+    ("0 0.5 0.5 0 0.2", "box-empty"),
+    ("0 1.5 0.5 0.2 0.2", "box-outside"),
+    ("7 0.5 0.5 0.2 0.2", "category-unknown"),
+)
+
+
+@pytest.mark.parametrize(("line", "code"), BAD_LINES)
+def test_bad_label_lines_are_named_and_left_out(tmp_path: Path, line: str, code: str) -> None:
+    picture(tmp_path / "images" / "train" / "a.png")
+    label = tmp_path / "labels" / "train" / "a.txt"
+    label.parent.mkdir(parents=True)
+    label.write_text(f"0 0.25 0.25 0.1 0.1\n{line}\n")
+    (tmp_path / "data.yaml").write_text("train: images/train\nval: images/train\nnames: [cow]\n")
+    d = detection.read(tmp_path)
+    assert d.format == "yolo" and codes(d) == [code] and len(d.images[0].instances) == 1
+    assert next(p.where for p in d.problems if p.code == code) == "labels/train/a.txt: line 2"
+
+
+def test_a_box_over_the_edge_is_clipped_and_said(tmp_path: Path) -> None:
+    picture(tmp_path / "a.png")
+    (tmp_path / "a.txt").write_text("0 0 0.5 0.2 0.25\n0 0 0.5 0.2 0.25\n")
+    d = folder.read(tmp_path)
+    assert [o.box_xyxy.tolist() for o in d.images[0].instances] == [[0, 30, 10, 50]] * 2
+    assert sorted(codes(d, "warning")) == ["annotation-duplicate", "box-clipped", "box-clipped", "names-missing"]
+
+
+def test_data_yaml_stays_inside_the_folder(tmp_path: Path) -> None:
+    picture(tmp_path / "outside" / "a.png")
+    root = tmp_path / "data"
+    picture(root / "train" / "images" / "b.png")
+    (root / "train" / "labels").mkdir()
+    (root / "train" / "labels" / "b.txt").write_text("0 0.5 0.5 0.5 0.5\n")
+    (root / "data.yaml").write_text("train: ../train/images\nval: ../../outside\ntest: /etc\nnames: {0: cow}\n")
+    d = yolo.read(root)
+    assert [i.id for i in d.images] == ["b"] and len(d.images[0].instances) == 1
+    assert codes(d) == ["name-climbs", "name-climbs"]
+
+
+@pytest.mark.parametrize("text", ["- a", "train: [", "names: 3\ntrain: t", "train: t", "names: [a, a]\ntrain: t"])
+def test_no_data_yaml_of_yolo(tmp_path: Path, text: str) -> None:
+    picture(tmp_path / "t" / "b.png")
+    (tmp_path / "data.yaml").write_text(text)
+    assert not yolo.detect(tmp_path).ok
+    with pytest.raises(DatasetError):
+        yolo.read(tmp_path)
+
+
+def test_classes_of_hit_uav_with_a_drone() -> None:
+    categories = (*CATEGORIES, Category(5, "drone"))
+    dropped = {"Person": 0, "Car": 1, "Bicycle": 2, "OtherVehicle": 3, "drone": 4}
+    assert yolo.yolo_classes(categories) == dropped
+    kept = {"Person": 0, "Car": 1, "Bicycle": 2, "OtherVehicle": 3, "DontCare": 4, "drone": 5}
+    assert yolo.yolo_classes(categories[::-1], "keep") == kept
+
+
+def test_data_yaml_of_one_split_names_it_three_times() -> None:
+    text, problems = yolo.data_yaml({"a": 0, "yes": 1}, ["test"])
+    assert text.splitlines()[1:] == [
+        "train: images/test", "val: images/test", "test: images/test", "names:", "  0: a", "  1: 'yes'",
+    ]  # fmt: skip
+    assert [p.code for p in problems] == ["train-absent", "val-absent"]
+    text, problems = yolo.data_yaml({"a": 0}, ["train"])
+    assert "val: images/train" in text and "test" not in text and [p.code for p in problems] == ["val-absent"]
+
+
+def write_coco(root: Path, **changes: Any) -> Path:
+    picture(root / "images" / "a.png")
+    top: dict[str, Any] = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 100, "height": 80}],
+        "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "bbox": [10, 20, 30, 40]}],
+        "categories": [{"id": 3, "name": "cow"}],
+    }
+    (root / "labels.json").write_text(json.dumps(top | changes))
+    return root
+
+
+def annotation(**changes: Any) -> list[dict[str, Any]]:
+    good = {"id": 1, "image_id": 1, "category_id": 3, "bbox": [10, 20, 30, 40]}
+    return [good, good | {"id": 2} | changes]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "left"),
+    [
+        ({"bbox": [float("nan"), 1, 2, 3]}, "box-not-finite", 1),
+        ({"bbox": [1, 1, -2, 3]}, "box-empty", 1),
+        ({"bbox": [200, 1, 2, 3]}, "box-outside", 1),
+        ({"bbox": None}, "box-malformed", 1),
+        ({"category_id": 4}, "category-unknown", 1),
+        ({"image_id": 9}, "image-unknown", 1),
+        ({"image_id": "x"}, "annotation-malformed", 1),
+        ({"bbox": [90, 1, 20, 3]}, "box-clipped", 2),
+        ({"id": 1}, "annotation-duplicate", 2),
+        ({"segmentation": {"size": [3, 3], "counts": "01"}}, "mask-malformed", 2),
+        ({"segmentation": {"size": [80, 100], "counts": 7}}, "mask-malformed", 2),
+    ],
+)
+def test_bad_coco_annotations(tmp_path: Path, changes: dict[str, Any], code: str, left: int) -> None:
+    d = detection.read(write_coco(tmp_path, annotations=annotation(**changes)), format="coco")
+    assert [p.code for p in d.problems] == [code]
+    assert (d.problems[0].severity == "error") == (left == 1)
+    assert len(d.images[0].instances) == left
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/a.png", "x/../../a.png", "b.png"])
+def test_bad_coco_file_names(tmp_path: Path, name: str) -> None:
+    images = [
+        {"id": 1, "file_name": "a.png", "width": 100, "height": 80},
+        {"id": 2, "file_name": name, "width": 100, "height": 80},
+    ]
+    d = coco.read(write_coco(tmp_path, images=images))
+    assert codes(d) == ["image-missing" if name == "b.png" else "name-climbs"] and len(d.images) == 1
+
+
+def test_coco_polygons_become_masks(tmp_path: Path) -> None:
+    d = coco.read(write_coco(tmp_path, annotations=annotation(segmentation=[[10, 20, 40, 20, 40, 60, 10, 60]])))
+    mask = d.images[0].instances[1].mask
+    assert mask is not None and mask.area_px == 30 * 40
+
+
+def test_broken_coco_files(tmp_path: Path) -> None:
+    picture(tmp_path / "a.png")
+    (tmp_path / "train.json").write_text("{")
+    with pytest.raises(DatasetError) as caught:
+        coco.read(tmp_path)
+    assert [p.code for p in caught.value.problems] == ["annotation-not-json"]
+
+
+def test_options_belong_to_their_formats(tmp_path: Path) -> None:
+    picture(tmp_path / "a.png")
+    with pytest.raises(DatasetError, match="HIT-UAV"):
+        detection.read(tmp_path, form="normal_json")
+    with pytest.raises(DatasetError, match="expected one of normal_json"):
+        detection.read(tmp_path, form="normal")
+    with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
+        detection.read(tmp_path, format="voc")
+    with pytest.raises(DatasetError, match="no such folder"):
+        detection.read(tmp_path / "absent")
+
+
+def test_every_format_in_the_table_can_be_loaded() -> None:
+    for f in detection.FORMATS:
+        assert callable(f.load("read")) and callable(f.load("detect"))
+        assert f.writes is hasattr(__import__(f.module, fromlist=["x"]), "write")

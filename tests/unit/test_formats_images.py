@@ -1,0 +1,168 @@
+"""Decoding and encoding pictures: what is kept, what is refused, and what is converted with a word."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend.errors import DatasetError
+from infrablend.formats import images as module
+from infrablend.formats.images import encode_image, load_background, output_suffix, save_image
+
+
+def ramp(dtype: type = np.uint8) -> np.ndarray:
+    values = np.add.outer(np.arange(48) * 3, np.arange(64)).astype(dtype)
+    return values * 200 if dtype == np.uint16 else values
+
+
+def save(path: Path, pixels: np.ndarray, **options: object) -> Path:
+    Image.fromarray(pixels).save(path, **options)
+    return path
+
+
+def refused(path: Path, **options: object) -> str:
+    with pytest.raises(DatasetError) as caught:
+        load_background(path, **options)  # type: ignore[arg-type]
+    (problem,) = caught.value.problems
+    assert problem.where == path.name and problem.found and problem.expected and problem.todo
+    return problem.code
+
+
+@pytest.mark.parametrize("subsampling", [0, 1, 2])
+@pytest.mark.parametrize("quality", [40, 90])
+def test_jpeg_keeps_tables_subsampling_mode_and_size(tmp_path: Path, quality: int, subsampling: int) -> None:
+    for name, pixels in (("l.jpg", ramp()), ("rgb.jpg", np.repeat(ramp()[..., None], 3, axis=2))):
+        source = load_background(save(tmp_path / name, pixels, quality=quality, subsampling=subsampling))
+        again = load_background(save_image(tmp_path / f"again_{name}", source.pixels, source))
+        assert (again.mode, again.size_wh, again.bit_depth) == (source.mode, (64, 48), 8)
+        assert again.quantization == source.quantization and again.quantization
+        assert again.subsampling == source.subsampling == (subsampling if source.mode == "RGB" else -1)
+        assert source.problems == ()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif"])
+def test_lossless_types_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> None:
+    source = load_background(save(tmp_path / f"a{suffix}", ramp()))
+    again = load_background(save_image(tmp_path / f"b{suffix}", source.pixels, source))
+    assert (again.pixels == ramp()).all() and again.file_type == source.file_type
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str) -> None:
+    source = load_background(save(tmp_path / f"a{suffix}", ramp(np.uint16)))
+    assert (source.mode, source.bit_depth, source.pixels.dtype) == ("I;16", 16, np.uint16)
+    again = load_background(save_image(tmp_path / f"b{suffix}", source.pixels, source))
+    assert (again.pixels == ramp(np.uint16)).all() and again.bit_depth == 16
+
+
+def test_png_on_request_is_lossless_and_the_same_bytes(tmp_path: Path) -> None:
+    source = load_background(save(tmp_path / "a.jpg", np.repeat(ramp()[..., None], 3, axis=2), quality=75))
+    assert output_suffix(source.path, "png") == ".png" and output_suffix(source.path, "same") == ".jpg"
+    again = load_background(save_image(tmp_path / "b.png", source.pixels, source, "png"))
+    assert (again.pixels == source.pixels).all() and again.mode == "RGB"
+    assert encode_image(source.pixels, source, "png") == (tmp_path / "b.png").read_bytes()
+
+
+def test_real_colour_is_converted_with_a_warning(tmp_path: Path) -> None:
+    rgb = np.stack([ramp(), ramp() // 2, ramp() // 3], axis=2)
+    found = load_background(save(tmp_path / "a.png", rgb))
+    assert [p.code for p in found.problems] == ["image-colour"] and found.problems[0].severity == "warning"
+    assert (found.pixels == np.array(Image.fromarray(rgb).convert("L"))).all() and found.mode == "RGB"
+
+
+def test_alpha_and_palette_are_dropped_with_a_warning(tmp_path: Path) -> None:
+    rgba = np.dstack([ramp(), ramp(), ramp(), ramp()])
+    assert [p.code for p in load_background(save(tmp_path / "a.png", rgba)).problems] == ["image-alpha"]
+    Image.fromarray(ramp()).convert("P").save(tmp_path / "p.png")
+    assert [p.code for p in load_background(tmp_path / "p.png").problems] == ["image-palette"]
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.png"])
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_truncated_files_are_refused(tmp_path: Path, name: str, share: float) -> None:
+    rng = np.random.default_rng(1)
+    path = save(tmp_path / name, rng.integers(0, 255, (200, 300), dtype=np.uint8))
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    assert refused(path) == "image-truncated"
+
+
+def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_text("not a picture")
+    (tmp_path / "empty.png").write_bytes(b"")
+    assert refused(tmp_path / "a.jpg") == "image-unreadable"
+    assert refused(tmp_path / "empty.png") == "image-unreadable"
+    assert refused(tmp_path / "absent.jpg") == "image-missing"
+    assert refused(tmp_path) == "image-missing"
+    Image.fromarray(ramp()).save(tmp_path / "b.jpg", "GIF")  # a format nobody asked for
+    assert refused(tmp_path / "b.jpg") == "image-unreadable"
+
+
+def test_a_damaged_png_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", ramp())
+    data = bytearray(path.read_bytes())
+    data[data.index(b"IDAT") + 8] ^= 0xFF
+    path.write_bytes(bytes(data))
+    assert refused(path) == "image-truncated"
+
+
+def test_another_size_than_annotated_is_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.png", ramp())
+    assert load_background(path, (64, 48)).size_wh == (64, 48)
+    assert refused(path, expected_wh=(640, 512)) == "image-size"
+
+
+def bomb(path: Path, side: int) -> Path:
+    """A PNG whose header claims side x side pixels."""
+    head = side.to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0])
+    out = io.BytesIO(b"")
+    out.write(b"\x89PNG\r\n\x1a\n")
+    for kind, body in ((b"IHDR", head), (b"IDAT", zlib.compress(b"\0" * 1000)), (b"IEND", b"")):
+        crc = zlib.crc32(kind + body).to_bytes(4, "big")
+        out.write(len(body).to_bytes(4, "big") + kind + body + crc)
+    path.write_bytes(out.getvalue())
+    return path
+
+
+@pytest.mark.parametrize("side", [12_000, 50_000])
+def test_decompression_bombs_are_refused_unread(tmp_path: Path, side: int) -> None:
+    assert refused(bomb(tmp_path / "a.png", side)) == "image-too-large"
+
+
+def test_our_own_limit_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_PIXELS", 1000)
+    assert refused(save(tmp_path / "a.png", ramp())) == "image-too-large"
+
+
+def test_animations_and_strange_modes_are_refused(tmp_path: Path) -> None:
+    frames = [Image.fromarray(ramp()), Image.fromarray(ramp() + 1)]
+    frames[0].save(tmp_path / "a.tif", save_all=True, append_images=frames[1:])
+    assert refused(tmp_path / "a.tif") == "image-frames"
+    Image.new("CMYK", (8, 8)).save(tmp_path / "c.jpg")
+    assert refused(tmp_path / "c.jpg") == "image-mode"
+    Image.new("F", (8, 8)).save(tmp_path / "f.tif")
+    assert refused(tmp_path / "f.tif") == "image-mode"
+
+
+def test_exif_rotation_is_said(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(ramp()).save(tmp_path / "a.jpg", exif=exif)
+    found = load_background(tmp_path / "a.jpg", (64, 48))
+    assert [p.code for p in found.problems] == ["image-exif-turned"]
+
+
+def test_pixels_must_be_like_the_background(tmp_path: Path) -> None:
+    source = load_background(save(tmp_path / "a.png", ramp()))
+    with pytest.raises(ValueError, match="like the background"):
+        encode_image(ramp()[:-1], source)
+    with pytest.raises(ValueError, match="like the background"):
+        encode_image(ramp(np.uint16), source)
+    with pytest.raises(ValueError, match="suffix"):
+        save_image(tmp_path / "b.jpg", source.pixels, source)
+    with pytest.raises(ValueError, match="read-only"):
+        source.pixels[0, 0] = 1
