@@ -440,10 +440,22 @@ def test_units_for_people():
 
 
 def test_facts_read_units_from_names():
-    assert facts({"a_b": 1, "free_bytes": 2048, "took_s": 3.0, "none": None, "on": True, "m": {"x": 1, "y": 2}}) == {
+    assert facts(
+        {
+            "a_b": 1,
+            "free_bytes": 2048,
+            "took_s": 3.0,
+            "none": None,
+            "empty": {},
+            "zero": 0,
+            "on": True,
+            "m": {"x": 1, "y": 2},
+        }
+    ) == {
         "a b": "1",
         "free": "2.0 KiB",
         "took": "3.0 s",
+        "zero": "0",
         "on": "yes",
         "m": "x 1, y 2",
     }

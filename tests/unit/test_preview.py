@@ -244,7 +244,8 @@ def run(tmp_path):
                 "bbox": [1, 2, 10, 11],
                 "area": 110,
                 "iscrowd": 0,
-                "segmentation": [],
+                "segmentation": [[1, 2, 11, 2, 11, 13, 1, 13]],
+                "segmentation_from": "box",
             }
         )
         if n < 2:

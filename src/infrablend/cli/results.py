@@ -28,11 +28,11 @@ def table(rows: Mapping[str, str]) -> str:
 def facts(data: Mapping[str, Any]) -> dict[str, str]:
     """What a mapping of plain values says, for `table`: units from the names, lists as their lengths.
 
-    Nested mappings are joined into one line; None is left out.
+    Nested mappings are joined into one line; None and what is empty are left out.
     """
     rows = {}
     for key, value in data.items():
-        if value is None:
+        if value is None or value in ({}, [], ()):
             continue
         name, text = _fact(key, value)
         rows[name] = text

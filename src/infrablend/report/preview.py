@@ -416,7 +416,8 @@ def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int
         names[int(a["category_id"])],
         np.array([x, y, x + w, y + h], np.float64),
         corners,
-        _mask(a.get("segmentation"), size_wh),
+        # An outline that was made from a box is none.
+        _mask(a.get("segmentation"), size_wh) if a.get("segmentation_from", "mask") == "mask" else None,
         None if visibility is None else float(visibility),
         inserted=bool(a.get("inserted")),
         source_id=a.get("id"),
