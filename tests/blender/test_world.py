@@ -68,6 +68,7 @@ def test_dataset_reads_back_and_repeats(tmp_path):
         return {str(p.relative_to(root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
     assert hashes("a") == hashes("b")
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["normal_json", "rotate_json", "world.json"]
     dataset = hit_uav.read(tmp_path / "a")
     assert not [p for p in dataset.problems if p.severity == "error"]
     assert len(dataset.images) == 2 and dict(first.frames) == {"test": 2}
@@ -85,3 +86,12 @@ def test_dataset_reads_back_and_repeats(tmp_path):
             assert instance.corners_xy is not None
     with pytest.raises(OutputError, match="not"):
         render_world(tmp_path / "a", 1)
+
+
+def test_stopped_run_leaves_nothing(tmp_path):
+    def stop(done: int, count: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_world(tmp_path / "out", 2, 0, progress=stop)
+    assert not (tmp_path / "out").exists()

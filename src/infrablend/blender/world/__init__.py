@@ -177,21 +177,25 @@ def render_world(
     facts: list[dict[str, Any]] = []
     dropped: Counter[str] = Counter()
     stage = out / ".frames"
-    with WorldRenderer(threads) as renderer:
-        for frame in frames:
-            plan = sample_world(
-                stream(seed, "world", frame.number, "plan"), frame.pitch_deg, frame.altitude_m, frame.time_of_day
-            )
-            image, labels = _make_frame(renderer, frame, plan, seed, stage)
-            images.append(image)
-            facts.append(_facts(frame, plan, labels))
-            dropped.update(label.dropped for label in labels if label.dropped)
-            if progress is not None:
-                progress(len(images), count)
-    written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
-    write_json(out / "world.json", {"seed": seed, "frames": facts})
-    # The pictures are linked into both forms by now; only these names go.
-    shutil.rmtree(stage)
+    try:
+        with WorldRenderer(threads) as renderer:
+            for frame in frames:
+                plan = sample_world(
+                    stream(seed, "world", frame.number, "plan"), frame.pitch_deg, frame.altitude_m, frame.time_of_day
+                )
+                image, labels = _make_frame(renderer, frame, plan, seed, stage)
+                images.append(image)
+                facts.append(_facts(frame, plan, labels))
+                dropped.update(label.dropped for label in labels if label.dropped)
+                if progress is not None:
+                    progress(len(images), count)
+        written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
+        write_json(out / "world.json", {"seed": seed, "frames": facts})
+    finally:
+        # Finished pictures are linked into both forms by now; after a stop nothing half-done is left behind.
+        shutil.rmtree(stage, ignore_errors=True)
+        if out.is_dir() and not any(out.iterdir()):
+            out.rmdir()
     labels_of = Counter(i.category for image in images for i in image.instances)
     return WorldReport(
         out,

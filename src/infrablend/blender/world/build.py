@@ -213,8 +213,11 @@ class WorldRenderer:
         pose[:3, :3], pose[:3, 3] = axes, camera.position_m
         self._camera.matrix_world = mathutils.Matrix(pose.tolist())
         self._file.unlink(missing_ok=True)
-        with _silenced():
-            bpy.ops.render.render(write_still=True)
+        try:
+            with _silenced():
+                bpy.ops.render.render(write_still=True)
+        except RuntimeError as error:
+            raise RenderError(f"the virtual world: Cycles failed: {error}") from error
         if not self._file.is_file():
             raise RenderError(f"{self._file}: Blender wrote no picture of the virtual world; is the disk full?")
         with OpenEXR.File(str(self._file), separate_channels=True) as exr:

@@ -565,7 +565,7 @@ class _Sampler:
         kelvin = self._tree_kelvin() - (1.2 * self.clear if kind == "shrub" and self.night else 0)
         self.trees.append(
             Tree(kind, int(self.rng.integers(64)), x, y, u(0, 2 * math.pi), height, radius,
-                 kelvin + (1.6 if kind == "bare" and self.night else 0), self.solar * u(3, 7))
+                 kelvin + (1.6 if kind == "bare" and self.night else 0), self.solar * u(1, 3.5))
         )  # fmt: skip
         self.taken.append((x, y, 0.0, 0.3, 0.3))
         if kind == "crown":

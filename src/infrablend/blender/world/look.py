@@ -12,7 +12,7 @@ from PIL import Image
 Field = NDArray[np.float32]
 # HIT-UAV keeps the video's limited range; means are held near mid-grey by the camera.
 LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
-HEADROOM_GREY = 90.0
+HEADROOM_GREY = 95.0
 
 
 def optics(kelvin: Field, sigma_px: float) -> Field:
