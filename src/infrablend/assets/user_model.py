@@ -192,8 +192,8 @@ def load_user_model(path: Path) -> ObjectModel:
 def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> tuple[list[str], dict[str, PartRange]]:
     """Name of the part of each piece of the file, and every part's thermal role.
 
-    A piece belongs to the first part with a pattern that matches its object's or material's name, else to its own
-    InfraredEffect material.
+    A piece belongs to the first part with a pattern that matches its object's name, else its material's name, else to
+    its own InfraredEffect material.
 
     Raises:
         ModelError: Naming every piece without a part and every part without a piece.
@@ -204,11 +204,13 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     }
     names, used, missing = [], set(), []
     for g in groups:
+        # An object's own name says more than that of a material it may share with others.
         found = next(
             (
                 name
+                for own in (g.object, g.material)
                 for name, part in described.parts.items()
-                if any(fnmatch.fnmatchcase(n, pattern) for pattern in part.match for n in (g.object, g.material) if n)
+                if own and any(fnmatch.fnmatchcase(own, pattern) for pattern in part.match)
             ),
             None,
         )
@@ -235,7 +237,10 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     every = sorted({n for g in groups for n in (g.object, g.material) if n})
     problems += [
         Problem(
-            f"{where}: parts.{n}", "model-part", f"no name matches {list(described.parts[n].match)}", f"one of {every}"
+            f"{where}: parts.{n}",
+            "model-part",
+            f"no piece is left for {list(described.parts[n].match)}",
+            f"a pattern for one of {every} that no earlier part takes",
         )
         for n in described.parts
         if n not in used

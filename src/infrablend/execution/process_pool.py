@@ -15,6 +15,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -41,6 +42,14 @@ _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from infrablend.execution.worker import main; main(int(sys.argv[2]))"
 )
+
+
+def _module_path() -> list[str]:
+    """`sys.path` for a worker: the caller's, less what Blender put there when the caller imported bpy.
+
+    Its folder of scripts holds a package `bpy` too, which only works inside a Blender that is already running.
+    """
+    return [p for p in sys.path if not {"bpy", "scripts"} <= set(Path(p).parts)]
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,8 @@ class ProcessPool:
         spec = pickle.dumps(self._worker, pickle.HIGHEST_PROTOCOL)
         with contextlib.ExitStack() as stack:
             log = stack.enter_context(self._settings.log_path.open("ab")) if self._settings.log_path else None
-            run = _Run(self._settings, spec, log)
+            scratch = stack.enter_context(_scratch_folder())
+            run = _Run(self._settings, spec, log, scratch)
             stop = stack.enter_context(Interruption(run.signal_all))
             stack.callback(run.kill_all)
             yield from run.results(iter(tasks), stop)
@@ -127,8 +137,9 @@ class _Worker:
 class _Run:
     """One call of `ProcessPool.run`: its workers, and the tasks that wait."""
 
-    def __init__(self, settings: PoolSettings, spec: bytes, log: IO[bytes] | None) -> None:
+    def __init__(self, settings: PoolSettings, spec: bytes, log: IO[bytes] | None, scratch: str) -> None:
         self._settings = settings
+        self._scratch = scratch
         self._spec = spec
         self._log = log
         self._workers: list[_Worker] = []
@@ -179,12 +190,12 @@ class _Run:
         self._started += 1
         try:
             process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(theirs.fileno()), f"worker-{number}"],
+                [sys.executable, "-c", _BOOT, json.dumps(_module_path()), str(theirs.fileno()), f"worker-{number}"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 pass_fds=[theirs.fileno()],
-                env={**os.environ, **ONE_THREAD},
+                env={**os.environ, **ONE_THREAD, "TMPDIR": self._scratch},
                 process_group=0,
             )
         finally:
@@ -403,6 +414,15 @@ class _Run:
         """SIGKILL to every worker; safe in a signal handler."""
         for w in list(self._workers):
             _kill(w.process)
+
+
+def _scratch_folder() -> tempfile.TemporaryDirectory[str]:
+    """Where workers put temporary files: in memory unless TMPDIR says otherwise; the parent removes it, since a
+    killed worker cannot.
+    """
+    memory = Path("/dev/shm")
+    folder = None if os.environ.get("TMPDIR") or not os.access(memory, os.W_OK) else memory
+    return tempfile.TemporaryDirectory(prefix="infrablend_", dir=folder, ignore_cleanup_errors=True)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -1,0 +1,142 @@
+"""A user's own model: every file type, parts by name, damaged files, scripts that must not run."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from infrablend.assets.catalogue import load_model
+from infrablend.errors import ModelError
+from infrablend.pipeline.models import ready_model
+
+MAKE = """
+import os, sys
+import bpy
+from infrablend.blender.materials import infrared_effect_group
+out = sys.argv[1]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 0, 0.5))
+a = bpy.context.object
+a.name = a.data.name = "Body"
+bpy.ops.mesh.primitive_uv_sphere_add(radius=0.3, location=(0.7, 0, 1))
+b = bpy.context.object
+b.name = b.data.name = "Head"
+b.modifiers.new("more", "SUBSURF").render_levels = 2
+m = bpy.data.materials.new("Warm")
+m.use_nodes = True
+n = m.node_tree.nodes.new("ShaderNodeGroup")
+n.node_tree = infrared_effect_group()
+n.inputs["Temperature"].default_value = 35
+n.inputs["Emissivity"].default_value = 0.75
+a.data.materials.append(m)
+b.data.materials.append(m)
+bpy.ops.wm.obj_export(filepath=out + "/thing.obj")
+bpy.ops.export_scene.gltf(filepath=out + "/thing.glb")
+bpy.ops.export_scene.fbx(filepath=out + "/thing.fbx")
+bpy.ops.wm.usd_export(filepath=out + "/thing.usdc")
+t = bpy.data.texts.new("evil.py")
+t.write(f"open({out + '/EVIL'!r}, 'w').write('x')")
+t.use_module = True
+d = a.driver_add("location", 0).driver
+d.type = "SCRIPTED"
+d.expression = f"len(str(open({out + '/EVIL2'!r}, 'w')))"
+bpy.ops.wm.save_as_mainfile(filepath=out + "/thing.blend")
+os._exit(0)
+"""
+PARTS = """
+parts:
+  body: {match: [Body*], delta_t_k: [4, 8], emissivity: 0.97, ior: 1.0}
+  head: {match: [Head*], delta_t_k: 15, emissivity: 0.98, label: false}
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("models")
+    script = folder / "make.py"
+    script.write_text(MAKE)
+    subprocess.run([sys.executable, str(script), str(folder)], check=True, timeout=300, capture_output=True)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
+
+
+def describe(files, tmp_path, suffix, extra=PARTS, file=None):
+    path = tmp_path / "thing.yaml"
+    path.write_text(f"name: thing\ncategory: thing\nfile: {file or files / f'thing.{suffix}'}\norigin: feet\n{extra}")
+    return str(path)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "fbx", "usdc", "blend"])
+def test_every_file_type_gives_the_same_shape(files, tmp_path, suffix):
+    model = ready_model(describe(files, tmp_path, suffix))
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    assert set(mesh.part_names) == {"body", "head"}
+    assert mesh.size_m == pytest.approx([1.5, 1.0, 1.3], abs=0.03)
+    assert mesh.vertices_m[:, 2].min() == pytest.approx(0, abs=1e-9)
+    assert model.parts["head"].label is False
+    assert model.parts["body"].delta_t_k == (4, 8)
+
+
+def test_scripts_in_a_blend_are_not_executed(files, tmp_path):
+    ready_model(describe(files, tmp_path, "blend"))
+    assert not (files / "EVIL").exists()
+    assert not (files / "EVIL2").exists()
+
+
+def test_infrared_effect_materials_say_it_themselves(files, tmp_path):
+    model = ready_model(describe(files, tmp_path, "blend", "air_temperature_c: 15"))
+    assert model.parts["Warm"].delta_t_k == pytest.approx((20, 20))
+    assert model.parts["Warm"].emissivity == pytest.approx((0.75, 0.75))
+
+
+def test_subdivision_is_that_of_the_render(files, tmp_path):
+    model = ready_model(describe(files, tmp_path, "blend"))
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    head = mesh.part_of_triangle == mesh.part_names.index("head")
+    assert head.sum() > 10_000  # 960 triangles before two levels of subdivision
+
+
+def test_heading_and_length(files, tmp_path):
+    model = ready_model(describe(files, tmp_path, "obj", PARTS + "heading: '-X'\nlength_m: 3.0\n"))
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    assert mesh.size_m.max() == pytest.approx(3.0)
+    head = mesh.part_of_triangle == mesh.part_names.index("head")
+    assert mesh.vertices_m[mesh.triangles[head]].reshape(-1, 3)[:, 0].mean() < 0
+
+
+@pytest.mark.parametrize(
+    ("extra", "match"),
+    [
+        ("parts: {body: {match: [Body*], delta_t_k: 1, emissivity: 1.0}}", "'Head'"),
+        (PARTS + "  tail: {match: [Tail], delta_t_k: 1, emissivity: 1.0}", r"parts\.tail"),
+        (PARTS + "colour: red", "colour"),
+        ("parts: {body: {match: ['*'], delta_t_k: [8, 4], emissivity: 1.5}}", "delta_t_k"),
+    ],
+)
+def test_descriptions_that_do_not_fit(files, tmp_path, extra, match):
+    with pytest.raises(ModelError, match=match):
+        ready_model(describe(files, tmp_path, "obj", extra))
+
+
+def test_files_that_cannot_be_read(files, tmp_path):
+    bad = tmp_path / "bad.glb"
+    bad.write_bytes(b"this is no model")
+    with pytest.raises(ModelError, match=r"bad\.glb"):
+        ready_model(describe(files, tmp_path, "", file=bad))
+    bad = tmp_path / "bad.blend"
+    bad.write_bytes((files / "thing.blend").read_bytes()[:400])
+    with pytest.raises(ModelError, match=r"bad\.blend"):
+        ready_model(describe(files, tmp_path, "", file=bad))
+    with pytest.raises(ModelError, match="does not exist"):
+        ready_model(describe(files, tmp_path, "", file=tmp_path / "none.obj"))
+    with pytest.raises(ModelError, match="no known type"):
+        ready_model(describe(files, tmp_path, "", file=tmp_path / "x.stl"))
+    with pytest.raises(ModelError, match="no such model"):
+        load_model("dron")
+    with pytest.raises(ModelError, match="cannot be read"):
+        load_model(str(tmp_path / "none.yaml"))
