@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # The main job, small: a virtual thermal world in HIT-UAV's layout, drones rendered into it, a contact sheet.
 # Everything lands in build/demo; the last line of the output is the sheet's path alone.
+# DEMO_IMAGES and DEMO_NAME (a folder in build/) make other sizes elsewhere.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-out=build/demo
+out="build/$(basename "${DEMO_NAME:-demo}")"
 sheet="$out/contact_sheet.png"
 infrablend=.venv/bin/infrablend
 # A demo starts clean; the folder is this script's own.
@@ -20,7 +21,7 @@ step "drones into it, as the paper does for HIT-UAV-drone"
 "$infrablend" generate hit-uav-drone --data "$out/world" --out "$out/run" --seed 0
 
 step "a contact sheet with boxes, oriented boxes and masks"
-"$infrablend" preview "$out/run" --out "$sheet"
+"$infrablend" preview "$out/run" --out "$sheet" >/dev/null
 
 [ -s "$sheet" ] || { printf 'demo: %s was not written\n' "$sheet" >&2; exit 1; }
 printf '%s\n' "$sheet"

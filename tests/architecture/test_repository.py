@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -94,3 +95,35 @@ def test_the_lock_covers_every_dependency_of_the_project() -> None:
     )
     names = {re.split(r"[<>=!~\[; ]", w)[0].lower().replace("_", "-").replace(".", "-") for w in wanted}
     assert names <= locked, "run `make lock`"
+
+
+SCRIPTS = [*sorted((ROOT / "scripts").glob("*.sh")), ROOT / ".ci" / "run"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.name)
+def test_scripts_are_executable_and_parse(script: Path) -> None:
+    assert script.stat().st_mode & 0o111
+    subprocess.run(["bash", "-n", script], check=True)
+
+
+def test_every_make_target_is_explained() -> None:
+    done = subprocess.run(["make", "-s", "help"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for target in ("setup", "demo", "test", "check", "bench", "lock", "clean"):
+        assert f"make {target} " in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_the_demo_ends_with_the_path_of_its_picture_alone() -> None:
+    done = subprocess.run(
+        [ROOT / "scripts" / "demo.sh"],
+        cwd=ROOT,
+        env={**os.environ, "DEMO_IMAGES": "2", "DEMO_NAME": "demo-test"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1] == "build/demo-test/contact_sheet.png"
+    assert (ROOT / "build" / "demo-test" / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
