@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -85,6 +86,12 @@ class Obedient:
     def subprocess(self, pid_file):
         Path(pid_file).write_text(str(subprocess.Popen(["sleep", "600"]).pid))
         time.sleep(600)
+
+    def leave_file_and_die(self, _):
+        with tempfile.NamedTemporaryFile(delete=False) as f:
+            f.write(b"x")
+        sys.stdout.write(f"left {f.name}\n")
+        os._exit(1)
 
     def close(self):
         pass

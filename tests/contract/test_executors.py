@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import psutil
 import pytest
@@ -257,6 +258,14 @@ def test_large_tasks_and_results_do_not_block_each_other():
 
 def test_libraries_in_workers_have_one_thread():
     assert next(iter(pool().run(orders(("environment", None))))).value == ("1", 1)
+
+
+def test_temporary_files_of_dead_workers_are_removed():
+    (result,) = pool(retries=0).run(orders(("leave_file_and_die", None)))
+    word, name = result.failure.traceback.splitlines()[-1].split()
+    assert word == "left"
+    assert "/infrablend_" in name
+    assert not Path(name).exists()
 
 
 def test_no_more_workers_than_tasks():
