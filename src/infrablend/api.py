@@ -21,6 +21,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
 from infrablend.formats import detection
+from infrablend.pipeline import world
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.plan import RunPlan, make_plan
 from infrablend.pipeline.rerender import rerender_frame
@@ -192,9 +193,7 @@ def read_dataset(
         UnknownFormatError: With the reason for each format that does not match.
         DatasetError: If it cannot be read.
     """
-    return detection.read(
-        Path(data), form=form, splits=splits, metadata=None if metadata is None else Path(metadata)
-    )
+    return detection.read(Path(data), form=form, splits=splits, metadata=None if metadata is None else Path(metadata))
 
 
 def default_workers() -> int:
@@ -244,9 +243,11 @@ def make_world(
     device: str = "cpu",
     on_progress: OnProgress | None = None,
 ) -> Path:
-    """Render a virtual thermal world: a background dataset in HIT-UAV's layout with exact labels, no download."""
-    job = {"out": str(out), "count": count, "seed": seed}
-    run_once("infrablend.blender.jobs:make_world_maker", job, "world", timeout_s=86_400.0)
+    """Render a virtual thermal world: a background dataset in HIT-UAV's layout with exact labels, no download.
+
+    It always renders on the CPU; `device` is taken for the sake of a like command line.
+    """
+    world.make_world(Path(out), count, seed, workers or default_workers(), on_progress)
     return Path(out)
 
 

@@ -220,7 +220,8 @@ class Labels(_Strict):
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
-FORMATS = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
+Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "native"]
+FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 
 class Output(_Strict):
@@ -228,7 +229,7 @@ class Output(_Strict):
 
     image: Literal["same", "png"] = "same"
     """`same`: the input's own file type (JPEG with the source's own tables); `png`: lossless."""
-    formats: tuple[Literal["yolo", "yolo-obb", "yolo-seg", "coco", "native"], ...] = FORMATS
+    formats: tuple[Format, ...] = FORMATS
     """Label formats to write."""
     originals: bool = False
     """Also copy the unchanged backgrounds with their labels into the dataset."""

@@ -52,7 +52,8 @@ class ObjectSpec:
 class Appearance:
     """How temperature becomes light in the artistic look: `cold_k` emits 0, `hot_k` emits 1, before emissivity.
 
-    `surroundings_k` is the apparent temperature that surfaces mirror; `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
+    `surroundings_k` is the apparent temperature that surfaces mirror; `texture_k` is the amplitude of the low-frequency
+    temperature pattern on every part.
     """
 
     mode: Literal["artistic"] = "artistic"

@@ -160,7 +160,7 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> flo
         return pitch.fixed_deg
     if isinstance(pitch, RandomPitch):
         low, high = pitch.random_deg
-        return low + (high - low) * drawn
+        return float(low + (high - low) * drawn)
     if frame.pitch_deg is None:
         raise ValueError(f"{frame.frame_id}: no camera pitch; the plan must have left this background out")
     return frame.pitch_deg
