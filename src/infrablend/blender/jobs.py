@@ -17,15 +17,3 @@ def make_asset_writer(_settings: Any) -> Callable[[Task], str]:
         return str(write_infrared_effect(Path(task.payload)))
 
     return run
-
-
-def make_world_maker(_settings: Any) -> Callable[[Task], str]:
-    """Worker factory: the task's payload has `out`, `count` and `seed`."""
-    from infrablend.blender.world import render_world
-
-    def run(task: Task) -> str:
-        job = task.payload
-        render_world(Path(job["out"]), job["count"], job["seed"])
-        return str(job["out"])
-
-    return run

@@ -6,9 +6,10 @@ the latter needs Blender, and imports it when called.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from infrablend.blender.world.layout import KINDS, WorldPlan, sample_world
 from infrablend.core.dataset import SPLITS, ImageRecord, Instance, Split, TimeOfDay
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.rng import stream
+from infrablend.core.tasks import Task
 from infrablend.errors import OutputError, Problem, RecipeError
 from infrablend.formats import hit_uav
 
@@ -144,12 +146,13 @@ def render_world(
     pitches_deg: Sequence[int] = PITCHES_DEG,
     altitudes_m: Sequence[int] = ALTITUDES_M,
     threads: int = 0,
+    paint: Painter | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> WorldReport:
     """Render a background dataset in HIT-UAV's layout: `normal_json/`, `rotate_json/`, and `world.json` with the facts.
 
-    The same arguments give the same bytes; frame k does not depend on how many follow. Needs Blender and owns the
-    process's scene while it runs.
+    The same arguments give the same bytes; frame k does not depend on how many follow. Without `paint` it needs
+    Blender and owns the process's scene while it runs.
 
     Args:
         out: Folder to write to; must not exist or be empty.
@@ -159,6 +162,7 @@ def render_world(
         pitches_deg: Camera depression angles to cover, 90 is straight down.
         altitudes_m: Camera heights to cover.
         threads: CPU threads of the renderer; 0 takes all cores.
+        paint: Makes the frames' pictures in the folder it is given, in any order; by default here, one by one.
         progress: Called with (frames done, frames in all) after each frame.
 
     Raises:
@@ -166,37 +170,31 @@ def render_world(
         OutputError: `out` is not empty or cannot be written.
         RenderError: Blender failed.
     """
-    from infrablend.blender.world.build import WorldRenderer
-
     frames = plan_frames(count, seed, splits, pitches_deg, altitudes_m)
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         problem = Problem(str(out), "not-empty", "not an empty folder", "an empty or new folder", "choose another one")
         raise OutputError(f"cannot write the virtual world to {out}", [problem])
-    images: list[ImageRecord] = []
-    facts: list[dict[str, Any]] = []
-    dropped: Counter[str] = Counter()
+    made: dict[int, MadeFrame] = {}
     stage = out / ".frames"
     try:
-        with WorldRenderer(threads) as renderer:
-            for frame in frames:
-                plan = sample_world(
-                    stream(seed, "world", frame.number, "plan"), frame.pitch_deg, frame.altitude_m, frame.time_of_day
-                )
-                image, labels = _make_frame(renderer, frame, plan, seed, stage)
-                images.append(image)
-                facts.append(_facts(frame, plan, labels))
-                dropped.update(label.dropped for label in labels if label.dropped)
-                if progress is not None:
-                    progress(len(images), count)
+        for one in (paint or _paint_here(seed, threads))(frames, stage):
+            made[one.number] = one
+            if progress is not None:
+                progress(len(made), count)
+        ordered = [made[f.number] for f in frames]
+        images = [one.image for one in ordered]
         written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
-        write_json(out / "world.json", {"seed": seed, "frames": facts})
+        write_json(out / "world.json", {"seed": seed, "frames": [one.facts for one in ordered]})
     finally:
         # Finished pictures are linked into both forms by now; after a stop nothing half-done is left behind.
         shutil.rmtree(stage, ignore_errors=True)
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
     labels_of = Counter(i.category for image in images for i in image.instances)
+    dropped: Counter[str] = Counter()
+    for one in ordered:
+        dropped.update(one.dropped)
     return WorldReport(
         out,
         dict(Counter(i.split for i in images)),
@@ -204,6 +202,66 @@ def render_world(
         dict(sorted(dropped.items())),
         dict(written.losses),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class MadeFrame:
+    """A frame whose picture is on disk: its labels, its entry in world.json, things without a label by reason."""
+
+    number: int
+    image: ImageRecord
+    facts: dict[str, Any]
+    dropped: Mapping[str, int]
+
+
+Painter = Callable[[Sequence[FrameFacts], Path], Iterable[MadeFrame]]
+
+
+def _paint_here(seed: int, threads: int) -> Painter:
+    """Frames one by one in this process."""
+
+    def paint(frames: Sequence[FrameFacts], folder: Path) -> Iterator[MadeFrame]:
+        worker = WorldWorker(seed, folder, threads)
+        try:
+            for frame in frames:
+                yield worker.make(frame)
+        finally:
+            worker.close()
+
+    return paint
+
+
+class WorldWorker:
+    """Makes frames of the virtual world; holds Blender."""
+
+    def __init__(self, seed: int, folder: Path, threads: int) -> None:
+        """Start Blender; pictures go to `folder`/<split>/."""
+        from infrablend.blender.world.build import WorldRenderer
+
+        self._seed, self._folder = seed, folder
+        self._stack = contextlib.ExitStack()
+        self._renderer = self._stack.enter_context(WorldRenderer(threads))
+
+    def __call__(self, task: Task) -> MadeFrame:
+        """Make the `FrameFacts` in the task's payload."""
+        return self.make(task.payload)
+
+    def make(self, frame: FrameFacts) -> MadeFrame:
+        """Draw the scene, render it, write the picture."""
+        rng = stream(self._seed, "world", frame.number, "plan")
+        plan = sample_world(rng, frame.pitch_deg, frame.altitude_m, frame.time_of_day)
+        image, labels = _make_frame(self._renderer, frame, plan, self._seed, self._folder)
+        dropped = Counter(label.dropped for label in labels if label.dropped)
+        return MadeFrame(frame.number, image, _facts(frame, plan, labels), dict(dropped))
+
+    def close(self) -> None:
+        """Release Blender's scene."""
+        self._stack.close()
+
+
+def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
+    """Worker factory: `settings` has `seed` and `folder`; one render thread, since workers are parallel."""
+    return WorldWorker(settings["seed"], Path(settings["folder"]), 1)
 
 
 def _make_frame(
