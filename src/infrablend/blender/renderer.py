@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from infrablend.blender import session
 from infrablend.blender.materials import aov_name, object_material
+from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.render import RenderResult
@@ -24,9 +26,6 @@ from infrablend.core.scene import ObjectSpec, SceneSpec
 from infrablend.errors import RenderError
 
 ZERO_C_K = 273.15
-# Most samples per pixel, least, and the noise at which Cycles stops early: the inside of a body is smooth and needs
-# few, its edge needs many. `make bench` holds this against 2,048 samples (docs/explanation/quality.md).
-MATCHED_SAMPLING = (256, 8, 0.003)
 # One pixel more than the projected outline: nothing is lost to rounding.
 CROP_MARGIN_PX = 1
 
@@ -34,20 +33,28 @@ CROP_MARGIN_PX = 1
 class BlenderRenderer:
     """Renders with Cycles, cropped to the objects. Cropping is exact: Cycles samples by absolute pixel position."""
 
-    def __init__(self, device: session.Device = "cpu", threads: int = 1, scratch: Path | None = None) -> None:
+    def __init__(
+        self,
+        device: session.Device = "cpu",
+        threads: int = 1,
+        scratch: Path | None = None,
+        *,
+        whole_frame: bool = False,
+    ) -> None:
         """Start from an empty Blender scene.
 
         Args:
             device: Where Cycles computes.
             threads: CPU threads of one render; workers are parallel, so 1 is best for throughput.
-            scratch: Folder for the render's float file; by default memory (/dev/shm) where there is one.
+            scratch: Folder for the render's float file; by default $TMPDIR, else memory (/dev/shm) where there is one.
+            whole_frame: Render every pixel of the frame, as one does without this program; for measurements.
         """
+        self._whole_frame = whole_frame
         self._scene = session.reset()
         self.device = session.use_device(self._scene, device, threads)
-        shm = Path("/dev/shm")
-        self._folder = tempfile.TemporaryDirectory(
-            prefix="infrablend_", dir=scratch or (shm if shm.is_dir() else None)
-        )
+        shm = "/dev/shm" if Path("/dev/shm").is_dir() else None
+        # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
+        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=scratch or os.environ.get("TMPDIR") or shm)
         self._file = Path(self._folder.name) / "render.exr"
         s = self._scene
         camera = bpy.data.cameras.new("camera")
@@ -70,12 +77,10 @@ class BlenderRenderer:
             object_to_world(m.vertices_m, o.position_m, o.yaw_rad, o.scale)
             for o, m in zip(scene.objects, meshes, strict=True)
         ]
-        crop = crop_of(scene.camera, worlds)
+        crop = (0, 0, w, h) if self._whole_frame else crop_of(scene.camera, worlds)
         if crop is None:
             empty = np.zeros((0, 0), np.float32)
-            return RenderResult(
-                (0, 0), (w, h), empty, empty.copy(), np.zeros((len(meshes), 0, 0), np.float32)
-            )
+            return RenderResult((0, 0), (w, h), empty, empty.copy(), np.zeros((len(meshes), 0, 0), np.float32))
         x0, y0, x1, y1 = crop
         self._set_camera(scene.camera)
         self._set_crop(crop, (w, h))
@@ -129,13 +134,11 @@ class BlenderRenderer:
         r.border_min_y, r.border_max_y = (h - y1 + 0.25) / h, (h - y0 + 0.25) / h
 
     def _set_sampling(self, samples: int, seed: int) -> None:
-        c = self._scene.cycles
-        c.seed = seed
-        c.use_adaptive_sampling = not samples
-        if samples:
-            c.samples = samples
-        else:
-            c.samples, c.adaptive_min_samples, c.adaptive_threshold = MATCHED_SAMPLING
+        c, how = self._scene.cycles, sampling_for(samples)
+        c.seed, c.samples, c.sampling_pattern = seed, how.samples, how.pattern
+        c.use_adaptive_sampling = how.adaptive_threshold > 0
+        if c.use_adaptive_sampling:
+            c.adaptive_threshold, c.adaptive_min_samples = how.adaptive_threshold, how.adaptive_min_samples
 
     def _set_aovs(self, count: int) -> None:
         aovs = self._scene.view_layers[0].aovs
@@ -147,9 +150,7 @@ class BlenderRenderer:
             aov.type = "VALUE"
 
     @contextlib.contextmanager
-    def _object(
-        self, slot: int, spec: ObjectSpec, mesh: Mesh, world_m: FloatArray, scene: SceneSpec
-    ) -> Iterator[None]:
+    def _object(self, slot: int, spec: ObjectSpec, mesh: Mesh, world_m: FloatArray, scene: SceneSpec) -> Iterator[None]:
         """Put one object into the scene; take it and all its data out again at the end."""
         data = bpy.data.meshes.new(f"mesh_{slot}")
         thing = None
@@ -182,15 +183,11 @@ class BlenderRenderer:
             for name, pixels in channels.items():
                 if name.endswith(endings):
                     if pixels.shape != shape_hw:
-                        raise RenderError(
-                            f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}"
-                        )
+                        raise RenderError(f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}")
                     return pixels
             raise RenderError(f"{frame_id}: channel {endings[0]} is missing; found {sorted(channels)}")
 
-        coverage = [
-            np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)
-        ]
+        coverage = [np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)]
         return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
 
 
@@ -214,9 +211,7 @@ def crop_of(camera: CameraSpec, worlds_m: Sequence[FloatArray]) -> tuple[int, in
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
-def _fill_mesh(
-    data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: ObjectSpec, scene: SceneSpec
-) -> None:
+def _fill_mesh(data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: ObjectSpec, scene: SceneSpec) -> None:
     count = len(mesh.triangles)
     data.vertices.add(len(world_m))
     data.vertices.foreach_set("co", np.ascontiguousarray(world_m, np.float32).ravel())

@@ -1,0 +1,361 @@
+"""`make bench`: speed, error, boxes and memory on frames of the shipped recipe, against the bars of the project.
+
+Writes build/bench/bench.json and bench.png; ends with 1 if a bar is missed. On two cores it takes about half an
+hour, nearly all of it the paper's way of making the frames. What is measured how: docs/explanation/performance.md
+(time, memory) and docs/explanation/quality.md (error, boxes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from boxes import BoxFit, measure_boxes
+from children import Child, in_parallel, own_cores, start
+from memory import Memory, measure_memory
+from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, summary
+from scenes import RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
+from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, time_full_frames, time_label_files, time_program
+
+from infrablend.blender.quality import MATCHED
+from infrablend.pipeline.plan import RunPlan
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "build" / "bench"
+HISTORY = ROOT / "bench" / "history.jsonl"
+DATA_VARIABLE = "INFRABLEND_REAL_DATA"
+MODELS = ("drone", "deer")
+SIZES_PX = (20, 10)
+
+
+@dataclass(frozen=True)
+class Amount:
+    """How much is measured."""
+
+    frames: int = 44
+    repeats: int = 3
+    poses: int = 200
+    memory_frames: int = 500
+    world_images: int = 24
+
+
+QUICK = Amount(frames=4, repeats=1, poses=10, memory_frames=60, world_images=4)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A number that must not be missed."""
+
+    key: str
+    text: str
+    limit: float
+    at_least: bool = False
+
+    def met(self, value: float) -> bool:
+        """Whether the value is on the right side; NaN is not."""
+        return value >= self.limit if self.at_least else value <= self.limit
+
+
+BARS = (
+    Bar("speedup", "CPU-s per frame, times better than the paper's way", 100.0, at_least=True),
+    Bar("mean_error_grey", "mean error, grey levels", 0.5),
+    Bar("p99_error_grey", "99th percentile of the error, grey levels", 4.0),
+    Bar("box_iou_20px", "mean IoU of boxes at 20 px, worse model", 0.95, at_least=True),
+    Bar("box_iou_10px", "mean IoU of boxes at 10 px, worse model", 0.90, at_least=True),
+    Bar("peak_worker_rss_mb", "peak memory of a worker, MiB", 1024.0),
+    Bar("rss_slope_mb_per_100_frames", "growth of a worker's memory, MiB per 100 frames", 2.0),
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure, print, write; the exit code says whether every bar was met."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--data", type=Path, help=f"HIT-UAV; default ${DATA_VARIABLE}, else a virtual world is made")
+    parser.add_argument("--quick", action="store_true", help="a few frames, to see that it works; proves nothing")
+    parser.add_argument("--record", action="store_true", help="append the result to bench/history.jsonl")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(argv)
+    amount = QUICK if options.quick else Amount()
+    begun = time.monotonic()
+    options.out.mkdir(parents=True, exist_ok=True)
+
+    data, name = backgrounds(options.data, options.out, amount)
+    say(f"backgrounds: {name}")
+    plan = plan_of(data)
+    work = spread(plan, amount.frames, options.out)
+    found = measure(plan, work, amount, options.out)
+    report = {
+        **found,
+        "backgrounds": name,
+        "commit": commit(),
+        "machine": machine(),
+        "settings": settings(amount, options.quick),
+        "seconds": round(time.monotonic() - begun, 1),
+    }
+    missed = [bar for bar in BARS if not bar.met(report[bar.key])]
+    report["bars"] = {bar.key: {"limit": bar.limit, "met": bar not in missed} for bar in BARS}
+    memory = report.pop("_rss_mb")
+    errors = report.pop("_errors")
+    (options.out / "bench.json").write_text(json.dumps(report, indent=2, sort_keys=True) + "\n")
+    draw(report, errors, memory, options.out / "bench.png")
+    if options.record:
+        with HISTORY.open("a") as history:
+            history.write(json.dumps(kept(report), sort_keys=True) + "\n")
+    show(report)
+    say(f"written: {relative(options.out / 'bench.json')}, {relative(options.out / 'bench.png')}")
+    return 1 if missed else 0
+
+
+def backgrounds(given: Path | None, out: Path, amount: Amount) -> tuple[Path, str]:
+    """The dataset to measure on, and how to call it."""
+    real = given or (Path(os.environ[DATA_VARIABLE]) if os.environ.get(DATA_VARIABLE) else None)
+    if real is not None:
+        below = real / "hit-uav"
+        return (below if below.is_dir() else real), "HIT-UAV"
+    from infrablend import api
+
+    folder = out / f"world_{amount.world_images}"
+    if not folder.is_dir():
+        say(f"no {DATA_VARIABLE}: rendering a virtual thermal world of {amount.world_images} images")
+        unfinished = folder.with_name(folder.name + "_unfinished")
+        shutil.rmtree(unfinished, ignore_errors=True)
+        api.make_world(unfinished, amount.world_images, SEED, workers=2)
+        unfinished.rename(folder)
+    return folder, "virtual thermal world"
+
+
+def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, Any]:
+    """All measurements, in an order in which both cores are always equally busy."""
+    cores = own_cores()
+    logs = out / "log"
+    spread_of = distribution(work, plan)
+    say(f"{len(work.frames)} frames of {RECIPE}, seed {SEED}:")
+    for key, row in spread_of.items():
+        say(f"  {key:12} " + "  ".join(f"{k} {v:g}" for k, v in row.items()))
+    for folder in ("naive", "defaults", "program", "memory"):
+        shutil.rmtree(out / folder, ignore_errors=True)
+
+    def halves(of: Work) -> list[Work]:
+        return [of.part(n, len(cores)) for n in range(len(cores))]
+
+    say(f"the paper's way: whole frame, {PAPER_SAMPLES} samples (this is what takes long)")
+    naive = rows(
+        in_parallel(time_full_frames, [(w, False) for w in halves(work.into(out / "naive"))], cores, logs / "naive.log")
+    )
+    say_cpu(naive)
+    say(f"Blender's defaults: adaptive {DEFAULT_THRESHOLD:g}, denoiser")
+    defaults = rows(
+        in_parallel(
+            time_full_frames, [(w, True) for w in halves(work.into(out / "defaults"))], cores, logs / "defaults.log"
+        )
+    )
+    say_cpu(defaults)
+
+    say("this program")
+    repeats = []
+    for n in range(amount.repeats):
+        done = rows(
+            in_parallel(
+                time_program, [(w,) for w in halves(work.into(out / "program"))], cores, logs / f"program_{n}.log"
+            )
+        )
+        label_s: float = start(
+            time_label_files, part_of_plan(plan, work.frames), out / "program", core=cores[0], log=logs / "labels.log"
+        ).result()
+        repeats.append((done, label_s / len(work.frames)))
+        say_cpu(done, label_s / len(work.frames))
+    totals = [mean_cpu(done) + label_s for done, label_s in repeats]
+    wall = [statistics.fmean(r["wall_s"] for r in done) + label_s for done, label_s in repeats]
+    parts = mean_parts([r for done, _ in repeats for r in done])
+    parts["label files"] = statistics.fmean(label_s for _, label_s in repeats)
+
+    say(f"error against {REFERENCE_SAMPLES:,} samples")
+    whole = {"naive": out / "naive", "defaults": out / "defaults"}
+    errors = joined(in_parallel(measure_errors, [(w, whole) for w in halves(work)], cores, logs / "errors.log"))
+    errors_of = {name: summary(values) for name, values in errors.by_way.items()}
+    for name, row in errors_of.items():
+        say(
+            f"  {name:9} mean {row['mean']:.3f}  p99 {row['p99']:.2f}  max {row['max']:.1f}  ({row['pixels']:,} pixels)"
+        )
+
+    say("memory and boxes")
+    long = spread(plan, amount.memory_frames, out / "memory")
+    keeping = start(measure_memory, long, amount.memory_frames, core=cores[0], log=logs / "memory.log")
+    fits = measure_all_boxes(amount, cores[-1], logs)
+    memory: Memory = keeping.result()
+    boxes = {
+        f"{model}_{size}px": {
+            "mean": statistics.fmean(f.iou for f in fit),
+            "p5": quantiles([f.iou for f in fit])["p5"],
+            "poses": len(fit),
+            "size_px": quantiles([f.size_px for f in fit]),
+        }
+        for (model, size), fit in fits.items()
+    }
+    naive_s, own_s = mean_cpu(naive), statistics.median(totals)
+    return {
+        "frames": len(work.frames),
+        "naive_cpu_s_per_frame": naive_s,
+        "defaults_cpu_s_per_frame": mean_cpu(defaults),
+        "cpu_s_per_frame": own_s,
+        "cpu_s_per_frame_of_repeats": totals,
+        "speedup": naive_s / own_s,
+        # On this machine, one worker per core.
+        "frames_per_s": len(cores) / statistics.median(wall),
+        "label_files_cpu_s_per_frame": parts["label files"],
+        "parts_s": parts,
+        "mean_error_grey": errors_of["program"]["mean"],
+        "p99_error_grey": errors_of["program"]["p99"],
+        "errors_grey": errors_of,
+        "object_span_grey": quantiles(errors.span_grey),
+        "box_iou_20px": min(v["mean"] for k, v in boxes.items() if k.endswith("_20px")),
+        "box_iou_10px": min(v["mean"] for k, v in boxes.items() if k.endswith("_10px")),
+        "boxes": boxes,
+        "peak_worker_rss_mb": memory.peak_mb,
+        "rss_slope_mb_per_100_frames": memory.slope_mb_per_100_frames,
+        "memory_frames": len(memory.rss_mb),
+        "distribution": spread_of,
+        "_errors": errors.by_way,
+        "_rss_mb": memory.rss_mb,
+    }
+
+
+def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, int], list[BoxFit]]:
+    """Box fits of every model at every size, one after the other on one core."""
+    found = {}
+    for model in MODELS:
+        for size in SIZES_PX:
+            child: Child = start(
+                measure_boxes, model, float(size), amount.poses, core=core, log=logs / f"boxes_{model}_{size}.log"
+            )
+            found[model, size] = child.result()
+    return found
+
+
+def rows(shares: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The rows of all shares, by frame."""
+    return sorted((row for share in shares for row in share), key=lambda row: row["frame"])
+
+
+def mean_cpu(done: Sequence[dict[str, Any]]) -> float:
+    """CPU seconds per frame."""
+    return statistics.fmean(row["cpu_s"] for row in done)
+
+
+def mean_parts(done: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Wall-clock seconds per frame of what the renderer reports."""
+    total: Counter[str] = Counter()
+    for row in done:
+        total.update(row["parts"])
+    return {k: v / len(done) for k, v in sorted(total.items())}
+
+
+def commit() -> str:
+    """The commit that is measured; marked if files differ from it."""
+    git: Callable[..., str] = lambda *a: subprocess.run(  # noqa: E731
+        ["git", "-C", str(ROOT), *a], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    head = git("rev-parse", "HEAD") or "unknown"
+    return head + ("-modified" if git("status", "--porcelain", "--untracked-files=no", "src") else "")
+
+
+def machine() -> dict[str, Any]:
+    """What it ran on."""
+    names = [
+        line.partition(":")[2].strip()
+        for line in Path("/proc/cpuinfo").read_text().splitlines()
+        if line.startswith("model name")
+    ]
+    return {
+        "processor": names[0] if names else platform.processor(),
+        "cores": os.cpu_count(),
+        "cores_used": len(own_cores()),
+        "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "system": platform.platform(),
+        "load_at_end": round(os.getloadavg()[1], 1),
+    }
+
+
+def settings(amount: Amount, quick: bool) -> dict[str, Any]:
+    """What was asked for."""
+    return {
+        "recipe": RECIPE,
+        "seed": SEED,
+        "quick": quick,
+        "amount": asdict(amount),
+        "paper_samples": PAPER_SAMPLES,
+        "defaults": {"adaptive_threshold": DEFAULT_THRESHOLD, "samples": PAPER_SAMPLES, "denoiser": True},
+        "matched": asdict(MATCHED),
+        "reference_samples": REFERENCE_SAMPLES,
+        "least_object_span_grey": LEAST_SPAN_GREY,
+        "python": platform.python_version(),
+        "packages": {p: metadata.version(p) for p in ("bpy", "numpy", "opencv-python-headless", "Pillow")},
+    }
+
+
+def kept(report: dict[str, Any]) -> dict[str, Any]:
+    """The line that goes into the history."""
+    names = [
+        "frames", "naive_cpu_s_per_frame", "defaults_cpu_s_per_frame", "cpu_s_per_frame", "speedup", "frames_per_s",
+        "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px", "peak_worker_rss_mb",
+        "rss_slope_mb_per_100_frames", "backgrounds", "commit", "settings",
+    ]  # fmt: skip
+    day = datetime.datetime.now(datetime.UTC).date().isoformat()
+    line = {n: round(report[n], 4) if isinstance(report[n], float) else report[n] for n in names}
+    return {**line, "date": day, "machine": {k: report["machine"][k] for k in ("processor", "cores")}}
+
+
+def show(report: dict[str, Any]) -> None:
+    """Print the results and how they stand against the bars."""
+    say("")
+    say(f"the paper's way   {report['naive_cpu_s_per_frame']:8.3f} CPU-s per frame")
+    say(f"Blender defaults  {report['defaults_cpu_s_per_frame']:8.3f}")
+    rate = f"{report['frames_per_s']:.1f} frames/s on {report['machine']['cores_used']} cores"
+    say(f"this program      {report['cpu_s_per_frame']:8.3f}   {rate}")
+    for name, row in report["boxes"].items():
+        say(f"boxes {name:11} mean IoU {row['mean']:.4f}  5th percentile {row['p5']:.4f}  ({row['poses']} poses)")
+    for bar in BARS:
+        sign = ">=" if bar.at_least else "<="
+        verdict = "PASS" if report["bars"][bar.key]["met"] else "FAIL"
+        say(f"{verdict}  {bar.text}: {report[bar.key]:.3f} ({sign} {bar.limit:g})")
+
+
+def draw(report: dict[str, Any], errors: dict[str, Any], rss_mb: Sequence[float], path: Path) -> None:
+    """The plot: time, error, boxes, memory."""
+    from plot import draw_bench
+
+    draw_bench(report, errors, rss_mb, path)
+
+
+def say_cpu(done: Sequence[dict[str, Any]], more_s: float = 0.0) -> None:
+    """Print the time per frame."""
+    wall = statistics.fmean(r["wall_s"] for r in done)
+    say(f"  {mean_cpu(done) + more_s:.3f} CPU-s per frame, {wall:.3f} s by the clock")
+
+
+def relative(path: Path) -> Path:
+    """The path as seen from where the user stands, if it lies below."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+def say(text: str) -> None:
+    """Print a line at once."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

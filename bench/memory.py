@@ -1,0 +1,54 @@
+"""Does a worker's memory stay flat?"""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scenes import Work
+
+from infrablend.core.tasks import Task
+from infrablend.pipeline.frame import FrameMaker
+
+# The first frames fill caches and buffers; the slope is fitted after them.
+SETTLING_FRAMES = 50
+PAGE_BYTES = resource.getpagesize()
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Resident memory of one worker.
+
+    Attributes:
+        rss_mb: After each frame, MiB.
+        peak_mb: The most it ever was, MiB.
+    """
+
+    rss_mb: list[float]
+    peak_mb: float
+
+    @property
+    def slope_mb_per_100_frames(self) -> float:
+        """Least squares over the frames after the settling ones."""
+        y = np.array(self.rss_mb[min(SETTLING_FRAMES, len(self.rss_mb) // 2) :])
+        return float(np.polyfit(np.arange(len(y)), y, 1)[0] * 100) if len(y) > 1 else 0.0
+
+
+def measure_memory(work: Work, frames: int) -> Memory:
+    """Make that many frames in this one process, without recycling it; the work's frames over and over if need be."""
+    maker = FrameMaker(work.settings)
+    rss = []
+    for n in range(frames):
+        frame = work.frames[n % len(work.frames)]
+        maker(Task(frame.frame_id, frame))
+        rss.append(resident_mb())
+    # ru_maxrss counts KiB on Linux.
+    return Memory(rss, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+
+
+def resident_mb() -> float:
+    """Resident memory of this process now, MiB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * PAGE_BYTES / 2**20

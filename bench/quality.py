@@ -1,0 +1,128 @@
+"""How far a picture is from the one with 2,048 samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scenes import Work
+from variants import load_float, with_samples
+
+from infrablend.assets.catalogue import load_model
+from infrablend.compositing.mapping import GreyMapping
+from infrablend.compositing.overlay import compose_float, make_layer
+from infrablend.core.render import RenderResult
+from infrablend.formats.images import load_background
+from infrablend.pipeline.frame import make_mapper
+from infrablend.sampling.scene import sample_scene
+
+REFERENCE_SAMPLES = 2048
+# The reference's samples must not be the measured picture's.
+OTHER_SEED = 0x5555_5555
+LEAST_SPAN_GREY = 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Differences in grey levels at all pixels that the reference covers, frame after frame.
+
+    Attributes:
+        by_way: Way of making the picture -> absolute differences of all frames, one array.
+        span_grey: Levels each frame's object spans.
+        pixels: Number of pixels per frame.
+    """
+
+    by_way: dict[str, NDArray[np.float32]]
+    span_grey: list[float]
+    pixels: list[int]
+
+
+def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
+    """Compare each frame with its reference: this program's (`program`), and the whole frames kept in folders.
+
+    Final composited float pictures, before quantisation and JPEG. The frame's own grey-level mapping is stretched
+    until the object itself spans `LEAST_SPAN_GREY` levels, where it does not already.
+    """
+    from infrablend.blender.renderer import BlenderRenderer
+
+    class Switching(BlenderRenderer):
+        reference = False
+
+        def _set_sampling(self, samples: int, seed: int) -> None:
+            # Not by the scene's own seed: the bodies' temperature pattern hangs on that too.
+            super()._set_sampling(samples, seed ^ OTHER_SEED if self.reference else seed)
+
+    recipe = work.recipe
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    mapper = make_mapper(recipe)
+    renderer = Switching()
+    found: dict[str, list[NDArray[np.float32]]] = {"program": [], **{name: [] for name in kept}}
+    spans, counts = [], []
+    for frame in work.frames:
+        background = load_background(frame.background.path, frame.background.size_wh)
+        scene = sample_scene(frame.key(background.size_wh), recipe, models, work.settings.seed)
+        renderer.reference = True
+        reference = renderer.render(with_samples(scene.spec, REFERENCE_SAMPLES), scene.meshes)
+        renderer.reference = False
+        if not reference.alpha.any():
+            continue
+        mapping, span = stretched(mapper(background.pixels), reference)
+        spans.append(span)
+        where = covered(reference)
+        counts.append(int(where.sum()))
+
+        def picture(result: RenderResult, mapping: GreyMapping = mapping, pixels: Any = background.pixels) -> Any:
+            return compose_float(pixels, make_layer(result, mapping, recipe.overlay.softness_px))
+
+        truth = picture(reference)
+        found["program"].append(np.abs(picture(renderer.render(scene.spec, scene.meshes)) - truth)[where])
+        for name, folder in kept.items():
+            found[name].append(np.abs(picture(load_float(folder, frame.frame_id)) - truth)[where])
+    nothing = np.zeros(0, np.float32)
+    return Errors({k: np.concatenate([nothing, *v]) for k, v in found.items()}, spans, counts)
+
+
+def covered(result: RenderResult) -> NDArray[np.bool_]:
+    """(h, w) of the frame: True where the render covers any of the pixel, before the optics' blur."""
+    w, h = result.frame_wh
+    where = np.zeros((h, w), np.bool_)
+    (x, y), (rows, columns) = result.offset_xy, result.alpha.shape
+    where[y : y + rows, x : x + columns] = result.alpha > 0
+    return where
+
+
+def stretched(mapping: GreyMapping, reference: RenderResult) -> tuple[GreyMapping, float]:
+    """The mapping, widened so that the object's own levels span at least `LEAST_SPAN_GREY`; and that span."""
+    inside = reference.alpha > 0.5
+    if not inside.any():
+        inside = reference.alpha > 0
+    level = reference.radiance[inside] / reference.alpha[inside]
+    own = float(level.max() - level.min()) * abs(mapping.bright - mapping.dark)
+    factor = max(1.0, LEAST_SPAN_GREY / max(own, 1e-6))
+    wide = GreyMapping(mapping.dark, mapping.dark + (mapping.bright - mapping.dark) * factor)
+    return wide, own * factor
+
+
+def joined(parts: list[Errors]) -> Errors:
+    """The errors of several shares of the frames."""
+    names = parts[0].by_way
+    return Errors(
+        {n: np.concatenate([p.by_way[n] for p in parts]) for n in names},
+        [s for p in parts for s in p.span_grey],
+        [c for p in parts for c in p.pixels],
+    )
+
+
+def summary(differences: NDArray[np.float32]) -> dict[str, float]:
+    """Mean, 99th percentile and largest difference, grey levels."""
+    if not len(differences):
+        return {"mean": float("nan"), "p99": float("nan"), "max": float("nan"), "pixels": 0}
+    return {
+        "mean": float(differences.mean(dtype=np.float64)),
+        "p99": float(np.quantile(differences, 0.99)),
+        "max": float(differences.max()),
+        "pixels": len(differences),
+    }

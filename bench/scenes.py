@@ -1,0 +1,112 @@
+"""The frames that are measured: drawn by the shipped recipe, evenly spread over its plan."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infrablend.config.loading import load_recipe
+from infrablend.config.recipe import Recipe
+from infrablend.core.camera import object_to_world
+from infrablend.formats import hit_uav
+from infrablend.pipeline.frame import FrameSettings
+from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root, make_plan
+from infrablend.sampling.scene import SampledScene, sample_scene
+
+RECIPE = "hit-uav-drone"
+SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What a measuring process needs; picklable.
+
+    Attributes:
+        frames: To make, in order.
+        settings: Of a worker.
+    """
+
+    frames: tuple[PlannedFrame, ...]
+    settings: FrameSettings
+
+    @property
+    def recipe(self) -> Recipe:
+        """The recipe of the frames."""
+        return Recipe.model_validate_json(self.settings.recipe_json)
+
+    def into(self, out: Path) -> Work:
+        """The same work with another output folder."""
+        return Work(self.frames, replace(self.settings, out=out))
+
+    def part(self, number: int, of: int) -> Work:
+        """Every `of`-th frame from the `number`-th on."""
+        return Work(self.frames[number::of], self.settings)
+
+
+def plan_of(data: Path) -> RunPlan:
+    """The whole run of the shipped recipe on a dataset."""
+    return make_plan(load_recipe(RECIPE), hit_uav.read(data), SEED)
+
+
+def spread(plan: RunPlan, count: int, out: Path) -> Work:
+    """`count` frames evenly spread over the plan, each with an object in view; all of them if there are fewer."""
+    total = len(plan.frames)
+    picked = sorted({math.floor(i * total / count) for i in range(min(count, total))})
+    settings = FrameSettings(
+        out=out,
+        data_root=data_root(plan.dataset),
+        recipe_json=plan.recipe.model_dump_json(),
+        seed=plan.seed,
+        categories=plan.dataset.categories,
+        pin_cores=False,
+    )
+    return Work(tuple(plan.frames[i] for i in picked), settings)
+
+
+def part_of_plan(plan: RunPlan, frames: Sequence[PlannedFrame]) -> RunPlan:
+    """The plan with those frames only."""
+    return replace(plan, frames=tuple(frames))
+
+
+def scene_of(frame: PlannedFrame, plan: RunPlan) -> SampledScene:
+    """The scene of a frame."""
+    size_wh = frame.background.size_wh or plan.recipe.camera.size_px
+    return sample_scene(frame.key(size_wh), plan.recipe, plan.models, plan.seed)
+
+
+def distribution(work: Work, plan: RunPlan) -> dict[str, dict[str, float]]:
+    """How distance, pitch and size of the frames are distributed; `objects` counts what is in view."""
+    distances, pitches, sizes = [], [], []
+    for frame in work.frames:
+        scene = scene_of(frame, plan)
+        camera = scene.spec.camera
+        distances.append(camera.distance_m)
+        pitches.append(math.degrees(camera.pitch_rad))
+        for spec, mesh in zip(scene.spec.objects, scene.meshes, strict=True):
+            xy, _ = camera.project(object_to_world(mesh.vertices_m, spec.position_m, spec.yaw_rad, spec.scale))
+            inside = np.clip(xy, 0, np.array(camera.size_wh, np.float64))
+            sizes.append(float(np.ptp(inside, axis=0).max()))
+    return {
+        "distance_m": quantiles(distances),
+        "pitch_deg": quantiles(pitches),
+        "size_px": quantiles(sizes),
+    }
+
+
+def quantiles(values: Sequence[float]) -> dict[str, Any]:
+    """Count, mean and quantiles."""
+    if not values:
+        return {"n": 0}
+    q = np.quantile(np.asarray(values, np.float64), [0, 0.05, 0.25, 0.5, 0.75, 0.95, 1])
+    names = ("min", "p5", "p25", "median", "p75", "p95", "max")
+    return {
+        "n": len(values),
+        "mean": round(statistics.fmean(values), 4),
+        **{n: round(float(v), 4) for n, v in zip(names, q, strict=True)},
+    }

@@ -1,0 +1,149 @@
+"""The three ways to make a frame that are timed: the paper's, Blender's defaults, this program's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from children import Stopwatch
+from numpy.typing import NDArray
+from scenes import Work
+
+from infrablend.assets.catalogue import load_model
+from infrablend.compositing.overlay import compose, make_layer
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.files import write_bytes
+from infrablend.core.render import RenderResult
+from infrablend.core.scene import SceneSpec
+from infrablend.core.tasks import Task
+from infrablend.formats.images import encode_image, load_background, output_suffix
+from infrablend.pipeline.finish import write_formats
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame import FrameMaker, make_mapper
+from infrablend.pipeline.plan import RunPlan
+from infrablend.sampling.scene import sample_scene
+
+PAPER_SAMPLES = 640
+# Blender's own: noise at which adaptive sampling stops, 0 for the least number of samples means "automatic".
+DEFAULT_THRESHOLD = 0.01
+
+
+def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
+    """Make every frame the way the paper does: the whole frame, 640 samples, boxes and masks from the alpha channel.
+
+    Same scenes, materials, pixel filter, overlay and files as this program's; the differences are the ones named.
+    Start-up is not counted. Float pictures are kept beside, uncounted, for the error measurement.
+
+    Args:
+        work: The frames and where to write.
+        defaults: Blender's default sampling instead: adaptive at 0.01, at most 640 samples, then denoised.
+    """
+    from infrablend.blender.renderer import BlenderRenderer
+
+    class Defaults(BlenderRenderer):
+        def _set_sampling(self, samples: int, seed: int) -> None:
+            super()._set_sampling(samples, seed)
+            c = self._scene.cycles
+            c.use_adaptive_sampling, c.adaptive_threshold, c.adaptive_min_samples = True, DEFAULT_THRESHOLD, 0
+            c.use_denoising, c.denoiser = True, "OPENIMAGEDENOISE"
+            c.denoising_input_passes, c.denoising_prefilter = "RGB_ALBEDO_NORMAL", "ACCURATE"
+
+    recipe = work.recipe
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    mapper = make_mapper(recipe)
+    renderer = (Defaults if defaults else BlenderRenderer)(whole_frame=True)
+    out = work.settings.out
+    # Once beforehand, uncounted and cheap: kernels load, caches fill.
+    warm = sample_scene(work.frames[0].key((64, 64)), recipe, models, work.settings.seed)
+    renderer.render(with_samples(warm.spec, 1), warm.meshes)
+    rows = []
+    for frame in work.frames:
+        watch = Stopwatch()
+        with watch:
+            source = frame.background
+            background = load_background(source.path, source.size_wh)
+            scene = sample_scene(frame.key(background.size_wh), recipe, models, work.settings.seed)
+            result = renderer.render(with_samples(scene.spec, PAPER_SAMPLES), scene.meshes)
+            layer = make_layer(result, mapper(background.pixels), recipe.overlay.softness_px)
+            pixels = compose(background.pixels, layer)
+            name = f"{source.split}/{frame.name}{output_suffix(source.path, 'same')}"
+            write_bytes(out / "images" / name, encode_image(pixels, background, "same"))
+            write_labels(out, frame.name, source, result.alpha >= 0.5)
+        keep_float(out, frame.frame_id, result)
+        rows.append({"frame": frame.frame_id, "cpu_s": watch.cpu_s, "wall_s": watch.wall_s})
+    return rows
+
+
+def write_labels(out: Path, name: str, source: ImageRecord, mask: NDArray[np.bool_]) -> None:
+    """YOLO, oriented and polygon labels of a mask and of the original objects, as the paper's way gets them."""
+    height, width = mask.shape
+    size = np.array([width, height], np.float64)
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    boxes, oriented, polygons = [], [], []
+    for instance in source.instances:
+        boxes.append((1, np.asarray(instance.box_xyxy)))
+        if instance.corners_xy is not None:
+            oriented.append((1, np.asarray(instance.corners_xy)))
+    if contours:
+        points = np.concatenate(contours)
+        x, y, w, h = cv2.boundingRect(points)
+        boxes.append((4, np.array([x, y, x + w, y + h], np.float64)))
+        oriented.append((4, cv2.boxPoints(cv2.minAreaRect(points))))
+        polygons = [(4, c.reshape(-1, 2)) for c in contours]
+
+    def line(category: int, numbers: Any) -> str:
+        return " ".join([str(category), *(f"{v:.6f}" for v in np.asarray(numbers).ravel())])
+
+    files = {
+        "yolo": [line(c, np.concatenate([(b[:2] + b[2:]) / 2 / size, (b[2:] - b[:2]) / size])) for c, b in boxes],
+        "yolo-obb": [line(c, corners / size) for c, corners in oriented],
+        "yolo-seg": [line(c, polygon / size) for c, polygon in polygons],
+    }
+    for folder, lines in files.items():
+        write_bytes(out / folder / f"{name}.txt", "".join(f"{one}\n" for one in lines).encode())
+
+
+def time_program(work: Work) -> list[dict[str, Any]]:
+    """Make every frame with this program's worker: background decoded -> image and record on disk."""
+    maker = FrameMaker(work.settings)
+    maker(Task("warm", work.frames[0]))
+    rows = []
+    for frame in work.frames:
+        watch = Stopwatch()
+        with watch:
+            done = maker(Task(frame.frame_id, frame))
+        rows.append(
+            {"frame": frame.frame_id, "cpu_s": watch.cpu_s, "wall_s": watch.wall_s, "parts": dict(done.seconds)}
+        )
+    return rows
+
+
+def time_label_files(plan: RunPlan, out: Path) -> float:
+    """CPU seconds for the label files of all the plan's frames, whose records are there."""
+    watch = Stopwatch()
+    with watch:
+        write_formats(plan, RunFolder(out))
+    return watch.cpu_s
+
+
+def with_samples(spec: SceneSpec, samples: int) -> SceneSpec:
+    """The scene with that many samples per pixel."""
+    return replace(spec, samples=samples)
+
+
+def keep_float(out: Path, frame_id: str, result: RenderResult) -> None:
+    """Save radiance and alpha of a whole frame."""
+    path = out / "float" / f"{frame_id}.npz"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, radiance=result.radiance, alpha=result.alpha)
+
+
+def load_float(out: Path, frame_id: str) -> RenderResult:
+    """What `keep_float` saved."""
+    with np.load(out / "float" / f"{frame_id}.npz") as data:
+        radiance, alpha = data["radiance"], data["alpha"]
+    h, w = alpha.shape
+    return RenderResult((0, 0), (w, h), radiance, alpha, np.zeros((0, h, w), np.float32))
