@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from infrablend.core.boxes import polygon_area
+from infrablend.core.files import link_or_copy, part_path, write_bytes, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import OutputError
 from infrablend.formats import polygons
-from infrablend.formats.files import link_or_copy, part_path, write_bytes, write_text
 from infrablend.formats.pictures import assign_ids
 from infrablend.formats.polygons import outline, rasterise
 

@@ -7,6 +7,7 @@ nothing worth having.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,8 @@ def import_file(file: Path, target: Path) -> None:
         groups.append(of_material[np.minimum(t_material, len(of_material) - 1)])
         smooth.append(t_smooth)
         offset += len(v)
-    with replace_atomically(target) as temporary, temporary.open("wb") as stream:
+    beside = target.with_name(f".{target.stem}.{os.getpid()}.part")
+    with replace_atomically(target, beside=beside) as temporary, temporary.open("wb") as stream:
         np.savez(
             stream,
             vertices_m=np.concatenate(vertices),

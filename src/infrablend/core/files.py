@@ -1,52 +1,102 @@
-"""Writing files so that a reader never sees half of one."""
+"""Writing files so that a reader never sees half of one, and saying clearly why a file cannot be written."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from infrablend.errors import OutputError
+from infrablend.errors import OutputError, Problem
+
+# What os.link answers where hard links do not exist or are not allowed; anything else is a real error.
+_NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
-@contextmanager
-def replace_atomically(path: Path) -> Iterator[Path]:
+def part_path(path: Path) -> Path:
+    """The name a file has while it is being written: hidden, beside the final one, so that renaming is atomic.
+
+    It keeps the suffix, which some writers insist on, and is the same each time: what a killed process left behind is
+    overwritten by the next one.
+    """
+    return path.with_name(f".{path.stem}.part{path.suffix}")
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """The `OutputError` for a failed write of `path`."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    todo = "free some space and run again with --resume" if full else "check the folder and its permissions"
+    reason = error.strerror or str(error)
+    problem = Problem(
+        str(path), "disk-full" if full else "not-writable", reason, "a writable folder with free space", todo
+    )
+    return OutputError(f"cannot write {path}: {reason}", [problem])
+
+
+@contextlib.contextmanager
+def replace_atomically(path: Path, *, beside: Path | None = None) -> Iterator[Path]:
     """Give a temporary path beside `path`; move it onto `path` when the block ends well, remove it if not.
+
+    Args:
+        path: The file to make; its folder is made too.
+        beside: Another temporary path in the same folder, where several processes may write the same file.
 
     Raises:
         OutputError: If the folder cannot be written or the disk is full; `path` is then as it was before.
     """
-    # The process id keeps two workers that (re)make one file from writing into each other's temporary.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    temporary = beside or part_path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         temporary.replace(path)
-    except OSError as error:
+    except BaseException as error:
         with contextlib.suppress(OSError):  # e.g. the folder is a file
             temporary.unlink(missing_ok=True)
-        if isinstance(error, OutputError):
-            raise
-        raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error}); expected a writable folder with free space. "
-            "Free some space or choose another output folder; finished files are intact."
-        ) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and not isinstance(error, OutputError):
+            raise output_error(path, error) from error
         raise
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write `data` to `path`, whole or not at all."""
+def write_bytes(path: Path, data: bytes) -> Path:
+    """Write `data` to `path`, whole or not at all; see `replace_atomically`."""
     with replace_atomically(path) as temporary:
         temporary.write_bytes(data)
+    return path
 
 
-def write_json(path: Path, data: Any, *, indent: int | None = 1) -> None:
+def write_text(path: Path, text: str) -> Path:
+    """Write UTF-8 text with LF line ends, whole or not at all."""
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path, data: Any, *, indent: int | None = 1) -> Path:
     """Write `data` as JSON with sorted keys, whole or not at all; the same data gives the same bytes."""
-    text = json.dumps(data, sort_keys=True, indent=indent, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, (text + "\n").encode())
+    return write_text(path, json.dumps(data, sort_keys=True, indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def link_or_copy(source: Path, target: Path) -> Path:
+    """Make `target` a hard link of `source`, or a copy where links are impossible; atomic, makes folders.
+
+    Raises:
+        OutputError: Neither worked.
+    """
+    try:
+        real = Path(os.path.realpath(source))
+        # Renaming one link of a file over another does nothing at all, so the case is settled before.
+        if target.exists() and not target.is_symlink() and target.samefile(real):
+            return target
+    except OSError as error:
+        raise output_error(target, error) from error
+    with replace_atomically(target) as temporary:
+        temporary.unlink(missing_ok=True)
+        try:
+            os.link(real, temporary)
+        except OSError as error:
+            if error.errno not in _NO_LINK:
+                raise
+            shutil.copyfile(real, temporary)
+    return target

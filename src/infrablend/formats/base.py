@@ -58,10 +58,17 @@ class Written:
     losses: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
 
-    def __add__(self, other: Written) -> Written:
-        losses = Counter(self.losses)
-        losses.update(other.losses)
-        return Written(self.files + other.files, dict(sorted(losses.items())), self.problems + other.problems)
+    @classmethod
+    def together(cls, parts: Iterable[Written]) -> Written:
+        """One report of several, in order."""
+        files: list[Path] = []
+        problems: list[Problem] = []
+        losses: Counter[str] = Counter()
+        for part in parts:
+            files += part.files
+            problems += part.problems
+            losses.update(part.losses)
+        return cls(tuple(files), dict(sorted(losses.items())), tuple(problems))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from pycocotools import mask as _rle
 
 from infrablend.core.boxes import corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import (
@@ -34,7 +35,6 @@ from infrablend.formats.base import (
     to_size,
 )
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
-from infrablend.formats.files import link_or_copy, write_text
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 
 NAME = "coco"

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import (
     OVERHANG_PX,
@@ -48,7 +49,6 @@ from infrablend.formats.base import (
     to_size,
 )
 from infrablend.formats.capture import Capture, facts_from_name
-from infrablend.formats.files import link_or_copy, write_text
 from infrablend.formats.pictures import PictureFolder, check_name, is_hidden
 
 NAME = "hit-uav"
@@ -450,6 +450,8 @@ def _read_json_objects(
             if item.difficult is None:
                 data.warn(here, "flag-value", f"difficult {record['difficult']!r}, ignored", "true or false")
         item.inserted = record.get("inserted") is True
+        if record.get("tight_box") is True:
+            item.extra["tight_box"] = True
         if "source_id" in record:
             item.extra["source_id"] = record["source_id"]
         if _set_geometry(data, item, record.get("bbox"), rotated, picture.size_wh):
@@ -825,8 +827,8 @@ def _unite_objects(
         b = picture.objects[k]
         if a.category != b.category:
             differ("categories", b.where, f"category {b.category}", f"{a.category}, which counts")
-        # The oriented box of an object that InfraBlend put in encloses hidden corners; its bounds are not the box.
-        if not (a.inserted or b.inserted):
+        # The oriented box of an object that InfraBlend made encloses empty corners; its bounds are not the box.
+        if not (a.inserted or b.inserted or a.extra.get("tight_box")):
             counts["checked"] += 1
             if not _same_place(a, b):
                 kind = "oriented" if a.corners is not None and b.corners is not None else "boxes"
@@ -987,6 +989,12 @@ def _source_fields(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
 
 
+def _marks(instance: Instance) -> dict[str, Any]:
+    """Fields of ours: put in by InfraBlend; box drawn tightly, so not the oriented one's bounds as HIT-UAV's are."""
+    marks = {"inserted": instance.inserted, "tight_box": bool(instance.extra.get("tight_box"))}
+    return {name: True for name, is_set in marks.items() if is_set}
+
+
 def _top_fields(extra: dict[str, Any], keys: Sequence[str], defaults: Mapping[str, Any]) -> dict[str, Any]:
     return {k: extra.get(k, defaults[k]) for k in keys}
 
@@ -1025,7 +1033,7 @@ def _normal_json(
                 "id": object_id,
             }
             annotation |= _source_fields(instance, new)
-            objects.append(annotation | ({"inserted": True} if instance.inserted else {}))
+            objects.append(annotation | _marks(instance))
     names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
     top = _top_fields(extra, ("info", "licenses"), _TOP)
     return top | {"images": images, "categories": names, "annotation": objects}
@@ -1066,7 +1074,7 @@ def _rotate_json(
                 "bbox": _oriented_numbers(instance, losses),
             }
             annotation |= _source_fields(instance, new)
-            objects.append(annotation | ({"inserted": True} if instance.inserted else {}))
+            objects.append(annotation | _marks(instance))
     names = [{"id": c.id, "name": c.name} for c in categories]
     top = _top_fields(extra, ("info", "licenses", "scenarios", "weather"), _TOP)
     return top | {"images": images, "categories": names, "annotations": objects}

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, JpegImagePlugin
 
+from infrablend.core.files import write_bytes
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.files import write_bytes
 from infrablend.formats.pictures import PICTURE_FORMATS
 
 PixelMode = Literal["L", "RGB", "I;16"]

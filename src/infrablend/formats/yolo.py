@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import (
@@ -36,7 +37,6 @@ from infrablend.formats.base import (
     sort_images,
 )
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
-from infrablend.formats.files import link_or_copy, write_text
 from infrablend.formats.pictures import assign_ids, check_name, list_pictures, read_size
 from infrablend.formats.polygons import outline, rasterise
 
@@ -263,10 +263,8 @@ def write(
     """Write a whole data set: every frame and `data.yaml`; see `write_frame` and `data_yaml`."""
     ordered = sort_images(images)
     classes = yolo_classes(categories, dont_care)
-    written = Written()
-    for image in ordered:
-        written += write_frame(out, image, classes, task, without_mask=without_mask)
-    return written + write_data_yaml(out, classes, {i.split for i in ordered})
+    frames = [write_frame(out, image, classes, task, without_mask=without_mask) for image in ordered]
+    return Written.together([*frames, write_data_yaml(out, classes, {i.split for i in ordered})])
 
 
 # -- reading one label file ------------------------------------------------------------------------------------

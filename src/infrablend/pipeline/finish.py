@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.files import link_or_copy
 from infrablend.errors import Problem
 from infrablend.formats import coco, hit_uav, yolo
 from infrablend.formats.base import Written
-from infrablend.formats.files import link_or_copy
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record

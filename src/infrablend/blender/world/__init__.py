@@ -283,6 +283,7 @@ def _make_frame(
             visibility=label.visibility,
             truncated=label.truncated,
             difficult=label.visibility < 0.5,
+            extra={"tight_box": True},
         )
         for label in labels
         if label.box_xyxy is not None
