@@ -150,9 +150,7 @@ def write_infrared_effect(path: Path) -> Path:
     group = infrared_effect_group()
     group.use_fake_user = True
     group.asset_mark()
-    group.asset_data.description = (
-        "Thermal look of a surface from its temperature and emissivity (InfraBlend)"
-    )
+    group.asset_data.description = "Thermal look of a surface from its temperature and emissivity (InfraBlend)"
     material = bpy.data.materials.new("InfraredEffect example")
     material.use_fake_user = True
     material.use_nodes = True

@@ -260,7 +260,7 @@ def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
     phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
     extent = max(float(mesh.size_m.max()), 1e-9)
     waves = np.cos(mesh.vertices_m @ (_WAVES.T * (2 * np.pi / extent)) + phase)
-    return (amplitude_k * waves.mean(axis=1)).astype(np.float32)
+    return np.asarray(amplitude_k * waves.mean(axis=1), np.float32)
 
 
 _WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
