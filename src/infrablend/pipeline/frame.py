@@ -7,10 +7,8 @@ background --> scene --> render --> grey levels --> overlay --> image
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +21,7 @@ from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyMapping, Mapper, PercentileMapper
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.config.recipe import Recipe
+from infrablend.core.cores import take_core
 from infrablend.core.dataset import Category
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.registry import resolve
@@ -250,34 +249,3 @@ def scene_of(frame: PlannedFrame, recipe: Recipe, models: Mapping[str, ObjectMod
     """The scene of a planned frame without rendering it; decodes the background for its size."""
     size = load_background(frame.background.path, frame.background.size_wh).size_wh
     return sample_scene(frame.key(size), recipe, models, seed).spec
-
-
-_CORE_LOCKS: list[int] = []
-
-
-def take_core() -> int | None:
-    """Keep this process on one processor core that no other worker on this machine has; returns its number.
-
-    Measured: with one render thread, Cycles' main thread waits by spinning and burns as much processor time as the
-    render itself; on one core it cannot. Cores are handed out through file locks, which end with the process.
-    Without a free core (more workers than cores) nothing is pinned.
-    """
-    if not hasattr(os, "sched_setaffinity"):
-        return None
-    folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp")
-    for core in sorted(os.sched_getaffinity(0)):
-        path = folder / f"infrablend_core_{core}_{os.getuid()}.lock"
-        try:
-            handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-        except OSError:
-            return None
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(handle)
-            continue
-        _CORE_LOCKS.append(handle)
-        os.sched_setaffinity(0, {core})
-        return core
-    sys.stderr.write("no free core to keep this worker on\n")
-    return None

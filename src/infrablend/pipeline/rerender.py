@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.recipe import Recipe
+from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.images import encode_image, load_background
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame import make_renderer, repaint, take_core
+from infrablend.pipeline.frame import make_renderer, repaint
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from infrablend.blender.world.layout import KINDS, WorldPlan, sample_world
+from infrablend.core.cores import take_core
 from infrablend.core.dataset import SPLITS, ImageRecord, Instance, Split, TimeOfDay
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.rng import stream
@@ -261,6 +262,7 @@ class WorldWorker:
 
 def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
     """Worker factory: `settings` has `seed` and `folder`; one render thread, since workers are parallel."""
+    take_core()
     return WorldWorker(settings["seed"], Path(settings["folder"]), 1)
 
 
