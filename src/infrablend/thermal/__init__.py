@@ -1,1 +1,1 @@
-"""Physics of the thermal band and its cameras, plain numpy. Empty so far: the look is the paper's artistic one."""
+"""Physics of a thermal camera's view in plain numpy: radiance, surfaces, sky and air. SI units and kelvin."""

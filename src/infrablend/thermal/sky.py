@@ -1,0 +1,79 @@
+"""The sky's radiance against zenith angle, and what the air between object and camera takes away and adds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infrablend.thermal.radiometry import STEFAN_BOLTZMANN_W_M2_K4, ZERO_C_K, band_radiance
+
+Array = NDArray[np.float64]
+
+# A zenith that lets more through than this does not occur: its emissivity is at least 0.12.
+_CLEAREST = 0.88
+# The mean slant of the dome's radiation, as a multiple of the vertical path.
+_DIFFUSIVITY = 1.66
+
+
+def clear_sky_emissivity(dew_point_k: float) -> float:
+    """e0 in [0, 1]: broadband emissivity of a clear sky at this dew point, K (Berdahl and Martin's form)."""
+    t = (dew_point_k - ZERO_C_K) / 100
+    return float(np.clip(0.711 + 0.56 * t + 0.73 * t**2, 0, 1))
+
+
+def sky_radiance(
+    air_k: float, dew_point_k: float, zenith_rad: ArrayLike, cloud: float = 0.0, cloud_base_k: float | None = None
+) -> Array:
+    """8-14 um radiance of the sky, W m^-2 sr^-1, at angles from the zenith.
+
+    Nearly all that a clear sky lacks of a blackbody it lacks in this window. So the window's transmittance at the mean
+    slant follows from the broadband emissivity, t53 = (1 - e0) / f with f = pi L(Ta) / (sigma Ta^4); at the zenith it
+    is t53^(1/1.66), and at angle z that to the power 1 / cos z. Never above L(Ta), which the horizon has. Uncertain by
+    about 15 K of apparent temperature at the zenith, which is 1 K on a roof of emissivity 0.95.
+
+    Args:
+        air_k: Air temperature, K.
+        dew_point_k: Dew point, K; at most the air temperature.
+        zenith_rad: 0 up, pi/2 horizon; beyond counts as horizon.
+        cloud: Covered share of the sky, 0 to 1.
+        cloud_base_k: Temperature of the clouds; by default 7 K below the air.
+
+    Raises:
+        ValueError: For a dew point above the air temperature or a cover outside [0, 1].
+    """
+    if dew_point_k > air_k:
+        raise ValueError(f"dew_point_k {dew_point_k:g} is above air_k {air_k:g}")
+    if not 0 <= cloud <= 1:
+        raise ValueError(f"cloud {cloud:g} must lie in [0, 1]")
+    of_air = float(band_radiance(air_k))
+    window = np.pi * of_air / (STEFAN_BOLTZMANN_W_M2_K4 * air_k**4)
+    slant = max((1 - clear_sky_emissivity(dew_point_k)) / window, 1e-3)
+    zenith = min(slant ** (1 / _DIFFUSIVITY), _CLEAREST)
+    cos = np.maximum(np.cos(np.asarray(zenith_rad, np.float64)), np.cos(np.radians(89.0)))
+    clear = (1 - zenith ** (1 / cos)) * of_air
+    of_cloud = float(band_radiance(cloud_base_k if cloud_base_k is not None else air_k - 7.0))
+    return np.asarray((1 - cloud) * clear + cloud * of_cloud)
+
+
+def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array:
+    """tau in (0, 1] of the air over a path, long-wave; FLIR's empirical form.
+
+    Valid for 0 to about 1000 m, -20 to 40 degrees Celsius. tau(0) = 1; it falls with distance, humidity and warmth.
+
+    Args:
+        distance_m: Path length, m.
+        air_k: Air temperature, K.
+        humidity: Relative humidity, 0 to 1.
+    """
+    if not 0 <= humidity <= 1:
+        raise ValueError(f"humidity {humidity:g} must lie in [0, 1] (it is no percentage)")
+    t = air_k - ZERO_C_K
+    water = humidity * np.exp(1.5587 + 0.06939 * t - 0.00027816 * t**2 + 6.8455e-7 * t**3)
+    s, q = np.sqrt(np.asarray(distance_m, np.float64)), np.sqrt(water)
+    return np.asarray(1.9 * np.exp(-s * (0.006569 - 0.002276 * q)) - 0.9 * np.exp(-s * (0.01262 - 0.00667 * q)))
+
+
+def at_sensor_radiance(leaving: ArrayLike, tau: ArrayLike, air_k: float) -> Array:
+    """Radiance that arrives: tau L + (1 - tau) L(Ta), W m^-2 sr^-1."""
+    tau_ = np.asarray(tau, np.float64)
+    return np.asarray(tau_ * np.asarray(leaving) + (1 - tau_) * float(band_radiance(air_k)))
