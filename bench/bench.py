@@ -17,7 +17,6 @@ import statistics
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -29,7 +28,7 @@ from children import Child, in_parallel, own_cores, start
 from memory import Memory, measure_memory
 from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, summary
 from scenes import RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
-from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, time_full_frames, time_label_files, time_program
+from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
 from infrablend.blender.quality import MATCHED
 from infrablend.pipeline.plan import RunPlan
@@ -90,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(argv)
     amount = QUICK if options.quick else Amount()
-    begun = time.monotonic()
+    begun, measured = time.monotonic(), commit()
     options.out.mkdir(parents=True, exist_ok=True)
 
     data, name = backgrounds(options.data, options.out, amount)
@@ -101,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     report = {
         **found,
         "backgrounds": name,
-        "commit": commit(),
+        "commit": measured,
         "machine": machine(),
         "settings": settings(amount, options.quick),
         "seconds": round(time.monotonic() - begun, 1),
@@ -182,8 +181,11 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
         say_cpu(done, label_s / len(work.frames))
     totals = [mean_cpu(done) + label_s for done, label_s in repeats]
     wall = [statistics.fmean(r["wall_s"] for r in done) + label_s for done, label_s in repeats]
-    parts = mean_parts([r for done, _ in repeats for r in done])
+    shares = in_parallel(split_program, [(w,) for w in halves(work.into(out / "program"))], cores, logs / "split.log")
+    parts = {name: statistics.fmean(share[name] for share in shares) for name in shares[0]}
     parts["label files"] = statistics.fmean(label_s for _, label_s in repeats)
+    for name, seconds in sorted(parts.items(), key=lambda item: -item[1]):
+        say(f"  {1000 * seconds:7.1f} ms  {name}")
 
     say(f"error against {REFERENCE_SAMPLES:,} samples")
     whole = {"naive": out / "naive", "defaults": out / "defaults"}
@@ -219,7 +221,7 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
         # On this machine, one worker per core.
         "frames_per_s": len(cores) / statistics.median(wall),
         "label_files_cpu_s_per_frame": parts["label files"],
-        "parts_s": parts,
+        "parts_cpu_s_per_frame": parts,
         "mean_error_grey": errors_of["program"]["mean"],
         "p99_error_grey": errors_of["program"]["p99"],
         "errors_grey": errors_of,
@@ -256,14 +258,6 @@ def rows(shares: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
 def mean_cpu(done: Sequence[dict[str, Any]]) -> float:
     """CPU seconds per frame."""
     return statistics.fmean(row["cpu_s"] for row in done)
-
-
-def mean_parts(done: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Wall-clock seconds per frame of what the renderer reports."""
-    total: Counter[str] = Counter()
-    for row in done:
-        total.update(row["parts"])
-    return {k: v / len(done) for k, v in sorted(total.items())}
 
 
 def commit() -> str:
