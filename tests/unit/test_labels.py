@@ -366,3 +366,18 @@ def test_labels_are_the_same_twice() -> None:
     second, _ = annotate(scene(view, *things), meshes)
     assert len(first) == 2
     assert all(a.equals(b) for a, b in zip(first, second, strict=True))
+
+
+def test_masks_of_one_frame_share_no_pixel():
+    """A pixel that two objects cover evenly belongs to the first of them, whichever is nearer."""
+    view = camera()
+    things = (thing(at_px((-5, 0), view)), thing(at_px((5, 0), view)))
+    coverage = np.zeros((2, 20, 30), np.float32)
+    coverage[0, 5:15, 5:15], coverage[1, 5:15, 15:25] = 1, 1
+    coverage[:, 5:15, 14] = 0.5
+    mesh = brick_mesh((0.1, 0.1, 0.1))
+    labels, _ = annotate(scene(view, *things), [mesh, mesh], rendered(coverage, (305, 246)))
+    first, second = (i.mask.to_array() for i in labels)
+    assert not (first & second).any()
+    assert (int(first.sum()), int(second.sum())) == (100, 100)
+    assert first[251:261, 319].all()

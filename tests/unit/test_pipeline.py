@@ -301,6 +301,49 @@ def test_label_modes_and_categories(dataset, tmp_path):
     assert sorted(a["inserted"] for a in coco["annotations"] if a["category_id"] == 0) == [False, False, True, True]
 
 
+def test_a_single_object_that_is_barely_visible_is_not_inserted(dataset, tmp_path):
+    """`on_miss: keep` draws objects anywhere; `min_visibility` holds all the same, for one object alone too."""
+    settings = {"output.image": "png", "placement.on_miss": "keep", "camera.distance_m": 3, "configurations": 5}
+    free = generate(dataset, tmp_path / "free", settings=settings)
+    held = generate(dataset, tmp_path / "held", settings={**settings, "placement.min_visibility": 0.6})
+
+    def seen(name):
+        records = [read_record(p) for p in sorted((tmp_path / name / "scenes").rglob("*.json"))]
+        return [i.visibility for r in records for i in r.inserted], [r.scene.draws["absent"] for r in records]
+
+    assert min(seen("free")[0]) < 0.6 <= min(seen("held")[0])
+    absent = sum(a.get("min_visibility", 0) for a in seen("held")[1])
+    assert absent == 20 - held.counts["labels_inserted"]["drone"] > 0
+    assert free.counts["labels_inserted"]["drone"] >= held.counts["labels_inserted"]["drone"]
+
+
+def test_labels_left_out_of_originals_are_listed_too(dataset, tmp_path):
+    settings = {"output.originals": True, "configurations": 1, "labels.keep_categories": ["Person"]}
+    report = generate(dataset, tmp_path / "run", settings=settings)
+    before = sum(len(i.instances) for i in api.read_dataset(dataset).images)
+    kept = sum(n for c, n in report.counts["labels"].items() if c != "drone")
+    assert kept + sum(report.counts["labels_removed"].values()) == 2 * before
+
+
+@pytest.mark.parametrize(("line", "numbers"), [("0 0.5 0.5 0.1 0.1", 5), ("0 .4 .4 .6 .4 .6 .6 .4 .6", 9)])
+def test_native_of_a_folder_with_yolo_labels_is_yolo(tmp_path, line, numbers):
+    """In the folder's own task: boxes stay boxes, oriented boxes stay oriented."""
+    for name in ("0_60_50_0_00001", "0_60_50_0_00002"):
+        folder = tmp_path / "data"
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(np.arange(64 * 80, dtype=np.uint32).reshape(64, 80).astype(np.uint8)).save(
+            folder / f"{name}.png"
+        )
+        (folder / f"{name}.txt").write_text(line + "\n")
+    (tmp_path / "data" / "classes.txt").write_text("Person\n")
+    generate(tmp_path / "data", tmp_path / "run", settings={"configurations": 1})
+    native = tmp_path / "run" / "native"
+    lines = (native / "labels" / "train" / "0_60_50_0_00001_c0.txt").read_text().splitlines()
+    assert [len(text.split()) for text in lines] == [numbers, numbers]
+    again = api.read_dataset(native)
+    assert [[i.category for i in image.instances] for image in again.images] == [["Person", "drone"]] * 2
+
+
 def test_originals_groups_and_same_file_type(dataset, tmp_path):
     settings = {"output.originals": True, "output.group_by": ["pitch", "altitude", "day_night"]}
     report = generate(dataset, tmp_path / "run", settings=settings)

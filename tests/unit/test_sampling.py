@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from infrablend.annotation.labels import annotate
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.camera import object_to_world
@@ -90,12 +91,31 @@ def test_several_objects_and_empty_frames():
 
 
 def test_size_limits_hold():
-    recipe = load_recipe("hit-uav-drone", {"placement.size_px": [40, 90]})
+    recipe = load_recipe("hit-uav-drone", {"placement.size_px": [40, 90], "placement.min_inside": 1.0})
     for n in range(15):
         s = sample_scene(key(name=f"f{n}"), recipe, MODELS, 0)
         o = s.spec.objects[0]
         xy, _ = s.spec.camera.project(object_to_world(s.meshes[0].vertices_m, o.position_m, o.yaw_rad, o.scale))
         assert 40 <= np.ptp(xy, axis=0).max() <= 90
+
+
+def test_size_limits_are_about_the_labels_box():
+    """An object that the frame cuts counts with what is left of it."""
+    settings = {
+        "placement.size_px": [100, 130],
+        "placement.min_inside": 0.05,
+        "camera.distance_m": 3.0,
+        "placement.attempts": 1000,
+    }
+    recipe = load_recipe("hit-uav-drone", settings)
+    truncated = 0
+    for n in range(12):
+        s = sample_scene(key(name=f"f{n}"), recipe, MODELS, 0)
+        labels, _ = annotate(s.spec, s.meshes)
+        for label in labels:
+            assert 100 - 1e-6 <= np.ptp(label.box_xyxy.reshape(2, 2), axis=0).max() <= 130 + 1e-6
+            truncated += bool(label.truncated)
+    assert truncated >= 3
 
 
 def test_fixed_and_random_pitch():

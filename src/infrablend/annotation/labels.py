@@ -216,12 +216,14 @@ def annotate(
         if isinstance(shape, str):
             drops.append(Drop(k, spec.category, shape))
             continue
+        taken: BoolArray | None = None
         if result is not None:
             coverage, offset_xy = np.asarray(result.coverage[k]), result.offset_xy
+            taken = _taken(result.coverage, k)
         else:
             assert shape.coverage is not None
             coverage, offset_xy = shape.coverage, shape.offset_xy
-        mask, fallback = _mask(coverage, offset_xy, scene.camera.size_wh, settings.mask_coverage)
+        mask, fallback = _mask(coverage, offset_xy, scene.camera.size_wh, settings.mask_coverage, taken)
         if mask is None:
             drops.append(Drop(k, spec.category, "no_visible_pixel"))
             continue
@@ -413,13 +415,29 @@ def _share_in_frame(
     return in_frame_px / max(total * grid.pitch_px**2, in_frame_px)
 
 
+def _taken(coverage: NDArray[np.float32], k: int) -> BoolArray:
+    """(h, w) pixels of a crop that another object covers more; of two that share one evenly, the first has it."""
+    others = np.delete(np.arange(len(coverage)), k)
+    more = [coverage[j] >= coverage[k] if j < k else coverage[j] > coverage[k] for j in others]
+    return np.asarray(np.any(more, axis=0)) if more else np.zeros(coverage.shape[1:], np.bool_)
+
+
 def _mask(
-    coverage: NDArray[np.float32], offset_xy: tuple[int, int], size_wh: tuple[int, int], threshold: float
+    coverage: NDArray[np.float32],
+    offset_xy: tuple[int, int],
+    size_wh: tuple[int, int],
+    threshold: float,
+    taken: BoolArray | None,
 ) -> tuple[Mask | None, bool]:
-    """The mask of a crop's coverage in the whole frame, and whether it had to fall back on a single pixel."""
+    """The mask of a crop's coverage in the whole frame, and whether it had to fall back on a single pixel.
+
+    Pixels `taken` by another object are left out: masks of one frame share no pixel.
+    """
     if not coverage.size or not float(coverage.max()) > 0:
         return None, False
     chosen = coverage >= threshold
+    if taken is not None:
+        chosen = chosen & ~taken
     fallback = not chosen.any()
     if fallback:
         chosen = np.zeros(coverage.shape, np.bool_)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import link_or_copy
 from infrablend.errors import Problem
 from infrablend.formats import coco, hit_uav, yolo
@@ -77,13 +77,23 @@ def _write_native(plan: RunPlan, out: Path, images: Sequence[ImageRecord]) -> Wr
     source = plan.dataset
     if source.format == "hit-uav":
         return hit_uav.write(out, images, plan.categories, extra=source.extra)
-    if source.format == "yolo":
-        return yolo.write(out, images, plan.categories, task="detect", dont_care="keep")
-    if source.format == "coco":
+    labels = source.notes.get("labels") if source.format == "folder" else source.format
+    if labels == "yolo":
+        task = yolo_task(source)
+        return yolo.write(out, images, plan.categories, task=task, dont_care="keep", without_mask="obb")
+    if labels == "coco":
         for image in images:
             link_or_copy(image.path, out / "images" / image.split / image.name)
         return coco.write(out / "annotations", images, plan.categories)
     return Written()
+
+
+def yolo_task(source: Dataset) -> yolo.Task:
+    """Which kind of YOLO labels a dataset has: oriented boxes, polygons, or boxes."""
+    instances = [i for image in source.images for i in image.instances]
+    if any(i.corners_xy is not None for i in instances):
+        return "obb"
+    return "seg" if any(i.mask is not None for i in instances) else "detect"
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:

@@ -152,8 +152,9 @@ class FrameMaker:
             save_image(target, background.pixels, background, kind)
         else:
             write_bytes(target, source.path.read_bytes())
-        kept = self._recipe.labels.keep_categories
-        indices = [n for n, i in enumerate(source.instances) if kept is None or i.category in kept]
+        choice = MergeSettings(labels=self._recipe.labels.mode, keep_categories=self._recipe.labels.keep_categories)
+        together, removed = merge(source.instances, (), choice)
+        kept_ids = {id(i) for i in together}
         record = FrameRecord(
             frame_id=frame.frame_id,
             image=relative,
@@ -161,8 +162,9 @@ class FrameMaker:
             background=self._background_facts(frame, background),
             scene=None,
             mapping=None,
-            kept=tuple(indices) if self._recipe.labels.mode != "new" else (),
+            kept=tuple(n for n, i in enumerate(source.instances) if id(i) in kept_ids),
             inserted=(),
+            removed=tuple(r.to_json() for r in removed),
             warnings=tuple(p.to_json() for p in background.problems),
         )
         write_json(self._folder.record(frame.frame_id), record.to_json())
@@ -229,7 +231,7 @@ def drop_barely_visible(sampled: SampledScene, min_visibility: float) -> Sampled
     They are taken out of the scene, not just out of the labels: an object in the picture without a label would teach
     a detector to overlook it. Repeated, since what a removed object hid may now be seen.
     """
-    while min_visibility > 0 and len(sampled.meshes) > 1:
+    while min_visibility > 0 and sampled.meshes:
         labels, report = annotate(sampled.spec, sampled.meshes)
         seen = {k: i.visibility or 0.0 for k, i in zip(report.kept, labels, strict=True)}
         low = [k for k in range(len(sampled.meshes)) if seen.get(k, 0.0) < min_visibility]

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Count, FixedPitch, Object, RandomPitch, Recipe
+from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.mesh import FloatArray, Mesh
-from infrablend.core.raster import inside_fraction
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.core.raster import inside_fraction, project_triangles
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from infrablend.errors import ModelError
@@ -82,7 +84,7 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
     wanted = [] if empty else _wanted(recipe, models, rng["shape"])
     tally = _Tally()
 
-    camera, poses = _place(frame, recipe, pitch_rad, wanted, rng["placement"], tally)
+    camera, poses = _place(frame, recipe, models, pitch_rad, wanted, rng["placement"], tally)
     objects, meshes = [], []
     for (kind, params, mesh, scale), pose in zip(wanted, poses, strict=True):
         model = models[kind.model]
@@ -215,6 +217,7 @@ _Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
 def _place(
     frame: FrameKey,
     recipe: Recipe,
+    models: Mapping[str, ObjectModel],
     pitch_rad: float,
     wanted: Sequence[_Wanted],
     rng: np.random.Generator,
@@ -246,6 +249,8 @@ def _place(
     poses: list[_Pose | None] = []
     for number, (kind, _, mesh, scale) in enumerate(wanted):
         pose = draw_pose(kind)
+        model = models[kind.model]
+        labelled = np.array([model.parts[n].label for n in mesh.part_names])[mesh.part_of_triangle]
         if rules.on_miss == "keep":
             tally.attempts += 1
             poses.append(pose)
@@ -260,7 +265,7 @@ def _place(
                     pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
             tally.attempts += 1
             world = object_to_world(mesh.vertices_m, pose[:3], pose[3], scale)
-            reason = _rejection(camera, world, mesh, recipe)
+            reason = _rejection(camera, world, mesh, labelled, recipe)
             if reason is None:
                 accepted = True
                 break
@@ -271,8 +276,10 @@ def _place(
     return camera, poses
 
 
-def _rejection(camera: CameraSpec, world_m: FloatArray, mesh: Mesh, recipe: Recipe) -> str | None:
-    """Why this draw does not count, or None."""
+def _rejection(
+    camera: CameraSpec, world_m: FloatArray, mesh: Mesh, labelled: NDArray[np.bool_], recipe: Recipe
+) -> str | None:
+    """Why this draw does not count, or None; `labelled` (T,) are the triangles that the label's box is about."""
     rules = recipe.placement
     inside, depth_m = inside_fraction(camera, world_m, mesh.triangles)
     if depth_m < rules.min_depth_m:
@@ -280,13 +287,19 @@ def _rejection(camera: CameraSpec, world_m: FloatArray, mesh: Mesh, recipe: Reci
     if inside < max(rules.min_inside, rules.min_visibility):
         return "outside_frame"
     if rules.size_px is not None:
-        xy, _ = camera.project(world_m)
-        size = float(np.ptp(xy, axis=0).max())
+        size = _box_size_px(camera, world_m, mesh.triangles[labelled])
         if size < rules.size_px[0]:
             return "too_small"
         if size > rules.size_px[1]:
             return "too_large"
     return None
+
+
+def _box_size_px(camera: CameraSpec, world_m: FloatArray, triangles: IntArray) -> float:
+    """Longest side of the box that triangles would get: in the image and cut to the frame, as labels are."""
+    xy = project_triangles(camera, world_m, triangles).xy
+    points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
+    return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
 
 def without_objects(scene: SampledScene, numbers: Sequence[int], reason: str) -> SampledScene:
