@@ -171,7 +171,12 @@ def _prepare(
 def _require_apart(data: Path, out: Path) -> None:
     a, b = data.resolve(), out.resolve()
     if a == b or b in a.parents:
-        raise OutputError(f"--out {out}: holds the data folder {data}; choose a folder of its own")
+        raise OutputError(f"--out {out}: is or holds the data folder {data}; choose a folder of its own")
+    if a in b.parents:
+        raise OutputError(
+            f"--out {out}: lies inside the data folder {data}, which is never written to (and a later run would "
+            "take its pictures for backgrounds); choose a folder outside it"
+        )
 
 
 def read_dataset(

@@ -264,7 +264,7 @@ def test_temporary_files_of_dead_workers_are_removed():
     (result,) = pool(retries=0).run(orders(("leave_file_and_die", None)))
     word, name = result.failure.traceback.splitlines()[-1].split()
     assert word == "left"
-    assert "/infrablend_" in name
+    assert "/infrablend-workers-" in name
     assert not Path(name).exists()
 
 

@@ -21,17 +21,19 @@ import fnmatch
 import hashlib
 import json
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.config.wording import field_problems
 from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
@@ -40,12 +42,14 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", 
 def _pair(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value)
-    return tuple(value) if isinstance(value, list) else value
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("a range [lo, hi] or a number")
+    return tuple(value)
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
-        raise ValueError(f"low end {value[0]:g} is above high end {value[1]:g}")
+        raise ValueError("a range [lo, hi] whose low end is not above its high end")
     return value
 
 
@@ -58,7 +62,7 @@ _Share = Annotated[
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class UserPart(_Strict):
@@ -109,27 +113,35 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
         ModelError: With every wrong field.
     """
     try:
-        data = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        data = read_yaml(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
         raise ModelError(
             f"model {path}: cannot be read ({error}); expected a YAML text (docs/how_to/own_model.md)"
         ) from error
     try:
-        described = UserModel.model_validate_json(json.dumps(data, default=str))
+        if not isinstance(data, dict):
+            raise ModelError(f"model {path}: found {type(data).__name__}, expected a mapping of fields")
+        described = UserModel.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems = [
-            Problem(
-                ".".join(str(p) for p in e["loc"]) or str(path), "model-field", f"{e['msg']} (found {e['input']!r})"
-            )
-            for e in error.errors(include_url=False)
-        ]
+        problems = field_problems(error, data, "model", "see docs/how_to/own_model.md for all fields")
         raise ModelError(f"model {path}: {len(problems)} field(s) are wrong", problems) from error
     file = (path.parent / described.file).resolve()
     if file.suffix.lower() not in SUFFIXES:
         raise ModelError(f"model {path}: file {described.file!r} is no known type; expected {' '.join(SUFFIXES)}")
-    if not file.is_file():
-        raise ModelError(f"model {path}: file {file} does not exist; expected the 3D model beside the YAML")
+    if "\0" in described.file or not file.is_file():
+        raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
     return described, file
+
+
+def is_description(model: str) -> bool:
+    """True if a recipe's model is the path of a user's YAML, not a name."""
+    return model.lower().endswith((".yaml", ".yml"))
+
+
+def description_digest(path: Path) -> str:
+    """Digest of all that makes a user's model: its YAML and its 3D file."""
+    _, file = read_description(path)
+    return hashlib.sha256(path.read_bytes() + geometry_file(file).stem.encode()).hexdigest()
 
 
 def cache_folder() -> Path:
@@ -141,8 +153,15 @@ def cache_folder() -> Path:
 
 
 def geometry_file(file: Path) -> Path:
-    """Where the imported geometry of a 3D file is, or will be; the name changes with the file's content."""
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    """Where the imported geometry of a 3D file is, or will be; the name changes with the file's content.
+
+    Raises:
+        ModelError: The 3D file cannot be read.
+    """
+    try:
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ModelError(f"model file {file}: cannot be read ({error.strerror or error})") from error
     return cache_folder() / "models" / f"{digest}.npz"
 
 
@@ -156,11 +175,16 @@ def load_user_model(path: Path) -> ObjectModel:
     cached = geometry_file(file)
     if not cached.is_file():
         raise ModelError(f"model {path}: {file.name} has not been imported yet", [])
-    with np.load(cached, allow_pickle=False) as data:
-        groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
-        mesh_data = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
+    try:
+        with np.load(cached, allow_pickle=False) as data:
+            groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
+            mesh_data = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(
+            f"model {path}: the imported geometry in {cached} is damaged ({error}); remove that file and run again"
+        ) from error
     part_of_group, parts = assign_parts(described, groups, str(path))
-    mesh = _mesh(described, mesh_data, part_of_group)
+    mesh = _mesh(described, mesh_data, part_of_group, str(path))
     digest = cached.stem
 
     def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
@@ -250,7 +274,7 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     return names, {n: roles[n] for n in roles if n in used}
 
 
-def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str]) -> Mesh:
+def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
     vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)
     turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
@@ -258,8 +282,11 @@ def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str
     vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float64)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     factor = described.scale
+    size = float((high - low).max())
+    if not size > 0 or not np.isfinite(size):
+        raise ModelError(f"model {where}: the file's surface has size {size:g}; expected a body larger than a point")
     if described.length_m is not None:
-        factor = described.length_m / float((high - low).max())
+        factor = described.length_m / size
     if described.origin == "centre":
         vertices = vertices - (low + high) / 2
     elif described.origin == "feet":

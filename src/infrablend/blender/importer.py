@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import bpy
 import numpy as np
@@ -19,6 +20,9 @@ from infrablend.blender.materials import GROUP_NAME
 from infrablend.core.files import replace_atomically
 from infrablend.core.tasks import Task
 from infrablend.errors import ModelError
+
+# Above this labels take seconds for each frame.
+MAX_TRIANGLES = 2_000_000
 
 _IMPORTERS: dict[str, Callable[[str], Any]] = {
     ".glb": lambda f: bpy.ops.import_scene.gltf(filepath=f),
@@ -49,6 +53,7 @@ def import_file(file: Path, target: Path) -> None:
     Raises:
         ModelError: If Blender cannot read the file or there is no surface in it.
     """
+    _require_inside(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
@@ -56,13 +61,23 @@ def import_file(file: Path, target: Path) -> None:
             bpy.ops.wm.open_mainfile(filepath=str(file), load_ui=False, use_scripts=False)
         else:
             _IMPORTERS[file.suffix.lower()](str(file))
-    except (RuntimeError, AttributeError, ValueError, OSError, json.JSONDecodeError) as error:
+    except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and whatever else
         raise ModelError(
-            f"model file {file}: Blender cannot read it ({str(error).strip()}); expected a valid {file.suffix} file"
+            f"model file {file}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
     pieces = _pieces()
     if not pieces:
         raise ModelError(f"model file {file}: no surface found; expected at least one visible mesh object")
+    count = sum(len(corners) for _, corners, *_ in pieces)
+    if count > MAX_TRIANGLES:
+        raise ModelError(
+            f"model file {file}: {count:,} triangles; expected at most {MAX_TRIANGLES:,}. An object of some hundred "
+            "pixels needs some ten thousand: reduce it in Blender (Decimate modifier)"
+        )
+    if not all(np.isfinite(v).all() for v, *_ in pieces):
+        raise ModelError(
+            f"model file {file}: vertices that are not finite numbers; expected a valid {file.suffix} file"
+        )
     vertices, triangles, groups, smooth = [], [], [], []
     facts: list[dict[str, Any]] = []
     index: dict[tuple[str, str], int] = {}
@@ -90,6 +105,37 @@ def import_file(file: Path, target: Path) -> None:
             smooth=np.concatenate(smooth),
             groups=np.array(json.dumps(facts)),
         )
+
+
+def _reason(error: Exception) -> str:
+    """The last line of what an importer says: operators put a whole traceback into their message."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return next((line for line in reversed(lines) if not line.startswith(("Location:", "File "))), type(error).__name__)
+
+
+def _require_inside(file: Path) -> None:
+    """Refuse a glTF that reads other files than those beside it.
+
+    Raises:
+        ModelError: A reference leaves the file's folder, or the file is no glTF.
+    """
+    if file.suffix.lower() != ".gltf":
+        return
+    try:
+        content = json.loads(file.read_text("utf-8"))
+        references = [i["uri"] for k in ("buffers", "images") for i in content.get(k, ()) if "uri" in i]
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise ModelError(f"model file {file}: not glTF ({error}); expected a valid .gltf file") from error
+    folder = file.parent.resolve()
+    for uri in references:
+        if isinstance(uri, str) and uri.startswith("data:"):
+            continue
+        named = unquote(str(uri))
+        if "\0" in named or "://" in named or folder not in (folder / named).resolve().parents:
+            raise ModelError(
+                f"model file {file}: refers to {named!r} outside its folder; expected files beside it. "
+                "Save it as .glb, which holds everything"
+            )
 
 
 def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:

@@ -50,6 +50,8 @@ def exit_code(error: BaseException) -> int:
         case OutputError():
             # A folder that is not empty is the user's choice, a full disk is not.
             cause = error.__cause__
+            if any(p.code == "disk-full" for p in error.problems):  # said by a worker: its cause stayed there
+                return ENVIRONMENT
             return ENVIRONMENT if isinstance(cause, OSError) and cause.errno in _DISK else USAGE
         case InfraBlendError():
             return USAGE

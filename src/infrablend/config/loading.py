@@ -8,10 +8,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from infrablend.config.recipe import Recipe
+from infrablend.config.wording import field_problems
+from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
 
@@ -51,7 +52,7 @@ def load_recipe(recipe: str | Path, settings: Sequence[str] | Mapping[str, Any] 
         folder = path.resolve().parent
         try:
             text = path.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a NUL in it
             raise RecipeError(
                 f"recipe {path}: cannot be read ({error}); expected a YAML text file. "
                 f"Shipped recipes are {', '.join(list_recipes())}."
@@ -66,23 +67,25 @@ def parse_recipe(
 ) -> Recipe:
     """The recipe in a YAML text; `where` names it in errors, `folder` is what model paths are relative to."""
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise RecipeError(f"recipe {where}: not YAML: {error}") from error
+        data = read_yaml(text)
+    except ValueError as error:
+        raise RecipeError(
+            f"recipe {where}: {error}. Correct the file; docs/reference/recipe.md has all fields."
+        ) from error
     if not isinstance(data, dict):
         raise RecipeError(f"recipe {where}: found {type(data).__name__}, expected a mapping of fields")
     problems: list[Problem] = []
     for key, value in _pairs(settings, problems):
         _set(data, key, value, problems)
-    if folder is not None:
-        for item in data.get("objects") or ():
+    if folder is not None and isinstance(data.get("objects"), list):
+        for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
                 item["model"] = str((folder / item["model"]).resolve())
     try:
         # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
         recipe = Recipe.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems += _problems(error)
+        problems += field_problems(error, data, "recipe", "see docs/reference/recipe.md for all fields")
     except (TypeError, ValueError) as error:
         problems.append(Problem(where, "recipe-value", str(error), "plain numbers, texts, lists and mappings"))
     if problems:
@@ -104,9 +107,9 @@ def _pairs(settings: Sequence[str] | Mapping[str, Any], problems: list[Problem])
             problems.append(Problem(f"--set {text}", "set-syntax", "no key=value", "e.g. output.image=png"))
             continue
         try:
-            pairs.append((key.strip(), yaml.safe_load(value)))
-        except yaml.YAMLError as error:
-            problems.append(Problem(f"--set {text}", "set-syntax", f"value is not YAML: {error}"))
+            pairs.append((key.strip(), read_yaml(value)))
+        except ValueError as error:
+            problems.append(Problem(f"--set {text}", "set-syntax", str(error), "a YAML value"))
     return pairs
 
 
@@ -140,34 +143,3 @@ def _set(data: dict[str, Any], key: str, value: Any, problems: list[Problem]) ->
         else:
             problems.append(Problem(f"--set {key}", "set-key", f"{'.'.join(steps[:i])} has no fields"))
             return
-
-
-def _problems(error: ValidationError) -> list[Problem]:
-    found = []
-    for e in error.errors(include_url=False):
-        # Names of union members are pydantic's, not the user's: keep the field path alone.
-        path = ".".join(
-            str(p) for p in e["loc"] if not (isinstance(p, str) and (p[:1].isupper() or "[" in p or p in _UNION_NAMES))
-        )
-        given = "nothing" if e["type"] == "missing" else _short(e["input"])
-        if e["type"] == "extra_forbidden":
-            found.append(
-                Problem(
-                    path,
-                    "recipe-unknown-key",
-                    f"unknown key (value {given})",
-                    "a field of the recipe",
-                    "see docs/reference/recipe.md for all fields",
-                )
-            )
-        else:
-            found.append(Problem(path, "recipe-value", f"found {given}", e["msg"].removeprefix("Value error, ")))
-    return found
-
-
-_UNION_NAMES = {"int", "float", "str", "literal", "nullable"}
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, default=str)
-    return text if len(text) <= 60 else text[:57] + "..."

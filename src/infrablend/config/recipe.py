@@ -15,12 +15,20 @@ def _pair(value: Any) -> Any:
     """A single number stands for the range that holds just it; JSON's lists become the tuples strict mode wants."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value)
-    return tuple(value) if isinstance(value, list) else value
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("a range [lo, hi] or a number")
+    return tuple(value)
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
-        raise ValueError(f"low end {value[0]:g} is above high end {value[1]:g}")
+        raise ValueError("a range [lo, hi] whose low end is not above its high end")
+    return value
+
+
+def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(value)) != len(value):
+        raise ValueError("each item once")
     return value
 
 
@@ -32,7 +40,12 @@ def range_of(low: float, high: float) -> Any:
 
 class _Strict(BaseModel):
     model_config = ConfigDict(
-        strict=True, frozen=True, extra="forbid", validate_default=True, use_attribute_docstrings=True
+        strict=True,
+        frozen=True,
+        extra="forbid",
+        validate_default=True,
+        use_attribute_docstrings=True,
+        allow_inf_nan=False,
     )
 
 
@@ -102,7 +115,7 @@ class Object(_Strict):
 
     model: str = Field(min_length=1)
     """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe)."""
-    category: str | None = Field(None, min_length=1)
+    category: Annotated[str, Field(pattern=r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$")] | None = None
     """Class of its labels; the model's own by default. The name of a class of the dataset adds no new class."""
     count: Annotated[int, Field(ge=0, le=64)] | Count = 1
     """How many per frame: a number, or `{values: [0, 1, 2], weights: [...]}`."""
@@ -229,11 +242,11 @@ class Output(_Strict):
 
     image: Literal["same", "png"] = "same"
     """`same`: the input's own file type (JPEG with the source's own tables); `png`: lossless."""
-    formats: tuple[Format, ...] = FORMATS
+    formats: Annotated[tuple[Format, ...], AfterValidator(_distinct)] = FORMATS
     """Label formats to write."""
     originals: bool = False
     """Also copy the unchanged backgrounds with their labels into the dataset."""
-    group_by: tuple[GroupKey, ...] = ()
+    group_by: Annotated[tuple[GroupKey, ...], AfterValidator(_distinct)] = ()
     """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
 
 

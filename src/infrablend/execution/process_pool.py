@@ -8,10 +8,13 @@ what Blender prints from C, and because it does not import the caller's main mod
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import json
 import logging
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,7 +30,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, RenderError, WorkerDiedError
+from infrablend.errors import Interrupted, OutputError, Problem, RenderError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.execution.worker import ONE_THREAD, Done, Hello
 
@@ -98,7 +101,11 @@ class ProcessPool:
         """See `core.tasks.Executor`."""
         spec = pickle.dumps(self._worker, pickle.HIGHEST_PROTOCOL)
         with contextlib.ExitStack() as stack:
-            log = stack.enter_context(self._settings.log_path.open("ab")) if self._settings.log_path else None
+            log = (
+                stack.enter_context(self._settings.log_path.open("ab", buffering=0))
+                if self._settings.log_path
+                else None
+            )
             scratch = stack.enter_context(_scratch_folder())
             run = _Run(self._settings, spec, log, scratch)
             stop = stack.enter_context(Interruption(run.signal_all))
@@ -317,9 +324,9 @@ class _Run:
         for line in lines:
             w.tail.append(line.decode(errors="replace"))
             if self._log is not None:
-                self._log.write(b"worker %d: %s\n" % (w.number, line))
-        if self._log is not None and lines:
-            self._log.flush()
+                with contextlib.suppress(OSError):
+                    self._log.write(b"worker %d: %s\n" % (w.number, line))
+            # A full disk is told by what the run itself writes; its log must not end it.
 
     # ---- endings
 
@@ -361,7 +368,7 @@ class _Run:
         """A factory that raised will raise again: one clear error instead of a loop."""
         self._reap(w, patience_s=5.0)
         error = failure.to_exception()
-        logger.error("worker %d could not start:\n%s", w.number, failure.traceback)
+        logger.info("worker %d could not start:\n%s", w.number, failure.traceback)  # the error itself is raised
         if type(error).__name__ == failure.error:
             raise error
         raise RenderError(f"The renderer could not start: {error.message}", error.problems)
@@ -416,13 +423,53 @@ class _Run:
             _kill(w.process)
 
 
-def _scratch_folder() -> tempfile.TemporaryDirectory[str]:
-    """Where workers put temporary files: in memory unless TMPDIR says otherwise; the parent removes it, since a
-    killed worker cannot.
+_SCRATCH = "infrablend-workers-"
+_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give /dev/shm 64 MiB
+
+
+@contextlib.contextmanager
+def _scratch_folder() -> Iterator[str]:
+    """Where workers put temporary files: in memory unless TMPDIR says otherwise or there is no room.
+
+    The parent removes it, since a killed worker cannot; what a killed parent left behind the next one removes. A
+    folder in use is told by a lock on it, which ends with its process.
     """
     memory = Path("/dev/shm")
-    folder = None if os.environ.get("TMPDIR") or not os.access(memory, os.W_OK) else memory
-    return tempfile.TemporaryDirectory(prefix="infrablend_", dir=folder, ignore_cleanup_errors=True)
+    roomy = os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
+    folder = Path(tempfile.gettempdir()) if os.environ.get("TMPDIR") or not roomy else memory
+    try:
+        _sweep(folder)
+        # Made under another name, locked, then renamed: no sweep can meet it without its lock.
+        made = Path(tempfile.mkdtemp(prefix="infrablend-new-", dir=folder))
+        handle = os.open(made, os.O_RDONLY)
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        scratch = made.rename(folder / (_SCRATCH + made.name.removeprefix("infrablend-new-")))
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: no temporary folder can be made ({error.strerror or error}); free some space there, or set "
+            "TMPDIR to another folder",
+            [Problem(str(folder), "disk-full" if error.errno == errno.ENOSPC else "not-writable", str(error))],
+        ) from error
+    try:
+        yield str(scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        os.close(handle)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the scratch folders of parents that were killed."""
+    for left in sorted(folder.glob(_SCRATCH + "*")):
+        with contextlib.suppress(OSError):
+            if left.is_symlink() or left.stat().st_uid != os.getuid():
+                continue
+            handle = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(left, ignore_errors=True)
+            finally:
+                os.close(handle)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

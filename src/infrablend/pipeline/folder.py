@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
+import logging
+import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import write_json
 from infrablend.errors import OutputError
+
+log = logging.getLogger(__name__)
 
 # What `--overwrite` may delete: these names and nothing else.
 OWN_FOLDERS = ("images", "yolo", "yolo-obb", "yolo-seg", "coco", "native", "scenes", "log")
@@ -61,6 +68,39 @@ class RunFolder:
         """Write the run record, whole or not at all."""
         write_json(self.run_file, data, indent=2)
 
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Keep every other process from writing a run here; the claim ends with the process, however that ends.
+
+        Raises:
+            OutputError: If another run is at work here, or the folder cannot be made.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            # The lock is on the folder itself, so that it leaves no file behind.
+            handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
+        except FileExistsError as error:
+            raise OutputError(
+                f"{self.root}: is a file; expected a folder, or a name that does not exist yet"
+            ) from error
+        except (OSError, ValueError) as error:
+            raise OutputError(
+                f"{self.root}: cannot be written ({getattr(error, 'strerror', None) or error}); "
+                "expected a folder you may write to"
+            ) from error
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"{self.root}: another run is writing here; wait for it to end, or give another --out"
+                ) from error
+            except OSError as error:  # file systems without locks
+                log.warning("%s: cannot be locked (%s); do not start two runs in it", self.root, error)
+            yield
+        finally:
+            os.close(handle)
+
     def prepare(self, *, resume: bool, overwrite: bool) -> dict[str, Any] | None:
         """Make the folder ready; returns the record of the run to go on with, or None for a new one.
 
@@ -72,6 +112,8 @@ class RunFolder:
             raise OutputError("--resume and --overwrite exclude each other: go on with the run, or begin it anew")
         if self.root.exists() and not self.root.is_dir():
             raise OutputError(f"{self.root}: is a file; expected a folder, or a name that does not exist yet")
+        if self.root.is_dir() and not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):
+            raise OutputError(f"{self.root}: cannot be written; expected a folder you may write to")
         entries = sorted(p.name for p in self.root.iterdir()) if self.root.is_dir() else []
         if entries and not (resume or overwrite):
             raise OutputError(
@@ -84,8 +126,10 @@ class RunFolder:
                 f"{self.root}: not empty and not a run of InfraBlend (no {RUN_FILE}); nothing was touched. "
                 "Choose another --out."
             )
-        if resume and entries:
-            return self.read_run()
+        if entries:
+            record = self.read_run()  # a run.json may be another program's
+            if resume:
+                return record
         try:
             if entries:
                 for name in OWN_FOLDERS:

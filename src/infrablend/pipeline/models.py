@@ -7,8 +7,9 @@ from typing import Any
 
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.assets.user_model import geometry_file, read_description
+from infrablend.assets.user_model import geometry_file, is_description, read_description
 from infrablend.core.tasks import Task, WorkerSpec
+from infrablend.errors import ModelError, WorkerDiedError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 
 # A throw-away process: a damaged or hostile file may hang Blender, also when it ends.
@@ -21,11 +22,17 @@ def ready_model(name: str) -> ObjectModel:
     Raises:
         ModelError: If there is none, its description is wrong, or Blender cannot read its file.
     """
-    if name.lower().endswith((".yaml", ".yml")):
+    if is_description(name):
         _, file = read_description(Path(name))
         target = geometry_file(file)
         if not target.is_file():
-            run_once("infrablend.blender.importer:make_importer", (str(file), str(target)), f"import {file.name}")
+            try:
+                run_once("infrablend.blender.importer:make_importer", (str(file), str(target)), f"import {file.name}")
+            except WorkerDiedError as error:
+                raise ModelError(
+                    f"model file {file}: Blender crashed or hung on it ({error.message}); expected a valid "
+                    f"{file.suffix} file. Open it in Blender, save it anew, and use that file."
+                ) from error
     return load_model(name)
 
 

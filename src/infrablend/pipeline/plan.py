@@ -12,9 +12,11 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.assets.model import ObjectModel
+from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
-from infrablend.errors import DatasetError, Problem
+from infrablend.core.rng import stream
+from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
@@ -115,10 +117,13 @@ def make_plan(
 
     Raises:
         DatasetError: If no background is left.
+        RecipeError: If an option is none of its model's, or a category none of the dataset's.
         ModelError: If a model does not exist or has no part that the recipe names.
     """
     models = {o.model: ready_model(o.model) for o in recipe.objects}
     require_parts(recipe, models)
+    _require_options(recipe, models)
+    _require_categories(recipe, dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
     problems = list(dataset.problems)
     usable = []
@@ -162,7 +167,35 @@ def make_plan(
         "seed": seed,
         "backgrounds": fingerprint(trimmed),
     }
+    if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
+        key["models"] = own
     return RunPlan(recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key)
+
+
+def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
+    """Try each object's options once: a wrong one would else fail every frame."""
+    problems = []
+    for i, o in enumerate(recipe.objects):
+        try:
+            models[o.model].sample(stream(0, "options"), o.options)
+        except (InfraBlendError, ValueError, TypeError) as error:
+            message = error.message if isinstance(error, InfraBlendError) else str(error)
+            problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: options that its models do not take", problems)
+
+
+def _require_categories(recipe: Recipe, dataset: Dataset) -> None:
+    names = [c.name for c in dataset.categories]
+    unknown = sorted(set(recipe.labels.keep_categories or ()) - set(names))
+    if unknown:
+        problem = Problem(
+            "labels.keep_categories",
+            "recipe-value",
+            f"found {', '.join(unknown)}",
+            f"categories of the dataset ({', '.join(names) or 'it has none'})",
+        )
+        raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
 
 
 def fingerprint(dataset: Dataset) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.core.files import output_error
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, OutputError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
@@ -23,7 +24,7 @@ from infrablend.pipeline.finish import Finished, write_formats
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameDone, FrameSettings
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
-from infrablend.pipeline.record import read_record, sha256_of
+from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 
 log = logging.getLogger(__name__)
 
@@ -110,12 +111,27 @@ def run_plan(
         Interrupted: The user stopped the run; `resume` goes on.
         RenderError: The renderer cannot start.
     """
+    with RunFolder(out).claimed():
+        return _run(plan, out, workers, device, renderer, resume, overwrite, in_process, on_progress)
+
+
+def _run(
+    plan: RunPlan,
+    out: Path,
+    workers: int,
+    device: str,
+    renderer: str,
+    resume: bool,
+    overwrite: bool,
+    in_process: bool,
+    on_progress: OnProgress | None,
+) -> RunReport:
+    """`run_plan` in a folder that no other run writes to."""
     started = time.monotonic()
     folder = RunFolder(out)
     previous = folder.prepare(resume=resume, overwrite=overwrite)
     if previous is not None:
-        _require_same_run(previous, plan, out)
-    folder.log_folder.mkdir(parents=True, exist_ok=True)
+        _require_same_run(previous, plan, out, device, renderer)
     with _log_file(folder.log_folder / "run.log"):
         header = _header(plan, workers, device, renderer)
         folder.write_run({**header, "status": "running"})
@@ -211,13 +227,16 @@ def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
     failure = result.failure
     if failure.error == "OutputError":
         # No space or no permission: every further frame would fail the same way.
+        log.info("frame %s: %s\n%s", result.key, failure.message, failure.traceback)
         raise failure.to_exception()
     if failure.error == "DatasetError":
         problem = (
             failure.problems[0] if failure.problems else Problem(str(frame.background.path), "image", failure.message)
         )
+        known = frame.background.id in state.skipped  # its other configurations meet the same trouble
         state.skipped[frame.background.id] = problem
-        log.warning("skipped background %s: %s", frame.background.id, problem)
+        if not known:
+            log.warning("skipped background %s: %s", frame.background.id, problem)
         return
     state.failures[result.key] = Problem(
         result.key,
@@ -226,25 +245,57 @@ def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
         "a finished frame",
         "run again with --resume; the traceback is in log/run.log",
     )
-    log.error("frame %s failed (%s): %s\n%s", result.key, failure.kind, failure.message, failure.traceback)
+    log.error("frame %s failed (%s): %s: %s", result.key, failure.kind, failure.error, failure.message)
+    log.info("traceback of frame %s:\n%s", result.key, failure.traceback)  # for the log file, not for the screen
 
 
 def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedFrame]:
     """Frames whose record or image is missing or damaged."""
     todo = []
+    of_background: dict[Path, str | None] = {}
     for frame in plan.frames:
         record = read_record(folder.record(frame.frame_id))
-        image = folder.image(record.image) if record is not None else None
-        if record is not None and image is not None and image.is_file() and sha256_of(image) == record.image_sha256:
+        if record is None or record.frame_id != frame.frame_id or not _is_whole(folder, record):
+            todo.append(frame)
+        elif _digest(frame.background.path, of_background) != record.background.get("sha256"):
+            log.warning("%s: its background has changed since it was made; it is made again", frame.frame_id)
+            todo.append(frame)
+        else:
             state.resumed += 1
             state.inserted += len(record.inserted)
-        else:
-            todo.append(frame)
     return todo
 
 
-def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path) -> None:
-    """Refuse to resume a run that would give other frames."""
+def _is_whole(folder: RunFolder, record: FrameRecord) -> bool:
+    image = folder.image(record.image)
+    return image.is_file() and sha256_of(image) == record.image_sha256
+
+
+def _digest(path: Path, known: dict[Path, str | None]) -> str | None:
+    """SHA-256 of a background, None if it cannot be read; each is read once."""
+    if path not in known:
+        try:
+            known[path] = sha256_of(path) if path.is_file() else None
+        except OSError:
+            known[path] = None
+    return known[path]
+
+
+def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, device: str, renderer: str) -> None:
+    """Refuse to resume a run that would give other frames; warn where it may."""
+    machine = previous.get("machine", {})
+    if machine.get("renderer", renderer) != renderer:
+        raise OutputError(f"{out}: was made with renderer {machine['renderer']}, not {renderer}; give another --out")
+    if machine.get("device", device) != device:
+        log.warning(
+            "%s: begun with --device %s, goes on with %s; devices may differ in the last grey level",
+            out,
+            machine["device"],
+            device,
+        )
+    versions, now = previous.get("packages", {}), _versions()
+    for name in sorted(n for n in now if versions.get(n, now[n]) != now[n]):
+        log.warning("%s: begun with %s %s, goes on with %s", out, name, versions[name], now[name])
     was = previous.get("key", {})
     differing = sorted(k for k in plan.key if was.get(k) != plan.key[k])
     if differing:
@@ -311,7 +362,10 @@ def _versions() -> dict[str, str]:
 
 def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:
     codes = Counter(p.code for p in plan.problems if p.severity == "error")
-    left_out = {p.where for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES}
+    # By what was found too: several images are missing from one annotation file.
+    left_out = {
+        (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES
+    }
     return {
         "frames_planned": len(plan.frames),
         "frames": state.done + state.resumed,
@@ -324,13 +378,38 @@ def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:
 
 
 # Problems of the reader that cost a whole image.
-_IMAGE_CODES = {"image-missing", "image-unreadable", "image-truncated", "image-size", "name-escapes", "duplicate-image"}
+_IMAGE_CODES = {
+    "image-duplicate",
+    "image-malformed",
+    "image-missing",
+    "image-size",
+    "image-too-large",
+    "image-truncated",
+    "image-unreadable",
+    "name-climbs",
+    "name-missing",
+}
+
+
+class _QuietFileHandler(logging.FileHandler):
+    """A full disk ends the run with one clear error; the log does not add tracebacks of its own."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        pass
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            super().close()
 
 
 @contextlib.contextmanager
 def _log_file(path: Path) -> Iterator[None]:
     """Write InfraBlend's log lines to a file as well, for the length of a run."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler = _QuietFileHandler(path, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise output_error(path, error) from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logger = logging.getLogger("infrablend")
     level = logger.level

@@ -1,0 +1,215 @@
+"""What a careless or hostile user gives: a clear error, nothing half-written, nothing of theirs lost."""
+
+import fcntl
+import hashlib
+import json
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from infrablend import api
+from infrablend.assets.user_model import read_description
+from infrablend.cli.exits import ENVIRONMENT, exit_code
+from infrablend.config.loading import load_recipe, parse_recipe
+from infrablend.core.yaml_text import read_yaml
+from infrablend.errors import ModelError, OutputError, Problem, RecipeError
+from infrablend.execution import process_pool
+from infrablend.pipeline.folder import RunFolder
+
+
+@pytest.fixture
+def data(tmp_path, write_tiny_hit_uav):
+    return write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
+
+
+def generate(data, out, **kwargs):
+    options = {"renderer": "fake", "in_process": True, "settings": ["output.formats=[coco]"]}
+    return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
+
+
+def digests(folder):
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.rglob("*.jpg"))}
+
+
+# ---- YAML
+
+
+def test_an_alias_bomb_is_refused_before_it_grows():
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n"
+    bomb += "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 40))
+    with pytest.raises(ValueError, match="aliases"):
+        read_yaml(bomb)
+    with pytest.raises(RecipeError, match="aliases"):
+        parse_recipe(bomb, "bomb")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("a: 1\na: 2", "twice"),
+        ("&a [*a]", "contains itself"),
+        ("[" * 5000, "nested too deeply"),
+        ("!!python/object/apply:os.system ['true']", "not YAML"),
+        ("a: !!binary aGk=", "type bytes"),
+        ("x" * 1_000_001, "characters"),
+    ],
+)
+def test_yaml_that_is_not_plain_values_is_refused(text, match):
+    with pytest.raises(ValueError, match=match):
+        read_yaml(text)
+
+
+def test_yaml_numbers_dates_and_plain_aliases_mean_what_people_mean():
+    assert read_yaml("a: 1e3\nb: 2020-01-01\nc: &c [1, 2]\nd: *c") == {
+        "a": 1000.0,
+        "b": "2020-01-01",
+        "c": [1, 2],
+        "d": [1, 2],
+    }
+
+
+# ---- recipes: one problem for one mistake, in plain words
+
+
+@pytest.mark.parametrize(
+    ("setting", "problem"),
+    [
+        ("camera.distance_m=abc", 'camera.distance_m: found "abc"; expected a range [lo, hi] or a number'),
+        ("camera.distance_m=[1, 2, 3]", "camera.distance_m: found [1, 2, 3]; expected a range [lo, hi] or a number"),
+        ("camera.distance_m=[5, 1]", "expected a range [lo, hi] whose low end is not above its high end"),
+        ("camera.distance_m=.inf", "camera.distance_m: found Infinity; expected a finite number"),
+        ("camera.pitch=5", "camera.pitch: found 5; expected 'metadata' or a mapping"),
+        ("camera.pitch={fixed_deg: abc}", 'camera.pitch.fixed_deg: found "abc"; expected a number'),
+        ("camera.pitch={foo: 1}", "expected a mapping with fixed_deg or random_deg alone"),
+        ("camera.pitch={fixed_deg:30}", "Write a space after the colon"),
+        ("objects.0.count=abc", 'objects.0.count: found "abc"; expected a whole number or a mapping'),
+        ("objects.0.count={values: [-1]}", "objects.0.count.values.0: found -1; expected a number of at least 0"),
+        ("objects.0.count={values: [1], weights: [.inf]}", "objects.0.count.weights.0: found Infinity"),
+        ("objects.0.parts={Body: {foo: 1}}", "objects.0.parts.Body.foo: unknown key"),
+        ("objects.0.category='a\tb'", "objects.0.category"),
+        ("objects=3", "objects: found 3; expected a list"),
+        ("objects=[]", "objects: found []; expected a list of at least 1 item(s)"),
+        ("output.formats=[yolo, yolo]", "expected each item once"),
+    ],
+)
+def test_one_mistake_gives_one_readable_problem(setting, problem):
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("hit-uav-drone", [setting])
+    assert len(caught.value.problems) == 1, caught.value
+    assert problem in str(caught.value.problems[0])
+
+
+def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_path):
+    with pytest.raises(RecipeError, match=r"objects\.0\.options"):
+        generate(data, tmp_path / "run", settings={"objects.0.options": {"pose": "x"}})
+    with pytest.raises(RecipeError, match="Persn"):
+        generate(data, tmp_path / "run", settings={"labels.keep_categories": ["Persn"]})
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_models_description_is_read_as_strictly(tmp_path):
+    path = tmp_path / "fox.yaml"
+    path.write_text(
+        "name: fox\ncategory: fox\nfile: fox.obj\nlength_m: .inf\nparts: {body: {match: [a], delta_t_k: x}}"
+    )
+    with pytest.raises(ModelError) as caught:
+        read_description(path)
+    text = str(caught.value)
+    assert "length_m: found Infinity" in text
+    assert "parts.body.delta_t_k" in text
+    assert "a range [lo, hi] or a number" in text
+    assert "parts.body.emissivity" in text
+    path.write_text("- a")
+    with pytest.raises(ModelError, match="expected a mapping"):
+        read_description(path)
+
+
+# ---- output folder
+
+
+def test_output_and_data_stay_apart(data, tmp_path):
+    (tmp_path / "link").symlink_to(data)
+    for out in (data, data / "run", tmp_path, tmp_path / "link", tmp_path / "link" / "run"):
+        with pytest.raises(OutputError):
+            generate(data, out)
+    assert sorted(p.name for p in data.iterdir()) == ["normal_json"]
+
+
+def test_two_runs_in_one_folder_are_refused(data, tmp_path):
+    out = tmp_path / "run"
+    out.mkdir()
+    handle = os.open(out, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        with pytest.raises(OutputError, match="another run is writing here"):
+            generate(data, out)
+        assert list(out.iterdir()) == []
+    finally:
+        os.close(handle)
+    assert generate(data, out).ok
+
+
+def test_overwrite_keeps_its_hands_off_another_programs_folder(tmp_path):
+    (tmp_path / "run.json").write_text('{"mine": 1}')
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "precious.jpg").write_bytes(b"1")
+    with pytest.raises(OutputError, match="not a run record"):
+        RunFolder(tmp_path).prepare(resume=False, overwrite=True)
+    assert (tmp_path / "images" / "precious.jpg").is_file()
+
+
+def test_a_full_disk_in_a_worker_is_the_environments_fault():
+    full = OutputError("cannot write x", [Problem("x", "disk-full", "No space left on device")])
+    assert exit_code(full) == ENVIRONMENT
+
+
+# ---- data that change
+
+
+def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
+    out, fresh = tmp_path / "run", tmp_path / "fresh"
+    generate(data, out)
+    before = digests(out)
+    picture = sorted((data / "normal_json" / "train").glob("*.jpg"))[0]
+    other = sorted((data / "normal_json" / "test").glob("*.jpg"))[0]
+    picture.write_bytes(other.read_bytes())
+    with caplog.at_level(logging.WARNING):
+        generate(data, out, resume=True)
+    assert "has changed" in caplog.text
+    generate(data, fresh)
+    assert digests(out) == digests(fresh) != before
+
+
+def test_every_image_left_out_counts(data, tmp_path):
+    file = data / "normal_json" / "annotations" / "train.json"
+    content = json.loads(file.read_text())
+    content["images"][0]["filename"] = "../../climbs.jpg"
+    content["images"][1]["filename"] = "gone.jpg"
+    file.write_text(json.dumps(content))
+    report = generate(data, tmp_path / "run")
+    assert report.counts["skipped_backgrounds"] == 2
+    assert not report.ok
+
+
+# ---- what a killed parent leaves
+
+
+def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(process_pool.tempfile, "tempdir", None)
+    code = (
+        "import os, signal; from infrablend.execution import process_pool as p\n"
+        "with p._scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=False)
+    (left,) = tmp_path.iterdir()
+    with process_pool._scratch_folder() as one:
+        assert not left.exists()
+        with process_pool._scratch_folder() as two:
+            assert Path(one).is_dir()
+            assert one != two
+    assert list(tmp_path.iterdir()) == []
