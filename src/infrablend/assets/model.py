@@ -46,6 +46,8 @@ class ObjectModel:
         sample: Draws `params` (JSON values only) from a stream; `options` fixes some of them.
         build: The mesh of given `params`: pure, no randomness; equal params give equal arrays.
         options: What a recipe may fix: option name -> allowed values or range, in words.
+        parts_for: Thermal roles of one individual of given `params`, where they differ between individuals: the same
+            names and labels as `parts`, which then holds a typical one's.
     """
 
     name: str
@@ -57,3 +59,8 @@ class ObjectModel:
     sample: Callable[[np.random.Generator, Params], dict[str, Any]]
     build: Callable[[Params], Mesh]
     options: Mapping[str, str] = field(default_factory=dict)
+    parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
+
+    def roles(self, params: Params) -> Mapping[str, PartRange]:
+        """Thermal role of every part of the individual of these parameters."""
+        return self.parts if self.parts_for is None else self.parts_for(params)

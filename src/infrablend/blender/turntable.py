@@ -94,7 +94,7 @@ def _view(
     distance = 12 * reach
     parts = {
         n: PartState(AIR_K + sum(r.delta_t_k) / 2, sum(r.emissivity) / 2, r.label, r.ior)
-        for n, r in model.parts.items()
+        for n, r in model.roles(params).items()
         if n in mesh.part_names
     }
     spec = ObjectSpec(name, model.category, params, parts, (-turned[0], -turned[1], -float(centre[2])), yaw)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.assets.model import ObjectModel
+from infrablend.assets.model import ObjectModel, PartRange
 from infrablend.config.recipe import Count, FixedPitch, Object, RandomPitch, Recipe
 from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
@@ -89,7 +89,7 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
     for (kind, params, mesh, scale), pose in zip(wanted, poses, strict=True):
         model = models[kind.model]
         # Drawn also for an object that found no place: the next object's numbers must not depend on it.
-        parts = _parts(kind, model, mesh, air_k, rng["heat"])
+        parts = _parts(kind, model.roles(params), mesh, air_k, rng["heat"])
         if pose is None:
             continue
         meshes.append(mesh)
@@ -189,13 +189,13 @@ def _wanted(recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Ge
 
 
 def _parts(
-    kind: Object, model: ObjectModel, mesh: Mesh, air_k: float, rng: np.random.Generator
+    kind: Object, roles: Mapping[str, PartRange], mesh: Mesh, air_k: float, rng: np.random.Generator
 ) -> dict[str, PartState]:
     """State of every part in the mesh. One draw says how hot the object runs, one more varies each part about it."""
     heat = rng.random()
     parts = {}
-    for name in sorted(model.parts):
-        role = model.parts[name]
+    for name in sorted(roles):
+        role = roles[name]
         own, surface = rng.random(2)
         override = kind.parts.get(name)
         delta = override.delta_t_k if override and override.delta_t_k else role.delta_t_k
