@@ -9,11 +9,14 @@ api.preview("runs/first", "runs/first/preview.png")
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from infrablend.assets import catalogue
 from infrablend.config import loading
@@ -23,7 +26,7 @@ from infrablend.errors import OutputError
 from infrablend.formats import detection
 from infrablend.pipeline import world
 from infrablend.pipeline.models import ready_model, run_once
-from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 
@@ -43,6 +46,10 @@ __all__ = [
     "show_recipe",
     "write_infrared_effect",
 ]
+
+log = logging.getLogger(__name__)
+
+WORKER_BYTES = 500 * 2**20  # of a rendering worker, measured, rounded up
 
 Settings = Sequence[str] | Mapping[str, Any]
 
@@ -106,7 +113,7 @@ def generate(
     return run_plan(
         prepared,
         Path(out),
-        workers=workers or default_workers(),
+        workers=_affordable_workers(workers),
         device=device,
         renderer=renderer,
         resume=resume,
@@ -162,6 +169,12 @@ def _prepare(
         )
     loaded = loading.load_recipe(recipe, pairs)
     root = Path(data)
+    for option, path in (("--data", root), ("--out", Path(out or ""))):
+        if not is_text(str(path)) or "\0" in str(path):
+            raise OutputError(
+                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected one that the run record (JSON) "
+                "can hold. Rename the folder, or give a link to it"
+            )
     if out is not None:
         _require_apart(root, Path(out))
     dataset = read_dataset(root, splits=splits, form=form, metadata=metadata)
@@ -204,6 +217,17 @@ def read_dataset(
 def default_workers() -> int:
     """One per processor core this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _affordable_workers(wanted: int | None) -> int:
+    """The number asked for, less what memory cannot hold: a machine that swaps to death finishes no run."""
+    cores = default_workers()
+    if wanted is None or wanted <= cores:
+        return wanted or cores
+    most = max(cores, int(psutil.virtual_memory().available // WORKER_BYTES))
+    if wanted > most:
+        log.warning("--workers %d: memory is free for some %d on %d cores; %d are used", wanted, most, cores, most)
+    return min(wanted, most)
 
 
 def list_models() -> dict[str, str]:

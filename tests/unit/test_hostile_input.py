@@ -213,3 +213,30 @@ def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(
             assert Path(one).is_dir()
             assert one != two
     assert list(tmp_path.iterdir()) == []
+
+
+# ---- names
+
+
+def test_a_file_name_that_is_not_utf8_is_skipped_and_counted(tmp_path, data):
+    folder = tmp_path / "plain"
+    folder.mkdir()
+    picture = sorted((data / "normal_json" / "train").glob("*.jpg"))[0].read_bytes()
+    for name in (b"good.jpg", b"bad\xff.jpg", b"line\nbreak.jpg", "\u6771 \u4eac'\".jpg".encode()):
+        Path(os.fsdecode(os.fsencode(folder) + b"/" + name)).write_bytes(picture)
+    settings = {"camera.pitch.fixed_deg": 30, "output.formats": ["yolo", "yolo-seg", "coco"]}
+    report = generate(folder, tmp_path / "run", settings=settings)
+    assert report.counts["skipped_backgrounds"] == 1
+    assert report.counts["frames"] == 6
+    (problem,) = [p for p in report.problems if p.code == "name-not-utf8"]
+    assert problem.where == "bad\\udcff.jpg"
+    with pytest.raises(OutputError, match="not UTF-8"):
+        generate(folder, tmp_path / "run\udcff")
+
+
+def test_more_workers_than_memory_holds_are_not_started(monkeypatch, caplog):
+    monkeypatch.setattr(api, "default_workers", lambda: 2)
+    assert api._affordable_workers(None) == 2
+    assert api._affordable_workers(1) == 1
+    assert api._affordable_workers(10**9) < 10**6
+    assert "--workers 1000000000" in caplog.text

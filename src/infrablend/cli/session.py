@@ -66,7 +66,7 @@ def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Sessi
     handlers: list[logging.Handler] = [screen]
     log_path = _usable(log or default_log_path())
     if log_path is not None:
-        file = logging.FileHandler(log_path, encoding="utf-8")
+        file = logging.FileHandler(log_path, encoding="utf-8", errors="backslashreplace")
         file.setFormatter(logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
         handlers.append(file)
     for h in handlers:

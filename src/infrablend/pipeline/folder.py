@@ -81,7 +81,8 @@ class RunFolder:
             handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
         except FileExistsError as error:
             raise OutputError(
-                f"{self.root}: is a file; expected a folder, or a name that does not exist yet"
+                f"{self.root}: is {'a link that leads nowhere' if self.root.is_symlink() else 'a file'}; "
+                "expected a folder, or a name that does not exist yet"
             ) from error
         except (OSError, ValueError) as error:
             raise OutputError(

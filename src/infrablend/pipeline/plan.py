@@ -128,7 +128,17 @@ def make_plan(
     problems = list(dataset.problems)
     usable = []
     for image in images:
-        if recipe.camera.pitch == "metadata" and image.pitch_deg is None:
+        if not is_text(image.path.name) or not is_text(image.id):
+            problems.append(
+                Problem(
+                    as_text(image.path.name),
+                    "name-not-utf8",
+                    "a file name that is not UTF-8",
+                    "a name that labels in JSON can hold",
+                    "rename the file",
+                )
+            )
+        elif recipe.camera.pitch == "metadata" and image.pitch_deg is None:
             problems.append(
                 Problem(
                     image.path.name,
@@ -170,6 +180,16 @@ def make_plan(
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return RunPlan(recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key)
+
+
+def is_text(name: str) -> bool:
+    """False for a file name with bytes that are no UTF-8 (Python keeps them as lone surrogates)."""
+    return name == as_text(name)
+
+
+def as_text(name: str) -> str:
+    """The name with whatever is not UTF-8 written as `\\udcff`."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:

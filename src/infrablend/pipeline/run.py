@@ -388,6 +388,7 @@ _IMAGE_CODES = {
     "image-unreadable",
     "name-climbs",
     "name-missing",
+    "name-not-utf8",
 }
 
 
