@@ -89,6 +89,16 @@ def test_outline_of_one_part_is_exact() -> None:
         assert abs(polygon_area(made.polygon_xy)) == pytest.approx(disc(radius).sum(), rel=0.06)
 
 
+@pytest.mark.parametrize("radius", [3.0, 7.3, 20.0])
+def test_points_added_along_the_outline_change_nothing(radius: float) -> None:
+    """Ultralytics resamples every polygon to 1,000 points before it cuts them to integers."""
+    mask = disc(radius)
+    polygon = outline(Mask.from_array(mask)).polygon_xy
+    share = np.linspace(0, 1, 20, endpoint=False)[None, :, None]
+    dense = polygon[:, None] + share * (np.roll(polygon, -1, axis=0) - polygon)[:, None]
+    assert (rasterise(dense.reshape(-1, 2), (mask.shape[1], mask.shape[0])) == mask).all()
+
+
 def test_outline_of_a_single_pixel_and_of_nothing() -> None:
     one = np.zeros((9, 9), np.bool_)
     one[3, 8] = True

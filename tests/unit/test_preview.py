@@ -218,7 +218,7 @@ def test_bad_arguments(tmp_path):
     with pytest.raises(ValueError, match="columns is 0"):
         contact_sheet([frame()], tmp_path / "s.png", columns=0)
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         contact_sheet([frame()], tmp_path / "file" / "s.png")
 
 

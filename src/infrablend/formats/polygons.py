@@ -54,8 +54,10 @@ def outline(mask: Mask) -> Outline:
     part = pixels[y0 : rows[-1] + 1, x0 : columns[-1] + 1].astype(np.uint8)
     contours, tree = cv2.findContours(part, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     polygon = np.zeros((0, 2))
-    for tolerance_px in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
-        polygon = _join(contours, tree[0], tolerance_px)
+    # First without any slanting edge: Ultralytics adds points on every edge before it cuts them to integers, and those
+    # between two pixels' edges would fall into a third one.
+    for tolerance_px in (None, 0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0):
+        polygon = _join(contours, tree[0], tolerance_px, part)
         if len(polygon) <= MAX_CORNERS:
             break
     polygon = polygon + np.array([x0, y0], np.float64)
@@ -64,9 +66,20 @@ def outline(mask: Mask) -> Outline:
     return Outline(polygon, int((raster != part.astype(np.bool_)).sum()))
 
 
-def _join(contours: Sequence[NDArray[np.int32]], tree: NDArray[np.int32], tolerance_px: float) -> NDArray[np.float64]:
-    """All rings as one polygon: holes into the ring around them, then parts into the largest, nearest first."""
-    rings = [_edge_ring(_simplified(c[:, 0, :], tolerance_px)) for c in contours]
+def _join(
+    contours: Sequence[NDArray[np.int32]],
+    tree: NDArray[np.int32],
+    tolerance_px: float | None,
+    part: NDArray[np.uint8],
+) -> NDArray[np.float64]:
+    """All rings as one polygon: holes into the ring around them, then parts into the largest, nearest first.
+
+    Without a tolerance, not even diagonal steps are cut short.
+    """
+    if tolerance_px is None:
+        rings = [_edge_ring(_stepped(c[:, 0, :], part), True) for c in contours]
+    else:
+        rings = [_edge_ring(_simplified(c[:, 0, :], tolerance_px), False) for c in contours]
     largest = sorted(range(len(rings)), key=lambda k: (-len(contours[k]), k))[:MAX_RINGS]
     parts = []
     for k in largest:
@@ -116,12 +129,25 @@ def _simplified(ring: NDArray[np.int32], tolerance_px: float) -> NDArray[np.int3
     return np.asarray(cv2.approxPolyDP(ring, tolerance_px, True)[:, 0, :])
 
 
-def _edge_ring(ring: NDArray[np.int32]) -> NDArray[np.float64]:
+def _stepped(ring: NDArray[np.int32], part: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """The contour with each diagonal step taken in two straight ones over the pixel inside, where the mask has it."""
+    pixels = [(int(x), int(y)) for x, y in ring[::-1]]
+    walked: list[tuple[int, int]] = []
+    for (x, y), (nx, ny) in zip(pixels, pixels[1:] + pixels[:1], strict=True):
+        walked.append((x, y))
+        if nx != x and ny != y:
+            dx, dy = _COMPASS[(_COMPASS.index((nx - x, ny - y)) + 1) % 8]  # to the right hand, where the mask lies
+            if part[y + dy, x + dx]:
+                walked.append((x + dx, y + dy))
+    return np.array(walked[::-1], np.int32)
+
+
+def _edge_ring(ring: NDArray[np.int32], stairs: bool) -> NDArray[np.float64]:
     """The pixels of one contour (n, 2), replaced by points on their outer edges, `INSET_PX` inside.
 
     cv2 runs around parts counter-clockwise and around holes clockwise, both with the mask on the left; reversed, the
     mask lies on the right hand of every step and the outer edge on the left. A diagonal step cuts from the middle of
-    one pixel's edge to the middle of the next one's, which keeps the area.
+    one pixel's edge to the middle of the next one's, which keeps the area; with `stairs` it runs along both edges.
     """
     pixels = [(int(x), int(y)) for x, y in ring[::-1]]
     n = len(pixels)
@@ -134,7 +160,7 @@ def _edge_ring(ring: NDArray[np.int32]) -> NDArray[np.float64]:
         # Signs alone: steps may be long after simplification.
         step_in = (_sign(x - before[0]), _sign(y - before[1]))
         step_out = (_sign(after[0] - x), _sign(after[1] - y))
-        points += [(x, y, *_inside(x, y, s)) for s in _sides(step_in, step_out)]
+        points += [(x, y, *_inside(x, y, s)) for s in _sides(step_in, step_out, stairs)]
     kept = [
         b for a, b, c in zip(points[-1:] + points, points, points[1:] + points[:1], strict=False) if _bends(a, b, c)
     ]
@@ -144,7 +170,7 @@ def _edge_ring(ring: NDArray[np.int32]) -> NDArray[np.float64]:
 _COMPASS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))  # clockwise on screen
 
 
-def _sides(step_in: tuple[int, int], step_out: tuple[int, int]) -> list[tuple[int, int]]:
+def _sides(step_in: tuple[int, int], step_out: tuple[int, int], stairs: bool) -> list[tuple[int, int]]:
     """Sides and corners of a pixel that its outer edge runs along, between two steps of a contour, clockwise."""
     eighth_in, eighth_out = _COMPASS.index(step_in), _COMPASS.index(step_out)
     diagonal_in, diagonal_out = eighth_in % 2, eighth_out % 2
@@ -155,6 +181,8 @@ def _sides(step_in: tuple[int, int], step_out: tuple[int, int]) -> list[tuple[in
     quarters = (turn + diagonal_in + diagonal_out) // 2
     if quarters < 0:  # an inner corner
         return [_COMPASS[(side - 1) % 8]]
+    if stairs:  # from the corner shared with the pixel before to the one shared with the next
+        return [_COMPASS[(side + e) % 8] for e in range(-diagonal_in, 2 * quarters + 1 + diagonal_out)]
     # Corners of the pixel stay where the contour really turns; on a slanting line they would be teeth.
     with_corners = turn >= 3 or not (diagonal_in or diagonal_out)
     return [_COMPASS[(side + e) % 8] for e in range(0, 2 * quarters + 1, 1 if with_corners else 2)]
