@@ -184,14 +184,26 @@ def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
     assert digests(out) == digests(fresh) != before
 
 
+def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path):
+    out = tmp_path / "run"
+    generate(data, out)
+    whole = digests(out)
+    left = out / "images" / "train" / ".0_60_30_0_00001_c0.part.jpg"
+    left.write_bytes(b"half")
+    generate(data, out, resume=True)
+    assert not left.exists()
+    assert digests(out) == whole
+
+
 def test_every_image_left_out_counts(data, tmp_path):
     file = data / "normal_json" / "annotations" / "train.json"
     content = json.loads(file.read_text())
     content["images"][0]["filename"] = "../../climbs.jpg"
     content["images"][1]["filename"] = "gone.jpg"
     file.write_text(json.dumps(content))
+    (file.parent / "val.json").write_text("{not json")
     report = generate(data, tmp_path / "run")
-    assert report.counts["skipped_backgrounds"] == 2
+    assert report.counts["skipped_backgrounds"] == 3, report.problems
     assert not report.ok
 
 

@@ -68,6 +68,13 @@ class RunFolder:
         """Write the run record, whole or not at all."""
         write_json(self.run_file, data, indent=2)
 
+    def _sweep(self) -> None:
+        """Remove what a killed process had half written; nobody else writes here now."""
+        for name in OWN_FOLDERS:
+            for left in sorted((self.root / name).rglob(".*.part*")):
+                with contextlib.suppress(OSError):
+                    left.unlink()
+
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
         """Keep every other process from writing a run here; the claim ends with the process, however that ends.
@@ -130,6 +137,7 @@ class RunFolder:
         if entries:
             record = self.read_run()  # a run.json may be another program's
             if resume:
+                self._sweep()
                 return record
         try:
             if entries:

@@ -377,8 +377,13 @@ def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:
     }
 
 
-# Problems of the reader that cost a whole image.
+# Problems of the reader that cost a whole image, or a file with the labels of many.
 _IMAGE_CODES = {
+    "annotation-layout",
+    "annotation-missing",
+    "annotation-not-json",
+    "annotation-not-xml",
+    "annotation-unreadable",
     "image-duplicate",
     "image-malformed",
     "image-missing",
