@@ -16,8 +16,9 @@ from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import load_recipe, parse_recipe
 from infrablend.core.yaml_text import read_yaml
-from infrablend.errors import ModelError, OutputError, Problem, RecipeError
+from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import process_pool
+from infrablend.pipeline import run
 from infrablend.pipeline.folder import RunFolder
 
 
@@ -182,6 +183,20 @@ def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
     assert "has changed" in caplog.text
     generate(data, fresh)
     assert digests(out) == digests(fresh) != before
+
+
+def test_a_stop_while_labels_are_written_says_how_to_go_on(data, tmp_path, monkeypatch):
+    out, fresh = tmp_path / "run", tmp_path / "fresh"
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "write_formats", stop)
+        with pytest.raises(Interrupted, match="--resume"):
+            generate(data, out)
+    assert json.loads((out / "run.json").read_text())["status"] == "interrupted"
+    assert generate(data, out, resume=True).counts == generate(data, fresh).counts
 
 
 def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path):

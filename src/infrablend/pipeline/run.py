@@ -163,7 +163,14 @@ def _run(
         except Interrupted:
             status = "interrupted"
         made = time.monotonic()
-        finished = write_formats(plan, folder) if status == "complete" else Finished()
+        try:
+            finished = write_formats(plan, folder) if status == "complete" else Finished()
+        except KeyboardInterrupt as error:
+            folder.write_run({**header, "status": "interrupted"})
+            raise Interrupted(
+                f"interrupted while labels were written; all {state.done + state.resumed} frames are kept. "
+                "Give the same command with --resume to write the labels."
+            ) from error
         problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
         counts = _counts(plan, state, finished)
         folder.write_run(
