@@ -31,8 +31,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from infrablend.assets.model import ObjectModel, Params, PartRange
-from infrablend.config.wording import field_problems
 from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.wording import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 

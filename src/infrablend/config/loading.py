@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from infrablend.config.recipe import Recipe
-from infrablend.config.wording import field_problems
+from infrablend.core.wording import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
