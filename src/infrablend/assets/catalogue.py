@@ -12,6 +12,7 @@ from infrablend.errors import ModelError
 MODELS = {
     "deer": "infrablend.assets.deer:MODEL",
     "drone": "infrablend.assets.drone:MODEL",
+    "person": "infrablend.assets.person:MODEL",
 }
 
 

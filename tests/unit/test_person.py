@@ -1,0 +1,302 @@
+"""The procedural person: closed, oriented, on the ground, of the height asked for, and the same bytes every time."""
+
+from __future__ import annotations
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+
+from infrablend.assets import person
+from infrablend.assets.catalogue import list_models, load_model
+from infrablend.assets.implicit import is_closed, signed_volume
+from infrablend.core.mesh import Mesh
+from infrablend.core.rng import stream
+from infrablend.errors import ModelError
+
+SHAPES = [(pose, variant) for pose in person.POSES for variant in person.VARIANTS[pose]]
+STANDING = [s for s in SHAPES if s[0] == "standing"]
+
+
+def digest(mesh: Mesh) -> tuple[bytes, ...]:
+    return (
+        mesh.vertices_m.tobytes(),
+        mesh.triangles.tobytes(),
+        mesh.part_of_triangle.tobytes(),
+        mesh.smooth.tobytes(),
+        repr(mesh.part_names).encode(),
+    )
+
+
+def vertices_of(mesh: Mesh, *parts: str) -> np.ndarray:
+    wanted = [i for i, name in enumerate(mesh.part_names) if name in parts]
+    return mesh.vertices_m[np.unique(mesh.triangles[np.isin(mesh.part_of_triangle, wanted)])]
+
+
+def areas(mesh: Mesh) -> np.ndarray:
+    a, b, c = (mesh.vertices_m[mesh.triangles[:, i]] for i in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def check_surface(mesh: Mesh) -> None:
+    # Lofts carry the vertices of sharp edges twice: closed by position.
+    vertices, same = np.unique(mesh.vertices_m, axis=0, return_inverse=True)
+    welded = same.reshape(-1)[mesh.triangles].astype(np.int32)
+    assert is_closed(welded)
+    # Every shell by itself faces outward.
+    shell = np.arange(len(vertices))
+    while True:
+        low = shell[welded].min(axis=1)
+        new = shell.copy()
+        for i in range(3):
+            np.minimum.at(new, welded[:, i], low)
+        new = new[new]
+        if (new == shell).all():
+            break
+        shell = new
+    of_triangle = shell[welded[:, 0]]
+    for s in np.unique(of_triangle):
+        assert signed_volume(vertices, welded[of_triangle == s]) > 0
+    assert areas(mesh).min() > 1e-9
+
+
+@pytest.mark.parametrize(("pose", "variant"), SHAPES)
+@pytest.mark.parametrize("top", person.TOPS)
+def test_every_pose_in_every_top_is_closed_oriented_and_on_the_ground(pose: str, variant: str, top: str) -> None:
+    for bottom, build in zip(person.BOTTOMS, ("slim", "heavy"), strict=True):
+        mesh = person.build({"pose": pose, "variant": variant, "top": top, "bottom": bottom, "build": build})
+        check_surface(mesh)
+        assert mesh.vertices_m[:, 2].min() == pytest.approx(0.0, abs=1e-12)
+        assert vertices_of(mesh, "shoe")[:, 2].min() < 0.02
+        assert len(mesh.triangles) < 20_000
+        assert set(mesh.part_names) <= set(person.PARTS)
+        assert np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names)).min() > 0
+        body = [t for t in mesh.part_names if t != "seat"]
+        # Clothed volume of 1.75 m: some 60-200 l with the air in the clothes; legs under a coat count twice.
+        shown = np.isin(mesh.part_of_triangle, [mesh.part_names.index(n) for n in body])
+        assert 0.06 < signed_volume(mesh.vertices_m, mesh.triangles[shown]) < (0.31 if top == "coat" else 0.26)
+
+
+@pytest.mark.parametrize(("headwear", "hair"), list(product(person.HEADWEAR, person.HAIR)))
+def test_every_head_shows_a_face_and_has_the_height_asked_for(headwear: str, hair: str) -> None:
+    for height in (1.5, 1.95):
+        mesh = person.build({"headwear": headwear, "hair": hair, "height_m": height})
+        check_surface(mesh)
+        assert mesh.size_m[2] == pytest.approx(height, rel=0.01)
+    names = set(mesh.part_names)
+    assert {"face", "nose", "hand"} <= names
+    assert ("hat" in names) == (headwear in ("beanie", "cap"))
+    # The nose is in front, under the open sky of the face.
+    face = vertices_of(mesh, "face", "nose")
+    assert face[:, 0].max() > vertices_of(mesh, "jacket")[:, 0].mean() + 0.08
+
+
+@pytest.mark.parametrize("pose", person.POSES)
+def test_arms_of_every_pose(pose: str) -> None:
+    for arms, top, build in product(person.ARMS[pose], person.TOPS, ("slim", "heavy")):
+        mesh = person.build({"pose": pose, "arms": arms, "top": top, "build": build, "backpack": True})
+        check_surface(mesh)
+        assert ("hand" in mesh.part_names) == (arms != "pockets")
+        assert {"backpack", "strap"} <= set(mesh.part_names)
+    phone = vertices_of(person.build({"arms": "phone"}), "hand")
+    assert phone[:, 0].min() > 0.15
+    assert phone[:, 2].min() > 1.0
+    call = vertices_of(person.build({"arms": "call"}), "hand")
+    assert call[:, 2].max() > 1.5
+
+
+@pytest.mark.parametrize(("pose", "variant"), STANDING)
+@pytest.mark.parametrize("build", person.BUILDS)
+def test_height_is_what_was_asked_for(pose: str, variant: str, build: str) -> None:
+    for height in (1.5, 1.75, 1.95):
+        mesh = person.build({"pose": pose, "variant": variant, "build": build, "height_m": height})
+        assert mesh.size_m[2] == pytest.approx(height, rel=0.02)
+
+
+def test_walking_is_a_little_and_sitting_much_lower() -> None:
+    heights = {s: person.build({"pose": s[0], "variant": s[1]}).size_m[2] / 1.75 for s in SHAPES}
+    assert all(0.95 < h < 1.005 for (pose, _), h in heights.items() if pose == "walking")
+    assert 0.7 < heights["sitting", "seat"] < 0.8
+    assert all(0.5 < heights["sitting", v] < 0.58 for v in ("cross-legged", "knees-up"))
+
+
+def test_it_is_built_like_a_person() -> None:
+    mesh = person.build({"height_m": 1.75})
+    assert 0.42 < np.ptp(vertices_of(mesh, "jacket", "sleeve")[:, 1]) < 0.68  # shoulders and arms in a winter jacket
+    assert 0.22 < np.ptp(vertices_of(mesh, "jacket")[:, 0]) < 0.36
+    head = vertices_of(mesh, "face", "hair")
+    assert 0.21 < np.ptp(head[:, 2]) < 0.30
+    assert head[:, 2].min() > 1.45
+    assert 0.26 < np.ptp(vertices_of(mesh, "shoe")[:, 0]) < 0.36
+    hands = vertices_of(mesh, "hand")
+    left = hands[hands[:, 1] > 0]
+    assert 0.15 < np.ptp(left[:, 2]) < 0.24
+    assert 0.55 < left[:, 2].min() < 0.75
+    slim, heavy = (np.ptp(vertices_of(person.build({"build": b}), "jacket"), axis=0) for b in ("slim", "heavy"))
+    assert heavy[0] > slim[0] + 0.06
+    assert heavy[1] > slim[1] + 0.06
+
+
+@pytest.mark.parametrize(("pose", "variant"), SHAPES)
+def test_origin_lies_between_the_feet_or_below_the_hips(pose: str, variant: str) -> None:
+    mesh = person.build({"pose": pose, "variant": variant})
+    if pose == "sitting":
+        seat = vertices_of(mesh, "trousers")
+        back = seat[np.abs(seat[:, 1]) < 0.1]
+        assert -0.2 < back[:, 0].min() < -0.06
+    else:
+        shoes = vertices_of(mesh, "shoe")
+        feet = [shoes[shoes[:, 1] > 0], shoes[shoes[:, 1] < 0]]
+        centre = np.mean([f[:, :2].mean(axis=0) for f in feet], axis=0)
+        assert np.abs(centre).max() < 0.06
+    # +X is where the person looks.
+    nose = vertices_of(mesh, "nose").mean(axis=0)
+    hair = vertices_of(mesh, "hair").mean(axis=0)
+    assert nose[0] > hair[0] + 0.08
+    assert abs(nose[1]) < 0.01
+
+
+def test_seat_belongs_to_a_seated_person_only_and_is_not_labelled() -> None:
+    seated = {"pose": "sitting", "variant": "seat"}
+    mesh = person.build(seated)
+    assert "seat" in mesh.part_names
+    assert vertices_of(mesh, "seat")[:, 2].max() == pytest.approx(0.40, abs=0.06)
+    assert "seat" not in person.build({**seated, "seat": False}).part_names
+    assert "seat" not in person.build({"pose": "sitting", "variant": "knees-up"}).part_names
+    assert [n for n, role in person.PARTS.items() if not role.label] == ["seat"]
+
+
+def test_same_params_same_bytes_cached_or_not() -> None:
+    params = person.sample(stream(3, "person"), {"pose": "walking", "backpack": True, "top": "coat"})
+    first = digest(person.build(params))
+    assert digest(person.build(json.loads(json.dumps(params)))) == first
+    for piece in (person._upper, person._legs, person._skirt, person._shoes, person._head, person._hands):
+        piece.cache_clear()
+    person._backpack.cache_clear()
+    assert digest(person.build(params)) == first
+
+
+def test_a_build_leaves_the_cached_pieces_alone() -> None:
+    plain = digest(person.build({}))
+    person.build({"mirror": True, "head_turn_rad": 0.5, "width_factor": 1.1, "lean_rad": 0.2, "head_nod_rad": 0.3})
+    assert digest(person.build({})) == plain
+
+
+def test_mirror_is_a_mirror() -> None:
+    params = {"pose": "walking", "head_turn_rad": 0.3, "arms": "call"}
+    a, b = person.build(params), person.build({**params, "mirror": True})
+    assert (b.vertices_m == a.vertices_m * [1, -1, 1]).all()
+    assert signed_volume(b.vertices_m, b.triangles) == pytest.approx(signed_volume(a.vertices_m, a.triangles))
+
+
+def test_turning_the_head_moves_the_head_and_nothing_else() -> None:
+    still, turned = person.build({}), person.build({"head_turn_rad": 0.8, "head_nod_rad": 0.2})
+    for part in ("jacket", "sleeve", "hand", "trousers", "shoe"):
+        assert vertices_of(turned, part) == pytest.approx(vertices_of(still, part), abs=1e-9)
+    assert vertices_of(turned, "nose")[:, 1].mean() > vertices_of(still, "nose")[:, 1].mean() + 0.06
+    assert vertices_of(turned, "nose")[:, 2].mean() < vertices_of(still, "nose")[:, 2].mean() - 0.01
+    check_surface(person.build({"head_turn_rad": -1.2, "head_nod_rad": 0.7, "arms": "phone", "hair": "long"}))
+
+
+def test_samples_are_json_vary_and_build() -> None:
+    drawn = [person.sample(stream(seed, "s"), {}) for seed in range(300)]
+    assert {(d["pose"], d["variant"]) for d in drawn} == set(SHAPES)
+    for name, allowed in person._WORDS.items():
+        assert {d[name] for d in drawn} == set(allowed)
+    assert {d["arms"] for d in drawn} == set(person.ALL_ARMS)
+    assert {d["backpack"] for d in drawn} == {True, False}
+    heights = np.array([d["height_m"] for d in drawn])
+    assert heights.min() >= 1.5
+    assert heights.max() <= 1.95
+    assert 1.66 < heights.mean() < 1.77
+    assert 0.05 < heights.std() < 0.12
+    assert json.loads(json.dumps(drawn)) == drawn
+    for d in drawn[:15]:
+        check_surface(person.build(d))
+    assert person.sample(stream(1, "s"), {}) == person.sample(stream(1, "s"), {})
+
+
+def test_options_fix_what_they_name_and_nothing_else() -> None:
+    for seed in range(20):
+        free = person.sample(stream(seed, "o"), {})
+        assert person.sample(stream(seed, "o"), {"headwear": "hood"}) == {**free, "headwear": "hood"}
+        assert person.sample(stream(seed, "o"), {"height_m": 1.6}) == {**free, "height_m": 1.6}
+        assert person.sample(stream(seed, "o"), {"backpack": True, "seat": False}) == {
+            **free,
+            "backpack": True,
+            "seat": False,
+        }
+    rng = stream(0, "p")
+    assert {person.sample(rng, {"pose": "sitting"})["pose"] for _ in range(20)} == {"sitting"}
+    assert {person.sample(rng, {"top": ["coat", "puffer"]})["top"] for _ in range(40)} == {"coat", "puffer"}
+    knees = person.sample(rng, {"variant": "knees-up"})
+    assert (knees["pose"], knees["variant"]) == ("sitting", "knees-up")
+    assert person.sample(rng, {"bottom": "skirt"})["bottom"] == "skirt"
+    heights = [person.sample(rng, {"height_m": [1.6, 1.7]})["height_m"] for _ in range(40)]
+    assert 1.6 <= min(heights) < 1.63
+    assert 1.67 < max(heights) <= 1.7
+    assert set(person.OPTIONS) < set(person.DEFAULTS)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"pose": "flying"}, r"person model, option pose: found 'flying'; expected one of standing, walking, sitting"),
+        ({"pose": []}, r"option pose: found \[\]"),
+        (
+            {"pose": "walking", "variant": "knees-up"},
+            r"option variant: found 'knees-up'; expected variants of the pose",
+        ),
+        ({"pose": "sitting", "arms": "pockets"}, r"option arms: found 'pockets'; expected for a sitting person one of"),
+        ({"headwear": "helmet"}, r"option headwear: found 'helmet'; expected one of none, beanie, cap, hood"),
+        ({"backpack": 1}, r"option backpack: found 1; expected true or false"),
+        ({"height_m": 3}, r"option height_m: found 3; expected a number from 1.4 to 2.1"),
+        ({"height_m": [1.9, 1.7]}, r"option height_m: .*expected low not above high"),
+        ({"height_m": [1.7]}, r"option height_m: found \[1.7\]"),
+        ({"height_m": True}, r"option height_m: found True"),
+        ({"colour": "red"}, r"option colour: .*expected options pose, variant"),
+    ],
+)
+def test_bad_options_name_the_option_and_what_was_expected(options: dict[str, object], match: str) -> None:
+    with pytest.raises(ModelError, match=match):
+        person.sample(stream(0, "b"), options)
+
+
+@pytest.mark.parametrize(
+    ("params", "match"),
+    [
+        ({"pose": "flying"}, "parameter pose"),
+        ({"pose": "sitting", "variant": "contact"}, "parameter variant: found 'contact'; expected one of seat"),
+        ({"pose": "sitting", "arms": "pockets"}, "parameter arms"),
+        ({"height_m": float("nan")}, "parameter height_m: found nan"),
+        ({"head_turn_rad": 3.0}, "parameter head_turn_rad"),
+        ({"mirror": 1}, "parameter mirror"),
+        ({"legs": 3}, "parameter legs"),
+    ],
+)
+def test_bad_params_name_the_parameter(params: dict[str, object], match: str) -> None:
+    with pytest.raises(ModelError, match=match):
+        person.build(params)
+
+
+def test_thermal_roles_follow_the_facts_table() -> None:
+    mean = {name: sum(role.delta_t_k) / 2 for name, role in person.PARTS.items()}
+    cloth = ("jacket", "sleeve", "trousers", "hood", "hat", "coat_skirt")
+    assert all(2 <= mean[n] <= 8 for n in cloth)
+    assert min(mean["face"], mean["neck"], mean["hand"]) > max(mean[n] for n in cloth) + 6
+    assert max(mean[n] for n in cloth) < mean["hair"] < mean["hand"]
+    assert mean["hood"] < mean["jacket"] < mean["collar"] < mean["neck"]
+    assert mean["hat"] < mean["hair"]
+    assert abs(mean["seat"]) < 0.5
+    for role in person.PARTS.values():
+        assert role.delta_t_k[0] < role.delta_t_k[1]
+        assert 0.9 <= role.emissivity[0] <= role.emissivity[1] <= 1
+        assert role.ior == 1.0
+        assert role.what
+
+
+def test_catalogue_ships_it() -> None:
+    assert "person" in list_models()
+    assert list_models() == sorted(list_models())
+    assert load_model("person") is person.MODEL
