@@ -10,6 +10,7 @@ from infrablend.errors import ModelError
 
 # name -> where its ObjectModel lives; one file per model.
 MODELS = {
+    "car": "infrablend.assets.car:MODEL",
     "deer": "infrablend.assets.deer:MODEL",
     "drone": "infrablend.assets.drone:MODEL",
     "person": "infrablend.assets.person:MODEL",

@@ -341,6 +341,48 @@ def turn_x(angle_rad: float) -> FloatArray:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
+def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> Solid:
+    """The solid with its vertices parted along edges that bend by more than `angle_rad`; triangles keep their order.
+
+    Shading then interpolates within smooth stretches only. Edges shared by vertex index count, so the solid must not
+    have parted vertices already.
+
+    Args:
+        solid: Closed, without triangles of no area.
+        angle_rad: Largest bend that stays smooth.
+        area: (T,) numbers; edges between triangles of different ones are parted too.
+    """
+    t = solid.triangles
+    corners = solid.vertices[t]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # Corner 3 * triangle + k belongs to vertex t[triangle, k]; each edge lies between corners k and k + 1.
+    corner = np.arange(3 * len(t)).reshape(-1, 3)
+    start, end = corner.reshape(-1), np.roll(corner, -1, axis=1).reshape(-1)
+    a, b = t.reshape(-1)[start].astype(np.int64), t.reshape(-1)[end].astype(np.int64)
+    order = np.argsort(np.minimum(a, b) * (len(solid.vertices) + 1) + np.maximum(a, b), kind="stable").reshape(-1, 2)
+    one, other = order[:, 0], order[:, 1]
+    soft = (normal[one // 3] * normal[other // 3]).sum(axis=1) >= np.cos(angle_rad)
+    if area is not None:
+        areas = np.asarray(area)
+        soft &= areas[one // 3] == areas[other // 3]
+    one, other = one[soft], other[soft]
+    # The two triangles run along their edge in opposite directions: start of one is end of the other.
+    left = np.concatenate([start[one], end[one]])
+    right = np.concatenate([end[other], start[other]])
+    group = np.arange(3 * len(t))
+    while True:
+        least = np.minimum(group[left], group[right])
+        after = group.copy()
+        np.minimum.at(after, left, least)
+        np.minimum.at(after, right, least)
+        if np.array_equal(after, group):
+            break
+        group = after
+    keep, index = np.unique(group, return_inverse=True)
+    return Solid(solid.vertices[t.reshape(-1)[keep]], index.reshape(-1, 3).astype(np.int32))
+
+
 def volume(solid: Solid) -> float:
     """Enclosed volume; positive if the triangles face outward."""
     a, b, c = (solid.vertices[solid.triangles[:, i]] for i in range(3))

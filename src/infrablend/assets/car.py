@@ -1,0 +1,718 @@
+"""A car: cold roof and glass under a clear night sky, hot nose and tyres after a drive, paint by its colour in the sun.
+
+`sample_params` draws what varies between cars, `build_car` makes the mesh of one, `parts_for` gives its temperatures,
+which depend on its state and colour. Lengths are metres, +X is the nose, +Y left, Z up; the origin lies on the ground
+below the middle of the car.
+
+Temperatures are surface minus air. Their sources are named in each part's `what`: tables of emissivity of Ideal
+Industries (HeatSeeker manual) and testo, measured body temperatures in summer sun (autotimesnews.com), tyres after a
+drive (mistersustainable.blogspot.com), and the grey levels of HIT-UAV's cars by night and day. "Est." marks estimates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infrablend.assets import shapes
+from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.shapes import Solid
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.errors import ModelError
+
+Range = tuple[float, float]
+
+
+# --- temperatures --------------------------------------------------------------------------------------------
+
+_PAINT: Range = (0.92, 0.94)
+# part -> emissivity, index of refraction, what it is. Paint 0.92-0.94 in any colour (HeatSeeker manual).
+_SURFACES: Mapping[str, tuple[Range, float, str]] = {
+    "roof": (_PAINT, 1.5, "roof: faces the whole sky; HIT-UAV's night cars -46 DN against the ground, some -8 K"),
+    "bonnet": (_PAINT, 1.5, "bonnet: +20..+50 K just after a drive, decays over 1-2 h; the brightest part in HIT-UAV"),
+    "cowl": (_PAINT, 1.5, "bonnet's rear third, behind the engine; runs into the bonnet (est.)"),
+    "wing": (_PAINT, 1.5, "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
+    "boot": (_PAINT, 1.5, "boot lid of a saloon, horizontal like the roof"),
+    "side": (_PAINT, 1.5, "doors, pillars: upright, so half of what they face is ground (est. from the roof)"),
+    "front": (_PAINT, 1.5, "bumper and nose, ahead of the radiator (est.)"),
+    "rear": (_PAINT, 1.5, "bumper and tailgate (est.)"),
+    "trim": ((0.94, 0.95), 1.5, "mirrors and rails, plastic 0.94-0.95 (testo)"),
+    "windscreen": ((0.86, 0.90), 1.5, "glass 0.86-0.94 (testo), -4 K by night, the darkest part; +5..+20 K heated"),
+    "rear_window": ((0.86, 0.90), 1.5, "rear screen, as the windscreen"),
+    "window": ((0.86, 0.90), 1.5, "side windows: steeper, so they face less of the sky (est.)"),
+    "sunroof": ((0.86, 0.90), 1.5, "glass in the roof, as the windscreen"),
+    "tyre": ((0.93, 0.95), 1.0, "rubber 0.94 (testo); +8..+11 K after a drive of 14 miles"),
+    "rim": ((0.80, 0.92), 1.5, "lacquered alloy or steel (est.)"),
+    "brake": ((0.80, 0.92), 1.0, "brake and hub behind the rim: hotter than the tyre after a drive (rotors +17 K)"),
+    "underbody": ((0.92, 0.95), 1.0, "floor and wheel wells: shielded from the sky (est.)"),
+    "grille": ((0.94, 0.98), 1.0, "grille and intake: plastic over cavities (est.)"),
+    "exhaust": ((0.80, 0.90), 1.0, "tail pipe, oxidised steel: +50..+250 K running (est.)"),
+    "headlamp": ((0.94, 0.95), 1.5, "covers of the front lamps, polycarbonate 0.94-0.95 (testo)"),
+    "tail_lamp": ((0.94, 0.95), 1.5, "covers of the rear lamps, as the front ones"),
+}  # fmt: skip
+
+# Clear night, parked for hours: what faces the sky is below air temperature.
+_PARKED_COLD: Mapping[str, Range] = {
+    "roof": (-8.0, -4.0), "bonnet": (-8.0, -4.0), "boot": (-8.0, -4.0), "cowl": (-7.5, -3.5),
+    "wing": (-4.5, -1.0), "side": (-3.5, -0.5), "front": (-3.0, -0.5),
+    "rear": (-3.0, -0.5), "trim": (-5.0, -2.0), "windscreen": (-5.0, -3.0), "rear_window": (-5.0, -3.0),
+    "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (-1.5, 0.5), "rim": (-2.5, -0.5), "brake": (-1.0, 0.5),
+    "underbody": (-0.5, 2.0), "grille": (-1.5, 0.5), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
+    "tail_lamp": (-3.5, -1.0),
+}  # fmt: skip
+# The same night, within minutes after a drive.
+_DRIVEN: Mapping[str, Range] = {
+    "roof": (-7.0, -3.0), "bonnet": (20.0, 50.0), "boot": (-6.5, -2.5), "cowl": (8.0, 25.0),
+    "wing": (10.0, 30.0), "side": (-2.0, 2.0), "front": (8.0, 25.0),
+    "rear": (-1.5, 3.0), "trim": (-3.0, 0.0), "windscreen": (-2.0, 8.0), "rear_window": (-3.0, 5.0),
+    "window": (-3.0, 3.0), "sunroof": (-4.0, 1.0), "tyre": (8.0, 11.0), "rim": (6.0, 16.0), "brake": (17.0, 60.0),
+    "underbody": (5.0, 20.0), "grille": (20.0, 50.0), "exhaust": (50.0, 250.0), "headlamp": (10.0, 30.0),
+    "tail_lamp": (-1.0, 6.0),
+}  # fmt: skip
+# Summer sun: 71-73 C black, 63 C grey, 54 C silver, 44-45 C white at some 32 C air; the low end is a weak sun.
+_SUN_ON_PAINT: Mapping[str, Range] = {
+    "black": (16.0, 41.0), "grey": (12.0, 31.0), "silver": (9.0, 22.0), "white": (5.0, 13.0),
+}  # fmt: skip
+# Share of the roof's rise that other painted parts reach (est.: a high sun, sides at a slant).
+_SUN_SHARE: Mapping[str, float] = {
+    "roof": 1.0, "bonnet": 1.0, "boot": 1.0, "cowl": 1.0, "wing": 0.8, "side": 0.55, "front": 0.6, "rear": 0.55,
+}  # fmt: skip
+_DAY_SUN: Mapping[str, Range] = {
+    "trim": (10.0, 30.0), "windscreen": (5.0, 20.0), "rear_window": (5.0, 20.0), "window": (3.0, 14.0),
+    "sunroof": (8.0, 25.0), "tyre": (6.0, 20.0), "rim": (3.0, 12.0), "brake": (2.0, 8.0), "underbody": (-1.0, 6.0),
+    "grille": (5.0, 18.0), "exhaust": (2.0, 10.0), "headlamp": (4.0, 14.0),
+    "tail_lamp": (4.0, 14.0),
+}  # fmt: skip
+
+
+def parts_for(params: Params) -> dict[str, PartRange]:
+    """Thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
+    state = params["state"]
+    if state == "day_sun":
+        low, high = _SUN_ON_PAINT[params["colour"]]
+        deltas = {**_DAY_SUN, **{part: (s * low, s * high) for part, s in _SUN_SHARE.items()}}
+    else:
+        deltas = dict({"parked_cold": _PARKED_COLD, "driven": _DRIVEN}[state])
+    return {
+        part: PartRange(deltas[part], emissivity, what=what, ior=ior)
+        for part, (emissivity, ior, what) in _SURFACES.items()
+    }
+
+
+PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
+_PART_NAMES = tuple(PARTS)
+_PANELS = [_PART_NAMES.index(part) for part in ("roof", "side", "wing", "front", "rear")]
+_LID = [_PART_NAMES.index(part) for part in ("bonnet", "cowl")]
+
+
+# --- parameters ----------------------------------------------------------------------------------------------
+
+
+class _Body(NamedTuple):
+    """What makes a kind of car; heights are in parts of `height_m`, `*_at` in parts of the length behind the nose."""
+
+    lengths_m: Range
+    length_m: float
+    width_m: float
+    height_m: float
+    wheelbase_m: float
+    front_overhang_m: float
+    wheel_radius_m: float
+    clearance_m: float
+    top: tuple[tuple[float, float], ...]  # (behind the nose, height) of bonnet, waist and boot along the middle
+    screen_at: Range  # foot and head of the windscreen
+    rear_at: Range  # head and foot of the rear screen
+    roof_width: float  # at the rain channel, in parts of the body's width
+    rear_drop_m: float
+    quarter_window: bool
+    rear_pillar_m: Range  # thickness at waist and roof
+
+
+_BODIES: Mapping[str, _Body] = {
+    "saloon": _Body(
+        (4.2, 5.3), 4.75, 1.83, 1.46, 2.80, 0.90, 0.335, 0.17,
+        ((0, 0.47), (0.012, 0.51), (0.05, 0.55), (0.18, 0.605), (0.29, 0.655), (0.40, 0.665), (0.80, 0.69),
+         (0.87, 0.695), (0.965, 0.685), (0.99, 0.65), (1, 0.58)),
+        (0.29, 0.435), (0.73, 0.88), 0.735, 0.045, False, (0.30, 0.20),
+    ),
+    "hatchback": _Body(
+        (3.6, 4.4), 4.2, 1.78, 1.49, 2.60, 0.85, 0.325, 0.17,
+        ((0, 0.47), (0.012, 0.51), (0.05, 0.555), (0.18, 0.62), (0.27, 0.655), (0.40, 0.665), (0.80, 0.685),
+         (0.97, 0.68), (0.99, 0.655), (1, 0.60)),
+        (0.27, 0.43), (0.885, 0.972), 0.75, 0.06, False, (0.34, 0.28),
+    ),
+    "suv": _Body(
+        (4.2, 5.0), 4.6, 1.88, 1.69, 2.70, 0.90, 0.365, 0.23,
+        ((0, 0.50), (0.012, 0.555), (0.05, 0.59), (0.18, 0.635), (0.28, 0.66), (0.40, 0.67), (0.80, 0.685),
+         (0.97, 0.68), (0.99, 0.66), (1, 0.61)),
+        (0.28, 0.41), (0.90, 0.972), 0.77, 0.05, True, (0.85, 0.72),
+    ),
+    "estate": _Body(
+        (4.4, 5.1), 4.75, 1.83, 1.48, 2.80, 0.90, 0.335, 0.17,
+        ((0, 0.47), (0.012, 0.51), (0.05, 0.55), (0.18, 0.605), (0.29, 0.655), (0.40, 0.665), (0.80, 0.68),
+         (0.97, 0.68), (0.99, 0.655), (1, 0.60)),
+        (0.29, 0.445), (0.90, 0.975), 0.745, 0.045, True, (0.85, 0.75),
+    ),
+    "van": _Body(
+        (4.7, 5.4), 5.0, 1.95, 1.93, 3.05, 0.93, 0.34, 0.18,
+        ((0, 0.41), (0.012, 0.45), (0.05, 0.50), (0.13, 0.565), (0.18, 0.59), (0.30, 0.60), (0.80, 0.60), (0.97, 0.60),
+         (0.99, 0.58), (1, 0.54)),
+        (0.165, 0.31), (0.955, 0.985), 0.86, 0.02, True, (1.25, 1.20),
+    ),
+}  # fmt: skip
+
+CHOICES: Mapping[str, tuple[Any, ...]] = {
+    "body": tuple(_BODIES),
+    "state": ("parked_cold", "driven", "day_sun"),
+    "colour": ("black", "grey", "silver", "white"),
+    "sunroof": (False, True),
+    "rails": (False, True),
+    "panelled": (False, True),
+    "exhausts": (0, 1, 2),
+    "spokes": (5, 7, 10),
+}
+_ODDS: Mapping[str, tuple[float, ...]] = {
+    "body": (0.36, 0.22, 0.24, 0.06, 0.12),
+    "state": (0.5, 0.25, 0.25),
+    "colour": (0.25, 0.17, 0.2, 0.38),
+    "sunroof": (0.7, 0.3),
+    "rails": (0.35, 0.65),
+    "panelled": (0.65, 0.35),
+    "exhausts": (0.2, 0.55, 0.25),
+    "spokes": (0.5, 0.2, 0.3),
+}
+DRAWN: Mapping[str, Range] = {
+    "length_m": (3.6, 5.4),
+    "width": (0.97, 1.04),
+    "height": (0.96, 1.04),
+    "wheelbase": (0.98, 1.02),
+    "wheel_radius": (0.95, 1.06),
+    "screen_rake": (-0.02, 0.02),
+    "nose_taper": (0.7, 1.2),
+    "tail_taper": (0.7, 1.2),
+}
+"""What is drawn; `length_m` within the body's own part of it."""
+ALLOWED: Mapping[str, Range] = {**DRAWN, "length_m": (3.0, 6.5)}
+"""What `build_car` takes."""
+
+NOMINAL: Mapping[str, Any] = {
+    "body": "saloon",
+    "state": "parked_cold",
+    "colour": "grey",
+    "sunroof": False,
+    "rails": False,
+    "panelled": False,
+    "exhausts": 1,
+    "spokes": 5,
+    "length_m": 4.75,
+    "width": 1.0,
+    "height": 1.0,
+    "wheelbase": 1.0,
+    "wheel_radius": 1.0,
+    "screen_rake": 0.0,
+    "nose_taper": 1.0,
+    "tail_taper": 1.0,
+}
+"""A saloon; `{**NOMINAL, ...}` is handy for tests and pictures."""
+
+
+def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+    """Parameters of one car, JSON values only.
+
+    Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the others
+    as they would have been (save `length_m`, whose range follows the body).
+
+    Args:
+        rng: The stream to draw from.
+        options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a list
+            to choose from with equal odds.
+
+    Raises:
+        ModelError: An unknown option or a bad value; the message names it and what was expected.
+    """
+    _require_known(options, "option")
+    dice = {name: float(rng.random()) for name in CHOICES}
+    dials = {name: float(rng.random()) for name in DRAWN}
+    params: dict[str, Any] = {name: _choose(name, dice[name], options) for name in CHOICES}
+    body = _BODIES[params["body"]]
+    for name in DRAWN:
+        low, high = _number_range(name, options, body.lengths_m if name == "length_m" else DRAWN[name])
+        params[name] = low + (high - low) * dials[name]
+    # Said only of bodies that may have them, so that equal cars have equal parameters.
+    if "rails" not in options:
+        params["rails"] = params["rails"] and params["body"] in ("suv", "estate")
+    if "panelled" not in options:
+        params["panelled"] = params["panelled"] and params["body"] == "van"
+    return params
+
+
+def _require_known(given: Params, what: str) -> None:
+    for name in given:
+        if name not in NOMINAL:
+            raise ModelError(
+                f"car: unknown {what} {name!r}; expected one of {', '.join(sorted(NOMINAL))}. Correct the name"
+            )
+
+
+def _bad(name: str, value: object, expected: str, what: str = "option") -> ModelError:
+    return ModelError(f"car: {what} {name!r}: found {value!r}, expected {expected}. Correct the value")
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+
+
+def _number_range(name: str, options: Params, own: Range) -> Range:
+    """Range to draw `name` from: the option's value (twice) or [low, high], else the model's own."""
+    if name not in options:
+        return own
+    value = options[name]
+    low, high = ALLOWED[name]
+    pair = value if isinstance(value, list | tuple) else [value, value]
+    if len(pair) != 2 or not all(_is_number(v, low, high) for v in pair) or pair[0] > pair[1]:
+        raise _bad(name, value, f"a number in [{low:g}, {high:g}] or [low, high] within it")
+    return float(pair[0]), float(pair[1])
+
+
+def _choose(name: str, dice: float, options: Params) -> Any:
+    allowed = CHOICES[name]
+    if name in options:
+        value = options[name]
+        wanted = list(value) if isinstance(value, list | tuple) else [value]
+        # `True == 1` in Python: compare types too.
+        found = [a for w in wanted for a in allowed if a == w and type(a) is type(w)]
+        if not wanted or len(found) != len(wanted):
+            raise _bad(name, value, f"one of {', '.join(map(repr, allowed))}, or a list of some of them")
+        return found[min(int(dice * len(found)), len(found) - 1)]
+    edges = np.cumsum(_ODDS[name]) / sum(_ODDS[name])
+    return allowed[min(int(np.searchsorted(edges, dice, side="right")), len(allowed) - 1)]
+
+
+def _require_params(params: Params) -> None:
+    _require_known(params, "parameter")
+    for name in NOMINAL:
+        if name not in params:
+            raise ModelError(f"car: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
+        value = params[name]
+        if name in CHOICES:
+            if not any(a == value and type(a) is type(value) for a in CHOICES[name]):
+                raise _bad(name, value, f"one of {', '.join(map(repr, CHOICES[name]))}", "parameter")
+        elif not _is_number(value, *ALLOWED[name]):
+            raise _bad(name, value, "a number in [{:g}, {:g}]".format(*ALLOWED[name]), "parameter")
+
+
+# --- plan: the curves the pieces share -----------------------------------------------------------------------
+
+
+def _curve(points: ArrayLike, x: ArrayLike) -> FloatArray:
+    """A smooth curve through (P, 2) points of rising abscissa that overshoots none of them, at x."""
+    p = np.asarray(points, np.float64)
+    px, py = p[:, 0], p[:, 1]
+    step = np.diff(px)
+    slope = np.diff(py) / step
+    m = np.concatenate([slope[:1], np.zeros(len(px) - 2), slope[-1:]])
+    same = slope[:-1] * slope[1:] > 0
+    m[1:-1][same] = 2 * slope[:-1][same] * slope[1:][same] / (slope[:-1] + slope[1:])[same]
+    at = np.clip(np.asarray(x, np.float64), px[0], px[-1])
+    k = np.clip(np.searchsorted(px, at, side="right") - 1, 0, len(step) - 1)
+    t = (at - px[k]) / step[k]
+    rest = 1 - t
+    return np.asarray(
+        py[k] * (1 + 2 * t) * rest**2
+        + m[k] * step[k] * t * rest**2
+        + py[k + 1] * t**2 * (3 - 2 * t)
+        - m[k + 1] * step[k] * t**2 * rest
+    )
+
+
+# Half width over height between sill (0) and waist (1), in parts of the half width.
+_FLANK = ((0.0, 0.945), (0.16, 0.975), (0.40, 1.0), (0.72, 0.985), (1.0, 0.945), (1.3, 0.90))
+_NOSE_M, _TAIL_M = 0.55, 0.42
+_CROWN_M = 0.065
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Dimensions and curves of one car; x is measured from the middle of its length."""
+
+    p: Params
+
+    @cached_property
+    def body(self) -> _Body:
+        return _BODIES[self.p["body"]]
+
+    @cached_property
+    def grown(self) -> float:
+        """Length over that of the nominal car of this body."""
+        return float(self.p["length_m"]) / self.body.length_m
+
+    @cached_property
+    def length(self) -> float:
+        return float(self.p["length_m"])
+
+    @cached_property
+    def half(self) -> float:
+        """Half the width; grows less than the length."""
+        return float(0.5 * self.body.width_m * self.p["width"] * self.grown**0.45)
+
+    @cached_property
+    def height(self) -> float:
+        return float(self.body.height_m * self.p["height"] * self.grown**0.15)
+
+    @cached_property
+    def wheel_radius(self) -> float:
+        return float(self.body.wheel_radius_m * self.p["wheel_radius"] * self.grown**0.3)
+
+    @cached_property
+    def arch_radius(self) -> float:
+        return self.wheel_radius + 0.05
+
+    @cached_property
+    def axles_x(self) -> tuple[float, float]:
+        """Front and rear."""
+        front = self.length / 2 - self.body.front_overhang_m * self.grown
+        return front, front - self.body.wheelbase_m * self.grown * float(self.p["wheelbase"])
+
+    def at(self, share: ArrayLike) -> FloatArray:
+        """x of a point this share of the length behind the nose."""
+        return np.asarray(self.length * (0.5 - np.asarray(share, np.float64)))
+
+    def to_nose(self, x: ArrayLike) -> FloatArray:
+        """0 behind the nose's curve, 1 at its tip."""
+        return np.asarray(np.clip((np.asarray(x) - self.length / 2) / _NOSE_M + 1, 0, 1))
+
+    def to_tail(self, x: ArrayLike) -> FloatArray:
+        """0 ahead of the tail's curve, 1 at its end."""
+        return np.asarray(np.clip((-np.asarray(x) - self.length / 2) / _TAIL_M + 1, 0, 1))
+
+    def taper(self, x: ArrayLike) -> FloatArray:
+        """Half width at x over the largest, seen from above."""
+        nose = 0.27 * float(self.p["nose_taper"]) * self.to_nose(x) ** 3
+        tail = 0.20 * float(self.p["tail_taper"]) * self.to_tail(x) ** 3
+        return np.asarray(1 - 0.03 * (2 * np.asarray(x) / self.length) ** 2 - nose - tail)
+
+    def bow(self, x: ArrayLike) -> FloatArray:
+        """How far a section at x bends back (forward at the tail) at full half width."""
+        nose = 0.17 * float(self.p["nose_taper"]) * self.to_nose(x) ** 2
+        return np.asarray(nose - 0.09 * float(self.p["tail_taper"]) * self.to_tail(x) ** 2)
+
+    def top(self, x: ArrayLike) -> FloatArray:
+        """Height of bonnet, waist and boot along the middle."""
+        return self.height * _curve(self.body.top, 0.5 - np.asarray(x) / self.length)
+
+    def sill(self, x: ArrayLike) -> FloatArray:
+        return np.asarray(self.body.clearance_m + 0.05 * self.to_nose(x) ** 2 + 0.12 * self.to_tail(x) ** 2)
+
+    def flank(self, x: ArrayLike, z: ArrayLike) -> FloatArray:
+        """y of the side at x and height z."""
+        waist = 0.66 * self.height
+        v = (np.asarray(z) - self.body.clearance_m) / (waist - self.body.clearance_m)
+        return np.asarray(self.half * self.taper(x) * _curve(_FLANK, v))
+
+    def roof(self, x: ArrayLike) -> FloatArray:
+        """Height of the roof's edge."""
+        behind = np.clip(self.at(0.45) - np.asarray(x), 0, None) / (0.45 * self.length)
+        return np.asarray(self.height - _CROWN_M - self.body.rear_drop_m * behind**2)
+
+    def end_x(self, y: ArrayLike, z: float, end: int) -> FloatArray:
+        """x of the nose (`end` 1) or tail (-1) at y and height z, where the bumper's face reaches that height."""
+        y = np.asarray(y, np.float64)
+        x = end * np.linspace(self.length / 2 - 0.6, self.length / 2, 25)
+        wide = self.flank(x, np.full_like(x, z))
+        skin = x - self.bow(x) * (wide / self.half) ** 2
+        face = x[-1] - self.bow(x[-1]) * (y / self.half) ** 2
+        return np.asarray(np.where(np.abs(y) < wide[-1], face, np.interp(np.abs(y), wide[::-1], skin[::-1])))
+
+
+# --- pieces --------------------------------------------------------------------------------------------------
+
+Piece = tuple[IntArray, FloatArray, IntArray, bool]
+"""Index into the part names for each triangle, vertices, triangles, smooth."""
+
+
+class _Pieces:
+    def __init__(self) -> None:
+        self.items: list[Piece] = []
+
+    def add(self, part: str | NDArray[np.intp], solid: Solid, *, smooth: bool = True) -> None:
+        index = _PART_NAMES.index(part) if isinstance(part, str) else part
+        parts = np.broadcast_to(np.asarray(index, np.int32), len(solid.triangles))
+        self.items.append((parts, solid.vertices, solid.triangles, smooth))
+
+    def add_both_sides(self, part: str, solid: Solid, *, smooth: bool = True) -> None:
+        self.add(part, solid, smooth=smooth)
+        self.add(part, shapes.mirrored(solid, 1), smooth=smooth)
+
+
+def _ring(half: FloatArray) -> FloatArray:
+    """(R, N, 3) rings from their halves (R, K, 3) with y >= 0, the first and last column in the middle plane."""
+    other = half[:, -2:0:-1] * (1.0, -1.0, 1.0)
+    return np.concatenate([half, other], axis=1)
+
+
+def _skin(rings: FloatArray, parts: NDArray[np.intp], start: int, end: int) -> tuple[NDArray[np.intp], Solid]:
+    """Loft over `_ring`s closed by poles, creased; `parts` (R - 1, K - 1) of half the faces, `start`, `end` of caps."""
+    n = rings.shape[1]
+    whole = np.concatenate([parts, parts[:, ::-1]], axis=1)
+    of_triangle = np.concatenate([np.concatenate([row, row]) for row in whole])
+    of_triangle = np.concatenate([of_triangle, np.full(n, start), np.full(n, end)])
+    # Poles in the plane of the ring's middle points: the caps go on with the bow of the ends.
+    first, last = ((ring[0] + ring[n // 2]) / 2 for ring in (rings[0], rings[-1]))
+    # Painted panels run into one another; glass, lids and floor end where they end.
+    panels = np.where(np.isin(of_triangle, _PANELS), -1, of_triangle)
+    panels[np.isin(panels, _LID)] = -2
+    return of_triangle, shapes.creased(shapes.loft(rings, start=first, end=last), math.radians(38), panels)
+
+
+def _stations(plan: _Plan) -> FloatArray:
+    """x of the lower body's sections, rising: dense where ends round off and along the wheel arches."""
+    front, rear = plan.axles_x
+    turn = plan.arch_radius * np.cos(np.linspace(math.pi, 0, 15))
+    arch = np.concatenate([[-plan.arch_radius - 0.012], turn, [plan.arch_radius + 0.012]])
+    arches = np.concatenate([rear + arch, front + arch])
+    u = np.array([1.0, 0.985, 0.955, 0.90, 0.82, 0.72, 0.58, 0.40, 0.20])
+    tail = -plan.length / 2 + _TAIL_M * (1 - u)
+    nose = plan.length / 2 - _NOSE_M * (1 - u)
+    between = plan.at(np.array([0.24, plan.body.screen_at[0], 0.36, 0.46, 0.56, 0.66, plan.body.rear_at[1]]))
+    other = np.concatenate([tail, nose, between])
+    kept = arches.tolist()
+    for x in other.tolist():
+        # The first few at the very ends stand closer to one another than this.
+        if abs(x) > plan.length / 2 - 0.05 or min(abs(x - k) for k in kept) > 0.02:
+            kept.append(x)
+    return np.sort(np.array(kept))
+
+
+def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
+    """Floor, wheel wells, flanks, bonnet and boot as one skin along x."""
+    x = _stations(plan)
+    low = plan.sill(x)
+    edge = low.copy()
+    for axle in plan.axles_x:
+        inside = np.clip(plan.arch_radius**2 - (x - axle) ** 2, 0, None)
+        edge = np.where(np.abs(x - axle) < plan.arch_radius + 0.006, plan.wheel_radius + np.sqrt(inside), edge)
+    top = plan.top(x)
+    shoulder = np.maximum(top - 0.045 - 0.03 * plan.to_nose(x), edge + 0.05)
+    top = np.maximum(top, shoulder + 0.03)
+    well = 0.66 * plan.half * plan.taper(x)
+    columns = [(0 * x, low + 0.02), (well, low + 0.02), (well + 0.006, edge)]
+    for t in (0.0, 0.22, 0.48, 0.75, 1.0):
+        z = edge + (shoulder - edge) * t
+        columns.append((plan.flank(x, z), z))
+    y = columns[-1][0]
+    for inward, up in ((0.965, 0.5), (0.88, 0.74), (0.62, 0.90), (0.32, 0.98), (0.0, 1.0)):
+        columns.append((inward * y, shoulder + (top - shoulder) * up))
+    half = np.empty((len(x), len(columns), 3))
+    for j, (yj, zj) in enumerate(columns):
+        half[:, j, 0] = x - plan.bow(x) * (yj / plan.half) ** 2
+        half[:, j, 1], half[:, j, 2] = yj, zj
+
+    middle = (x[:-1] + x[1:]) / 2
+    share = 0.5 - middle / plan.length
+    at_nose, at_tail = plan.to_nose(middle) > 0.86, plan.to_tail(middle) > 0.86
+    name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
+    parts = np.full((len(middle), len(columns) - 1), name["side"], np.intp)
+    foot = plan.body.screen_at[0] + 0.015
+    parts[share < foot, 8:] = name["bonnet"]
+    parts[(share < foot) & (share > 0.7 * foot), 8:] = name["cowl"]
+    parts[share < foot, 5:8] = name["wing"]
+    if plan.p["body"] == "saloon":
+        parts[share > plan.body.rear_at[1] - 0.015, 7:] = name["boot"]
+    parts[middle > plan.axles_x[0] + plan.arch_radius, 3:5] = name["front"]
+    parts[middle < plan.axles_x[1] - plan.arch_radius, 3:5] = name["rear"]
+    parts[at_nose, 3:7] = name["front"]
+    parts[at_tail, 3:7] = name["rear"]
+    if plan.p["body"] != "saloon":
+        parts[at_tail, 7:] = name["rear"]
+    parts[:, :3] = name["underbody"]
+    out.add(*_skin(_ring(half), parts, name["rear"], name["front"]))
+
+
+_LEVELS = (-0.10, 0.0, 0.05, 0.45, 0.85, 0.94, 1.0)
+_ROOF_RINGS = (0.95, 0.84, 0.60, 0.30)
+
+
+def _add_cabin(out: _Pieces, plan: _Plan) -> None:
+    """Screens, windows, pillars and roof as one skin upwards."""
+    body = plan.body
+    rake = float(plan.p["screen_rake"])
+    # Columns along half an outline: windscreen, pillar, windows of the side, pillar, rear screen.
+    levels: list[FloatArray] = []
+    # Where pillars stand at the roof fixes the middle one, which is upright.
+    for t in (1.0, *_LEVELS):
+        wide = plan.half * (0.905 + (body.roof_width - 0.905) * (max(t, 0.0) ** 1.15 if t > 0 else t))
+        bulge = 0.10 * t * (1 - t)
+        front = float(plan.at(body.screen_at[0] + (body.screen_at[1] + rake - body.screen_at[0]) * t)) + bulge
+        rear = float(plan.at(body.rear_at[1] + (body.rear_at[0] - body.rear_at[1]) * t)) - bulge
+        bow = 0.24 - 0.06 * t
+        in_front = np.array([0.0, 0.5, 1 - 0.11 / wide, 1 - 0.025 / wide])
+        behind = np.array([1 - 0.03 / wide, 1 - 0.13 / wide, 0.5, 0.0])
+        x_front = front - bow * in_front**2.5
+        x_behind = rear + 0.11 * behind**2.5
+        first, last = front - bow - 0.07, rear + 0.11 + 0.09
+        pillar = last + body.rear_pillar_m[0] + (body.rear_pillar_m[1] - body.rear_pillar_m[0]) * t
+        if not levels:
+            centre = 0.5 * (first + pillar)
+        side = np.array([first, centre + 0.04, centre - 0.04, pillar, pillar - 0.10, last])
+        xs = np.concatenate([x_front, side, x_behind])
+        ys = wide * np.concatenate([in_front, np.ones(len(side)), behind]) * plan.taper(xs) ** 0.8
+        foot = plan.top(xs) - 0.05
+        levels.append(np.stack([xs, ys, foot + (plan.roof(xs) - foot) * t], axis=1))
+    levels = levels[1:]
+    edge = levels[-1]
+    centre_x = (edge[0, 0] + edge[-1, 0]) / 2
+    for s in _ROOF_RINGS:
+        xs = centre_x + (edge[:, 0] - centre_x) * s
+        levels.append(np.stack([xs, edge[:, 1] * s, plan.roof(xs) + _CROWN_M * (1 - s**2)], axis=1))
+    half = np.stack(levels)
+
+    name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
+    parts = np.full((len(half) - 1, half.shape[1] - 1), name["side"], np.intp)
+    parts[5:] = name["roof"]
+    parts[:5, :2] = name["windscreen"]
+    parts[1 if plan.p["body"] == "saloon" else 2 : 4, 11:13] = name["rear_window"]
+    parts[2:4, 4] = name["window"]
+    if not plan.p["panelled"]:
+        parts[2:4, 6] = name["window"]
+        if body.quarter_window:
+            parts[2:4, 8] = name["window"]
+    else:
+        parts[2:4, 11:13] = name["side"]
+    of_triangle, solid = _skin(_ring(half), parts, name["side"], name["roof"])
+    out.add(of_triangle, solid)
+    if plan.p["sunroof"]:
+        long = 0.34 * (edge[0, 0] - edge[-1, 0])
+        x = np.linspace(edge[0, 0] - 0.18 - long, edge[0, 0] - 0.18, 6)
+        reach = np.abs(x - centre_x) / ((edge[0, 0] - edge[-1, 0]) / 2)
+        z = plan.roof(x) + _CROWN_M * (1 - reach**2) - 0.012
+        out.add(
+            "sunroof", shapes.sweep(np.stack([x, 0 * x, z], axis=1), 0.55 * float(edge[5, 1]), 0.02, n=24, exponent=6.0)
+        )
+    if plan.p["rails"]:
+        x = np.linspace(edge[9, 0] + 0.12, edge[4, 0] - 0.10, 7)
+        y = 0.93 * np.interp(x, edge[9:3:-1, 0], edge[9:3:-1, 1])
+        z = plan.roof(x) + 0.055 - 0.05 * np.linspace(-1, 1, 7) ** 6
+        out.add_both_sides("trim", shapes.sweep(np.stack([x, y, z], axis=1), 0.02, 0.018, n=8, round_ends=True))
+    # Mirrors at the foot of the windscreen pillars.
+    foot = half[2, 4]
+    at = np.array([foot[0] - 0.06, plan.half + 0.03, foot[2] + 0.07])
+    out.add_both_sides("trim", shapes.placed(shapes.ellipsoid((0.065, 0.09, 0.068), 14, 8), shapes.turn_z(0.15), at))
+    out.add_both_sides("trim", shapes.capsule(at, (at[0], 0.88 * plan.half, at[2] - 0.06), 0.022, n=8))
+
+
+def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, proud: float = 0.012) -> Solid:
+    """A bar that follows nose or tail from one share of the half width to another."""
+    y = plan.half * np.linspace(*share, 9)
+    x = plan.end_x(y, z, end) - end * (0.03 - proud)
+    path = np.stack([x, y, np.full(9, z)], axis=1)
+    return shapes.sweep(path, 0.03, half_height, n=16, exponent=5.0)
+
+
+def _add_ends(out: _Pieces, plan: _Plan) -> None:
+    """Lamps, grille, intake, exhaust."""
+    lead = float(plan.top(plan.length / 2))
+    tall = plan.p["body"] in ("suv", "van")
+    deep = np.linspace(0.035, 0.065, 9) * (1.2 if tall else 1.0)
+    out.add_both_sides("headlamp", _bar(plan, (0.50, 0.88), lead - 0.09, deep, 1))
+    out.add("grille", _bar(plan, (-0.42, 0.42), lead - 0.12, 0.075, 1))
+    out.add("grille", _bar(plan, (-0.55, 0.55), float(plan.sill(plan.length / 2)) + 0.11, 0.055, 1))
+    back = float(plan.top(-plan.length / 2))
+    if tall or plan.p["body"] == "hatchback":
+        out.add_both_sides("tail_lamp", _bar(plan, (0.72, 0.90), back - 0.14, 0.13, -1))
+    else:
+        out.add_both_sides("tail_lamp", _bar(plan, (0.48, 0.88), back - 0.09, deep, -1))
+    pipe = shapes.placed(shapes.cylinder(0.035, 0.0, 0.30, 14, 0.006), shapes.turn_y(-math.pi / 2))
+    for side in (1, -1)[: plan.p["exhausts"]]:
+        y = 0.48 * plan.half * side
+        x = float(plan.end_x(y, 0.35, -1)) + 0.285
+        out.add("exhaust", shapes.moved(pipe, (x, y, float(plan.sill(-plan.length / 2)) - 0.005)))
+
+
+def _add_wheels(out: _Pieces, plan: _Plan) -> None:
+    r, wide = plan.wheel_radius, 0.215
+    rim = 0.66 * r
+    tyre = shapes.lathe(
+        [(rim, -0.42 * wide), (0.82 * r, -0.5 * wide), (0.95 * r, -0.45 * wide), (r, -0.34 * wide), (r, 0.34 * wide),
+         (0.95 * r, 0.45 * wide), (0.82 * r, 0.5 * wide), (rim, 0.42 * wide)], 28, wrap=True,
+    )  # fmt: skip
+    lip = shapes.lathe(
+        [(0.90 * rim, -0.3 * wide), (1.03 * rim, -0.3 * wide), (1.03 * rim, 0.40 * wide), (0.90 * rim, 0.36 * wide)],
+        28, wrap=True,
+    )  # fmt: skip
+    pieces = [("tyre", tyre), ("rim", lip), ("brake", shapes.cylinder(0.96 * rim, -0.3 * wide, 0.0, 24))]
+    pieces.append(("rim", shapes.lathe([(0.24 * rim, 0.0), (0.24 * rim, 0.30 * wide), (0.0, 0.34 * wide)], 16)))
+    count = int(plan.p["spokes"])
+    spoke = shapes.moved(
+        shapes.box((0.80 * rim, 1.5 * rim / count, 0.10 * wide), 0.02 * wide), (0.55 * rim, 0, 0.27 * wide)
+    )
+    pieces += [("rim", shapes.placed(spoke, shapes.turn_z(2 * math.pi * k / count))) for k in range(count)]
+    outward = shapes.turn_x(-math.pi / 2)
+    for x in plan.axles_x:
+        y = float(plan.flank(x, np.array(2 * r))) - 0.5 * wide - 0.012
+        for part, solid in pieces:
+            out.add_both_sides(
+                part, shapes.placed(solid, outward, (x, y, r)), smooth=part != "rim" or solid is not spoke
+            )
+
+
+# --- the model -----------------------------------------------------------------------------------------------
+
+
+def build_car(params: Params) -> Mesh:
+    """The mesh of one car: origin on the ground below the middle of its length, +X its nose.
+
+    Raises:
+        ModelError: A parameter is missing, unknown or out of range.
+    """
+    _require_params(params)
+    pieces = _build_pieces(params)
+    vertices = np.concatenate([v for _, v, _, _ in pieces])
+    vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
+    first = np.cumsum([0, *(len(v) for _, v, _, _ in pieces[:-1])])
+    parts = np.concatenate([p for p, _, _, _ in pieces])
+    used, index = np.unique(parts, return_inverse=True)
+    return Mesh(
+        vertices,
+        np.concatenate([t + f for (_, _, t, _), f in zip(pieces, first, strict=True)]).astype(np.int32),
+        index.reshape(-1).astype(np.int32),
+        tuple(_PART_NAMES[k] for k in used),
+        np.concatenate([np.full(len(t), smooth) for _, _, t, smooth in pieces]),
+    )
+
+
+def _build_pieces(params: Params) -> list[Piece]:
+    """Closed solids of one car."""
+    plan = _Plan(params)
+    out = _Pieces()
+    _add_lower_body(out, plan)
+    _add_cabin(out, plan)
+    _add_ends(out, plan)
+    _add_wheels(out, plan)
+    return out.items
+
+
+def _option_text(name: str) -> str:
+    if name in CHOICES:
+        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
+    low, high = DRAWN[name]
+    return f"a value or [low, high]; drawn from [{low:g}, {high:g}]"
+
+
+MODEL = ObjectModel(
+    name="car",
+    category="car",
+    description="A saloon, hatchback, SUV, estate or van: parked on a cold night, just driven, or in the sun.",
+    origin="on the ground below the middle of the car; +X is its nose",
+    stands=True,
+    parts=PARTS,
+    sample=sample_params,
+    build=build_car,
+    options={name: _option_text(name) for name in NOMINAL},
+    parts_for=parts_for,
+)

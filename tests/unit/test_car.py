@@ -1,0 +1,218 @@
+"""The car: its mesh is sound, stands on its tyres, has the length asked for; its temperatures follow its state."""
+
+import itertools
+import json
+import time
+
+import numpy as np
+import pytest
+
+from infrablend.assets import car, shapes
+from infrablend.assets.car import CHOICES, DRAWN, MODEL, NOMINAL
+from infrablend.core.mesh import Mesh
+from infrablend.core.rng import stream
+from infrablend.errors import ModelError
+
+DRAWS = [MODEL.sample(stream(7, "car", k), {}) for k in range(24)]
+CORNERS = [
+    {**NOMINAL, "body": body, "length_m": length, "rails": True, "sunroof": True, "exhausts": 2, "wheel_radius": wheel}
+    for body, length, wheel in itertools.product(CHOICES["body"], (3.0, 4.6, 6.5), (0.95, 1.06))
+]
+
+
+def extent(mesh: Mesh, *parts: str) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the box about these parts."""
+    rows = np.isin(np.array(mesh.part_names)[mesh.part_of_triangle], parts)
+    v = mesh.vertices_m[np.unique(mesh.triangles[rows])]
+    return v.min(axis=0), v.max(axis=0)
+
+
+@pytest.mark.parametrize("params", DRAWS + CORNERS)
+def test_car_is_sound(params: dict[str, object]) -> None:
+    mesh = MODEL.build(params)
+    assert 5_000 <= len(mesh.triangles) <= 15_000
+    assert set(mesh.part_names) <= set(MODEL.parts)
+    assert (np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names)) > 0).all()
+
+    corners = mesh.vertices_m[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert area.min() > 1e-8
+
+    assert mesh.size_m[0] == pytest.approx(params["length_m"], rel=0.01)
+    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+    assert low[:2] + high[:2] == pytest.approx([0, 0], abs=1e-9)
+    # It stands on its tyres and on nothing else.
+    assert low[2] == pytest.approx(0.0, abs=1e-9)
+    assert extent(mesh, "tyre")[0][2] == pytest.approx(0.0, abs=1e-9)
+    assert extent(mesh, *(set(mesh.part_names) - {"tyre"}))[0][2] > 0.08
+
+
+@pytest.mark.parametrize("params", [*DRAWS[::3], *CORNERS[::4]])
+def test_every_piece_is_closed_and_faces_outward(params: dict[str, object]) -> None:
+    found = car._build_pieces(params)
+    assert len(found) > 30
+    assert sum(len(t) for _, _, t, _ in found) == len(MODEL.build(params).triangles)
+    for parts, vertices, triangles, _ in found:
+        assert len(parts) == len(triangles)
+        # Vertices are doubled at sharp edges: a piece is closed by position.
+        _, index = np.unique(vertices, axis=0, return_inverse=True)
+        t = index.reshape(-1)[triangles]
+        edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+        key, back = edges[:, 0] * 10**6 + edges[:, 1], edges[:, 1] * 10**6 + edges[:, 0]
+        assert (edges[:, 0] != edges[:, 1]).all()
+        assert len(np.unique(key)) == len(key)
+        assert np.array_equal(np.sort(key), np.sort(back))
+        assert shapes.volume(shapes.Solid(vertices, triangles)) > 0
+
+
+@pytest.mark.parametrize("body", CHOICES["body"])
+def test_body_has_a_cars_proportions(body: str) -> None:
+    plan = {**NOMINAL, "body": body, "length_m": car._BODIES[body].length_m}
+    mesh = MODEL.build(plan)
+    low, high = extent(mesh, "side", "front", "rear")
+    assert 1.7 < high[1] - low[1] < 2.0
+    assert 1.4 < mesh.size_m[2] < 2.0
+    # Nose ahead of windscreen ahead of roof ahead of rear screen; bonnet below the windscreen's head.
+    middle = {part: sum(extent(mesh, part)) / 2 for part in mesh.part_names}
+    order = [middle[part][0] for part in ("grille", "bonnet", "windscreen", "roof", "rear_window")]
+    assert order == sorted(order, reverse=True)
+    assert extent(mesh, "bonnet")[1][2] < extent(mesh, "windscreen")[1][2] < extent(mesh, "roof")[1][2]
+    assert middle["exhaust"][0] < 0 < middle["headlamp"][0]
+    assert ("boot" in mesh.part_names) == (body == "saloon")
+    # Tyres stay within the body's width and do not stick through the bonnet.
+    assert extent(mesh, "tyre")[1][1] <= high[1]
+    assert extent(mesh, "tyre")[1][2] < extent(mesh, "wing")[1][2]
+
+
+@pytest.mark.parametrize("body", CHOICES["body"])
+def test_left_and_right_are_alike(body: str) -> None:
+    v = MODEL.build({**NOMINAL, "body": body, "exhausts": 2}).vertices_m
+    a = np.unique(v.round(6), axis=0)
+    b = np.unique((v * (1, -1, 1)).round(6) + 0.0, axis=0)
+    assert a == pytest.approx(b, abs=2e-6)
+
+
+def test_options_that_show() -> None:
+    bare = MODEL.build({**NOMINAL, "body": "van", "exhausts": 0})
+    full = MODEL.build({**NOMINAL, "body": "van", "exhausts": 2, "sunroof": True, "rails": True})
+    panel = MODEL.build({**NOMINAL, "body": "van", "panelled": True})
+    assert "exhaust" not in bare.part_names and "sunroof" not in bare.part_names
+    assert {"exhaust", "sunroof"} <= set(full.part_names)
+    assert full.size_m[2] >= bare.size_m[2]
+
+    def glass(mesh: Mesh) -> int:
+        return int((mesh.part_of_triangle == mesh.part_names.index("window")).sum())
+
+    assert glass(panel) < glass(bare) and "rear_window" not in panel.part_names
+
+
+@pytest.mark.parametrize("state", CHOICES["state"])
+def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
+    for colour in CHOICES["colour"]:
+        roles = MODEL.roles({**NOMINAL, "state": state, "colour": colour})
+        assert list(roles) == list(MODEL.parts)
+        for part, role in roles.items():
+            assert role.delta_t_k[0] <= role.delta_t_k[1] <= 250, part
+            assert 0.8 <= role.emissivity[0] <= role.emissivity[1] <= 1
+            assert role.what and role.label == MODEL.parts[part].label
+
+
+def test_temperatures_follow_the_state() -> None:
+    cold, driven = (MODEL.roles({**NOMINAL, "state": s}) for s in ("parked_cold", "driven"))
+    assert cold["roof"].delta_t_k == (-8.0, -4.0)
+    assert driven["bonnet"].delta_t_k == (20.0, 50.0)
+    assert driven["tyre"].delta_t_k == (8.0, 11.0)
+    assert driven["exhaust"].delta_t_k == (50.0, 250.0)
+    assert driven["roof"].delta_t_k[1] < 0 < driven["front"].delta_t_k[0]
+    roofs = [
+        MODEL.roles({**NOMINAL, "state": "day_sun", "colour": c})["roof"].delta_t_k[1]
+        for c in ("black", "grey", "silver", "white")
+    ]
+    assert roofs == sorted(roofs, reverse=True) and roofs[-1] < 15 < 38 < roofs[0]
+
+
+def test_same_params_same_bytes_after_a_json_round_trip() -> None:
+    for params in DRAWS[:4]:
+        a, b = MODEL.build(params), MODEL.build(json.loads(json.dumps(params)))
+        assert a.part_names == b.part_names
+        for x, y in (
+            (a.vertices_m, b.vertices_m),
+            (a.triangles, b.triangles),
+            (a.part_of_triangle, b.part_of_triangle),
+            (a.smooth, b.smooth),
+        ):
+            assert x.tobytes() == y.tobytes()
+
+
+def test_draws_are_in_range_varied_and_repeatable() -> None:
+    draws = [MODEL.sample(stream(3, "many", k), {}) for k in range(400)]
+    assert draws[5] == MODEL.sample(stream(3, "many", 5), {})
+    for name, (low, high) in DRAWN.items():
+        values = np.array([d[name] for d in draws])
+        assert low <= values.min() and values.max() <= high
+        assert np.ptp(values) > 0.9 * (high - low)
+    for name, allowed in CHOICES.items():
+        assert {d[name] for d in draws} == set(allowed)
+    for d in draws:
+        low, high = car._BODIES[d["body"]].lengths_m
+        assert low <= d["length_m"] <= high
+        assert not d["panelled"] or d["body"] == "van"
+    built = {p for d in draws[:60] for p in MODEL.build(d).part_names}
+    assert built == set(MODEL.parts)
+
+
+def test_options_are_honoured_and_leave_other_draws_alone() -> None:
+    options = {"length_m": [4.5, 4.6], "body": ["suv", "van"], "state": "driven", "rails": True}
+    for k in range(30):
+        drawn = MODEL.sample(stream(k, "o"), options)
+        assert 4.5 <= drawn["length_m"] <= 4.6
+        assert drawn["body"] in ("suv", "van") and drawn["state"] == "driven" and drawn["rails"] is True
+    free, fixed = (MODEL.sample(stream(1, "o"), o) for o in ({}, {"state": "day_sun", "colour": "white", "width": 1}))
+    assert {**free, "state": "day_sun", "colour": "white", "width": 1.0} == fixed
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"length": 4.4}, r"unknown option 'length'; expected one of .*length_m"),
+        ({"length_m": -1}, r"'length_m': found -1, expected a number in \[3, 6.5\]"),
+        ({"length_m": float("nan")}, r"'length_m': found nan"),
+        ({"length_m": True}, r"'length_m': found True"),
+        ({"length_m": [4.6, 4.5]}, r"'length_m': found \[4.6, 4.5\].*\[low, high\]"),
+        ({"length_m": [4.6]}, r"'length_m': found \[4.6\]"),
+        ({"body": "coupe"}, r"'body': found 'coupe', expected one of 'saloon', 'hatchback', 'suv', 'estate', 'van'"),
+        ({"state": []}, r"'state': found \[\]"),
+        ({"exhausts": True}, r"'exhausts': found True"),
+        ({"colour": 3}, r"'colour': found 3"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, object], expected: str) -> None:
+    with pytest.raises(ModelError, match=expected):
+        MODEL.sample(stream(0), options)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"length_m": 0.0}, "'length_m': found 0.0"),
+        ({"body": None}, "'body': found None"),
+        ({"sunroof": 1}, "'sunroof': found 1"),
+        ({"wheels": 4}, "unknown parameter 'wheels'"),
+    ],
+)
+def test_bad_params_are_named(change: dict[str, object], expected: str) -> None:
+    with pytest.raises(ModelError, match=expected):
+        MODEL.build({**NOMINAL, **change})
+    with pytest.raises(ModelError, match="parameter 'body' is missing"):
+        MODEL.build({k: v for k, v in NOMINAL.items() if k != "body"})
+
+
+def test_a_build_is_quick() -> None:
+    MODEL.build(NOMINAL)
+    best = np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        MODEL.build(NOMINAL)
+        best = min(best, time.perf_counter() - start)
+    # 10 ms when idle; a busy machine may take longer.
+    assert best < 0.1
