@@ -7,8 +7,8 @@ visor, backpack and seat are lofts. Each piece depends on a few words only (the 
 on the pose), so that pieces are cached and shared between persons; lean of the trunk, nod and turn of the head,
 width, side and height come afterwards as transformations of the vertices.
 
-Measured on one core: 0.1-0.25 s of CPU time for a person none of whose pieces is cached, 1 ms for one whose pieces
-are; 12,000 to 19,000 triangles.
+Measured on one core: 0.1-0.3 s of CPU time for a person none of whose pieces is cached, 1 ms for one whose pieces
+are; 13,000 to 20,000 triangles.
 
 Proportions: segment lengths over height after Drillis and Contini (hip 0.530, knee 0.285, shoulder 0.818, chin 0.870,
 upper arm 0.186, forearm 0.146, foot 0.152), joints brought in a little; clothes add 1-2.5 % of the height around.
@@ -223,7 +223,7 @@ def _swing(x: float, z: float) -> _Arm:
 
 _HANGING = _Arm((0.028, 0.150, 0.475))
 _PHONE = _Arm((0.150, 0.042, 0.668), (-0.6, 0.7, -1.0), (-0.5, -0.3, 0.8), (0.75, -0.35, 0.5))
-_CALL = _Arm((0.048, 0.082, 0.845), (0.6, 0.5, -1.0), (-0.2, -1.0, 0.0), (-0.1, -0.05, 1.0))
+_CALL = _Arm((0.040, 0.078, 0.845), (0.35, 0.8, -1.0), (-0.2, -1.0, 0.0), (-0.1, -0.05, 1.0))
 _LAP = _Arm((0.165, 0.080, 0.590), (-0.7, 0.8, -0.4), (0.0, 0.0, -1.0), (1.0, -0.15, -0.05))
 # Left, right.
 _ARMS: Mapping[str, tuple[_Arm, _Arm]] = {
@@ -555,9 +555,9 @@ def _head(headwear: str, hair: str) -> Piece:
         primitives.append(
             tube(
                 "hair",
-                [(-0.026, 0, 0.945), (-0.036, 0, 0.895), (-0.046, 0, 0.835), (-0.052, 0, 0.79)],
-                [0.050, 0.051, 0.048, 0.030],
-                [0.034, 0.027, 0.024, 0.016],
+                [(-0.026, 0, 0.945), (-0.036, 0, 0.905), (-0.042, 0, 0.868), (-0.040, 0, 0.835)],
+                [0.050, 0.051, 0.047, 0.034],
+                [0.034, 0.027, 0.024, 0.018],
                 blend=0.015,
                 steps=2,
             )
@@ -565,7 +565,7 @@ def _head(headwear: str, hair: str) -> Piece:
     else:
         primitives.append(ellipsoid("hair", (-0.020, 0, 0.916), (0.036, 0.043, 0.036), blend=0.01))
     if headwear in ("none", "hood"):
-        primitives.append(ellipsoid("hair", (-0.008, 0, 0.950), (0.059, 0.048, 0.050), blend=0.006))
+        primitives.append(ellipsoid("hair", (-0.004, 0, 0.950), (0.060, 0.048, 0.050), blend=0.006))
     if headwear == "beanie":
         primitives.append(ellipsoid("hat", (-0.005, 0, 0.960), (0.063, 0.052, 0.052), blend=0.004))
         primitives.append(
