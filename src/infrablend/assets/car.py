@@ -39,7 +39,8 @@ _SURFACES: Mapping[str, tuple[Range, float, str]] = {
     "cowl": (_PAINT, 1.5, "bonnet's rear third, behind the engine; runs into the bonnet (est.)"),
     "wing": (_PAINT, 1.5, "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
     "boot": (_PAINT, 1.5, "boot lid of a saloon, horizontal like the roof"),
-    "side": (_PAINT, 1.5, "doors, pillars: upright, so half of what they face is ground (est. from the roof)"),
+    "side": (_PAINT, 1.5, "doors, rear wings: upright, so half of what they face is ground (est. from the roof)"),
+    "pillar": (_PAINT, 1.5, "window frames: lean inwards, between roof and doors; hardly seen in HIT-UAV (est.)"),
     "front": (_PAINT, 1.5, "bumper and nose, ahead of the radiator (est.)"),
     "rear": (_PAINT, 1.5, "bumper and tailgate (est.)"),
     "trim": ((0.94, 0.95), 1.5, "mirrors and rails, plastic 0.94-0.95 (testo)"),
@@ -60,7 +61,7 @@ _SURFACES: Mapping[str, tuple[Range, float, str]] = {
 # Clear night, parked for hours: what faces the sky is below air temperature.
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-8.0, -4.0), "bonnet": (-8.0, -4.0), "boot": (-8.0, -4.0), "cowl": (-7.5, -3.5),
-    "wing": (-4.5, -1.0), "side": (-3.5, -0.5), "front": (-3.0, -0.5),
+    "wing": (-4.5, -1.0), "side": (-3.5, -0.5), "pillar": (-6.5, -2.5), "front": (-3.0, -0.5),
     "rear": (-3.0, -0.5), "trim": (-5.0, -2.0), "windscreen": (-5.0, -3.0), "rear_window": (-5.0, -3.0),
     "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (-1.5, 0.5), "rim": (-2.5, -0.5), "brake": (-1.0, 0.5),
     "underbody": (-0.5, 2.0), "grille": (-1.5, 0.5), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
@@ -69,7 +70,7 @@ _PARKED_COLD: Mapping[str, Range] = {
 # The same night, within minutes after a drive.
 _DRIVEN: Mapping[str, Range] = {
     "roof": (-7.0, -3.0), "bonnet": (20.0, 50.0), "boot": (-6.5, -2.5), "cowl": (8.0, 25.0),
-    "wing": (10.0, 30.0), "side": (-2.0, 2.0), "front": (8.0, 25.0),
+    "wing": (12.0, 35.0), "side": (-2.0, 2.0), "pillar": (-5.5, -2.0), "front": (12.0, 35.0),
     "rear": (-1.5, 3.0), "trim": (-3.0, 0.0), "windscreen": (-2.0, 8.0), "rear_window": (-3.0, 5.0),
     "window": (-3.0, 3.0), "sunroof": (-4.0, 1.0), "tyre": (8.0, 11.0), "rim": (6.0, 16.0), "brake": (17.0, 60.0),
     "underbody": (5.0, 20.0), "grille": (20.0, 50.0), "exhaust": (50.0, 250.0), "headlamp": (10.0, 30.0),
@@ -79,9 +80,10 @@ _DRIVEN: Mapping[str, Range] = {
 _SUN_ON_PAINT: Mapping[str, Range] = {
     "black": (16.0, 41.0), "grey": (12.0, 31.0), "silver": (9.0, 22.0), "white": (5.0, 13.0),
 }  # fmt: skip
-# Share of the roof's rise that other painted parts reach (est.: a high sun, sides at a slant).
-_SUN_SHARE: Mapping[str, float] = {
-    "roof": 1.0, "bonnet": 1.0, "boot": 1.0, "cowl": 1.0, "wing": 0.8, "side": 0.55, "front": 0.6, "rear": 0.55,
+# Share of the roof's rise that other painted parts reach, in a high and in a low sun (est.).
+_SUN_SHARE: Mapping[str, Range] = {
+    "roof": (1.0, 1.0), "bonnet": (1.0, 1.0), "boot": (1.0, 1.0), "cowl": (1.0, 1.0), "wing": (0.7, 1.0),
+    "side": (0.5, 0.85), "pillar": (0.7, 0.9), "front": (0.5, 0.9), "rear": (0.5, 0.85),
 }  # fmt: skip
 _DAY_SUN: Mapping[str, Range] = {
     "trim": (10.0, 30.0), "windscreen": (5.0, 20.0), "rear_window": (5.0, 20.0), "window": (3.0, 14.0),
@@ -96,7 +98,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
     state = params["state"]
     if state == "day_sun":
         low, high = _SUN_ON_PAINT[params["colour"]]
-        deltas = {**_DAY_SUN, **{part: (s * low, s * high) for part, s in _SUN_SHARE.items()}}
+        deltas = {**_DAY_SUN, **{part: (a * low, b * high) for part, (a, b) in _SUN_SHARE.items()}}
     else:
         deltas = dict({"parked_cold": _PARKED_COLD, "driven": _DRIVEN}[state])
     return {
@@ -107,7 +109,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
 PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
 _PART_NAMES = tuple(PARTS)
-_PANELS = [_PART_NAMES.index(part) for part in ("roof", "side", "wing", "front", "rear")]
+_PANELS = [_PART_NAMES.index(part) for part in ("roof", "pillar", "side", "wing", "front", "rear")]
 _LID = [_PART_NAMES.index(part) for part in ("bonnet", "cowl")]
 
 
@@ -527,6 +529,7 @@ def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
     parts[middle > plan.axles_x[0] + plan.arch_radius, 3:5] = name["front"]
     parts[middle < plan.axles_x[1] - plan.arch_radius, 3:5] = name["rear"]
     parts[at_nose, 3:7] = name["front"]
+    parts[plan.to_nose(middle) > 0.93, 3:] = name["front"]
     parts[at_tail, 3:7] = name["rear"]
     if plan.p["body"] != "saloon":
         parts[at_tail, 7:] = name["rear"]
@@ -535,7 +538,7 @@ def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
 
 
 _LEVELS = (-0.10, 0.0, 0.05, 0.45, 0.85, 0.94, 1.0)
-_ROOF_RINGS = (0.95, 0.84, 0.60, 0.30)
+_ROOF_RINGS = (0.96, 0.88, 0.76, 0.60, 0.42, 0.22)
 
 
 def _add_cabin(out: _Pieces, plan: _Plan) -> None:
@@ -573,7 +576,7 @@ def _add_cabin(out: _Pieces, plan: _Plan) -> None:
     half = np.stack(levels)
 
     name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
-    parts = np.full((len(half) - 1, half.shape[1] - 1), name["side"], np.intp)
+    parts = np.full((len(half) - 1, half.shape[1] - 1), name["pillar"], np.intp)
     parts[5:] = name["roof"]
     parts[:5, :2] = name["windscreen"]
     parts[1 if plan.p["body"] == "saloon" else 2 : 4, 11:13] = name["rear_window"]
@@ -583,7 +586,8 @@ def _add_cabin(out: _Pieces, plan: _Plan) -> None:
         if body.quarter_window:
             parts[2:4, 8] = name["window"]
     else:
-        parts[2:4, 11:13] = name["side"]
+        parts[2:4, 6:9] = name["side"]
+        parts[2:4, 11:13] = name["rear"]
     of_triangle, solid = _skin(_ring(half), parts, name["side"], name["roof"])
     out.add(of_triangle, solid)
     if plan.p["sunroof"]:

@@ -101,16 +101,18 @@ def _view(
     # Focal length so that a body of this reach fills the cell from any side.
     focal_mm = 36.0 * fill * distance / (2 * reach)
     camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (CELL_PX, CELL_PX))
-    scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _look(model), 0, 1)
+    scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _look(model, params), 0, 1)
     ground = np.full((CELL_PX, CELL_PX), GROUND, np.uint8)
     picture = compose(ground, make_layer(renderer.render(scene, [mesh]), MAPPING, 0.45))
     return np.asarray(picture, np.uint8)
 
 
-def _look(model: ObjectModel) -> Appearance:
-    """White end at the model's own warm parts: a deer is a few kelvin above air, a drone's motors tens."""
-    hottest = max(sum(r.delta_t_k) / 2 for r in model.parts.values())
-    return Appearance(cold_k=AIR_K - 6, hot_k=AIR_K + max(8.0, 0.55 * hottest), surroundings_k=AIR_K - 10)
+def _look(model: ObjectModel, params: dict[str, Any]) -> Appearance:
+    """White end at the individual's own warm parts: a deer is a few kelvin above air, a drone's motors tens."""
+    means = [sum(r.delta_t_k) / 2 for r in model.roles(params).values()]
+    # Where individuals differ in heat, a single hot part (a tail pipe) must not darken all the others.
+    hottest = 0.55 * max(means) if model.parts_for is None else float(np.quantile(means, 0.9))
+    return Appearance(cold_k=AIR_K - 6, hot_k=AIR_K + max(8.0, hottest), surroundings_k=AIR_K - 10)
 
 
 def _row(cells: Sequence[NDArray[np.uint8]], titles: Sequence[str]) -> NDArray[np.uint8]:
