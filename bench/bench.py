@@ -52,7 +52,7 @@ class Amount:
     world_images: int = 24
 
 
-QUICK = Amount(frames=4, repeats=1, poses=10, memory_frames=60, world_images=4)
+QUICK = Amount(frames=2, repeats=1, poses=10, memory_frames=60, world_images=2)
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     data, name = backgrounds(options.data, options.out, amount)
     say(f"backgrounds: {name}")
     plan = plan_of(data)
+    if len(plan.frames) < amount.frames:
+        say(f"{data}: gives {len(plan.frames)} frames, the bars ask for {amount.frames}; give more backgrounds")
+        return 2
     work = spread(plan, amount.frames, options.out)
     found = measure(plan, work, amount, options.out)
     report = {
