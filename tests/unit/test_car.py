@@ -9,9 +9,12 @@ import pytest
 
 from infrablend.assets import car, shapes
 from infrablend.assets.car import CHOICES, DRAWN, MODEL, NOMINAL
+from infrablend.assets.catalogue import load_model
+from infrablend.config.loading import load_recipe
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
+from infrablend.sampling.scene import FrameKey, sample_scene
 
 DRAWS = [MODEL.sample(stream(7, "car", k), {}) for k in range(24)]
 CORNERS = [
@@ -129,6 +132,21 @@ def test_temperatures_follow_the_state() -> None:
         for c in ("black", "grey", "silver", "white")
     ]
     assert roofs == sorted(roofs, reverse=True) and roofs[-1] < 15 < 38 < roofs[0]
+
+
+@pytest.mark.parametrize("state", CHOICES["state"])
+def test_a_scene_draws_from_the_individuals_own_ranges(state: str) -> None:
+    assert load_model("car") is MODEL
+    recipe = load_recipe(
+        "hit-uav-drone", ["objects.0.model=car", f"objects.0.options={{state: {state}}}", "placement.on_miss=keep"]
+    )
+    for k in range(8):
+        spec = sample_scene(FrameKey(f"f{k}", "train", 0, (640, 512), 60.0), recipe, {"car": MODEL}, 0).spec
+        (placed,) = spec.objects
+        assert placed.category == "car" and placed.params["state"] == state
+        for part, found in placed.parts.items():
+            low, high = MODEL.roles(placed.params)[part].delta_t_k
+            assert low - 1e-9 <= found.temperature_k - spec.ambient_k <= high + 1e-9, part
 
 
 def test_same_params_same_bytes_after_a_json_round_trip() -> None:
