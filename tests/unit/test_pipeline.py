@@ -12,7 +12,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.core.tasks import Progress
-from infrablend.errors import DatasetError, Interrupted, OutputError
+from infrablend.errors import DatasetError, Interrupted, OutputError, RecipeError
 from infrablend.pipeline.record import FrameRecord, read_record
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -390,3 +390,34 @@ def test_rerender_gives_the_same_bytes(dataset, tmp_path):
     assert again.read_bytes() == (tmp_path / "run" / "images" / f"{frame}.png").read_bytes()
     with pytest.raises(OutputError, match="no finished frame"):
         api.rerender(tmp_path / "run", "train/other")
+
+
+def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_path):
+    settings = {"appearance.mode": "physical", "matching.mode": "local", "output.image": "png"}
+    generate(dataset, tmp_path / "run", settings=settings)
+    for record in records(tmp_path / "run"):
+        weather = record.scene.weather
+        assert weather.dew_point_k <= weather.air_k - 2
+        assert 0 <= weather.cloud <= 1
+        by_day = record.background["time_of_day"] == "day"
+        assert (weather.ground_k - weather.air_k >= 2) if by_day else (-1 <= weather.ground_k - weather.air_k <= 4)
+        facts = record.facts["matching"]
+        assert 2.5 <= facts["gain_grey_per_k"] <= 12
+        low, high = facts["levels"]
+        assert 16 <= low < 40
+        assert 210 < high <= 235
+        assert record.mapping["limits"] == facts["levels"]
+    frame = f"train/{NAMES[0]}_c0"
+    again = api.rerender(tmp_path / "run", frame, tmp_path / "again.png")
+    assert again.read_bytes() == (tmp_path / "run" / "images" / f"{frame}.png").read_bytes()
+
+
+def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_path):
+    """Looks differ in grey levels alone: boxes and masks are the same."""
+    generate(dataset, tmp_path / "a")
+    settings = {"appearance.mode": "physical", "matching.mode": "local", "output.image": "png"}
+    generate(dataset, tmp_path / "p", settings=settings)
+    for a, p in zip(records(tmp_path / "a"), records(tmp_path / "p"), strict=True):
+        assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))
+    with pytest.raises(RecipeError, match="physical needs local"):
+        generate(dataset, tmp_path / "x", settings={"appearance.mode": "physical"})

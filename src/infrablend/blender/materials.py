@@ -17,6 +17,7 @@ from pathlib import Path
 
 import bpy
 
+from infrablend.blender.physical import physical_group
 from infrablend.core.files import replace_atomically
 
 GROUP_NAME = "InfraredEffect"
@@ -102,13 +103,13 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     return group
 
 
-def object_material(slot: int) -> bpy.types.Material:
-    """Material of the k-th object of a scene: InfraredEffect fed from the mesh's attributes.
+def object_material(slot: int, look: str = "artistic") -> bpy.types.Material:
+    """Material of the k-th object of a scene: the look's node group fed from the mesh's attributes.
 
     Attributes (per face corner): `temperature_c`, `emissivity`, `ior`, `label`. Custom properties of the scene
-    object: `cold_c`, `hot_c`, `surroundings_c`. The AOV `coverage_<slot>` gets `label`.
+    object, for the artistic look: `cold_c`, `hot_c`, `surroundings_c`. The AOV `coverage_<slot>` gets `label`.
     """
-    name = f"object_{slot}"
+    name = f"{look}_{slot}"
     material = bpy.data.materials.get(name)
     if material is not None:
         return material
@@ -118,7 +119,7 @@ def object_material(slot: int) -> bpy.types.Material:
     tree.nodes.clear()
     new, link = tree.nodes.new, tree.links.new
     effect = new("ShaderNodeGroup")
-    effect.node_tree = infrared_effect_group()
+    effect.node_tree = infrared_effect_group() if look == "artistic" else physical_group()
 
     def attribute(attribute_name: str, kind: str) -> bpy.types.NodeSocket:
         node = new("ShaderNodeAttribute")
@@ -128,9 +129,10 @@ def object_material(slot: int) -> bpy.types.Material:
     link(attribute("temperature_c", "GEOMETRY"), effect.inputs["Temperature"])
     link(attribute("emissivity", "GEOMETRY"), effect.inputs["Emissivity"])
     link(attribute("ior", "GEOMETRY"), effect.inputs["IOR"])
-    link(attribute("surroundings_c", "OBJECT"), effect.inputs["Surroundings"])
-    link(attribute("cold_c", "OBJECT"), effect.inputs["Cold"])
-    link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
+    if look == "artistic":
+        link(attribute("surroundings_c", "OBJECT"), effect.inputs["Surroundings"])
+        link(attribute("cold_c", "OBJECT"), effect.inputs["Cold"])
+        link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
     output = new("ShaderNodeOutputMaterial")
     link(effect.outputs["Shader"], output.inputs["Surface"])
     aov = new("ShaderNodeOutputAOV")

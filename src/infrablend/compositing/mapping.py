@@ -6,8 +6,9 @@ premultiplied by alpha. `Mapper` is the port; the percentile mapper stands in it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +18,33 @@ GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class GreyMapping:
-    """`grey = dark + (bright - dark) * radiance`, in the background's own levels; black-hot has dark > bright."""
+    """`grey = dark + (bright - dark) * radiance`, in the background's own levels; black-hot has dark > bright.
+
+    `limits` are the darkest and brightest level that the camera writes; surfaces beyond them saturate there.
+    """
 
     dark: float
     bright: float
+    limits: tuple[float, float] | None = None
 
     def apply(self, radiance: NDArray[np.float32], alpha: NDArray[np.float32]) -> NDArray[np.float32]:
         """(h, w) premultiplied grey levels of premultiplied radiance."""
-        return (np.float32(self.dark) * alpha + np.float32(self.bright - self.dark) * radiance).astype(np.float32)
+        grey = np.float32(self.dark) * alpha + np.float32(self.bright - self.dark) * radiance
+        if self.limits is not None:
+            low, high = (np.float32(v) for v in self.limits)
+            grey = np.clip(grey, low * alpha, high * alpha)
+        return np.asarray(grey, np.float32)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        plain: dict[str, Any] = {"dark": self.dark, "bright": self.bright}
+        return plain if self.limits is None else {**plain, "limits": list(self.limits)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> GreyMapping:
+        """The mapping that `to_json` wrote."""
+        low_high = data.get("limits")
+        return cls(data["dark"], data["bright"], None if low_high is None else (low_high[0], low_high[1]))
 
 
 class Mapper(Protocol):

@@ -158,13 +158,24 @@ class Environment(_Strict):
 
     air_temperature_c: range_of(-60, 60) = (5.0, 25.0)  # type: ignore[valid-type]
     """Air temperature, degrees Celsius; uniform per frame."""
+    dew_point_below_air_k: range_of(0, 60) = (2.0, 12.0)  # type: ignore[valid-type]
+    """Dew point below air temperature, kelvin; uniform. Dry: cold sky. Physical look only, as what follows."""
+    clear_share: float = Field(0.6, ge=0, le=1)
+    """Share of frames under a clear sky; the others draw a cover between 0 and 1."""
+    wind_m_s: range_of(0, 40) = (0.0, 4.0)  # type: ignore[valid-type]
+    """Wind, metres per second; uniform."""
+    ground_above_air_day_k: range_of(-40, 60) = (2.0, 15.0)  # type: ignore[valid-type]
+    """Apparent temperature of the ground above that of the air by day, kelvin; uniform."""
+    ground_above_air_night_k: range_of(-40, 60) = (-1.0, 4.0)  # type: ignore[valid-type]
+    """The same by night, and where the time of day is unknown."""
 
 
 class Appearance(_Strict):
     """How temperature becomes light."""
 
-    mode: Literal["artistic"] = "artistic"
-    """`artistic`: the paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
+    mode: Literal["artistic", "physical"] = "artistic"
+    """`artistic`: the paper's hand-tuned look (Emission, Color Ramp, Fresnel). `physical`: band radiance, with sky and
+    ground mirrored; the next three fields then mean nothing, and `matching.mode` must be `local`."""
     cold_below_air_k: float = Field(8.0, ge=0, le=500)
     """This much below air temperature is shown as the background's dark end, kelvin."""
     hot_above_air_k: float = Field(20.0, gt=0, le=500)
@@ -178,8 +189,15 @@ class Appearance(_Strict):
 class Matching(_Strict):
     """How light becomes grey levels of the background."""
 
-    mode: Literal["percentile"] = "percentile"
-    """`percentile`: dark and bright end are percentiles of the background's own grey levels."""
+    mode: Literal["percentile", "local"] = "percentile"
+    """`percentile`: dark and bright end are percentiles of the background's own grey levels. `local`: by radiance
+    from the ground around the object, with a gain estimated for each background (physical look only)."""
+    gain_grey_per_k: range_of(0.1, 100) = (2.5, 12.0)  # type: ignore[valid-type]
+    """`local`: bounds of the gain, 8-bit grey levels per kelvin."""
+    gain_prior_grey_per_k: float = Field(6.0, gt=0, le=100)
+    """`local`: expected gain before looking at the image; HIT-UAV by night has about 6."""
+    gain_prior_spread: float = Field(0.3, gt=0, le=2)
+    """`local`: relative standard deviation of that expectation."""
     low_percentile: float = Field(1.0, ge=0, le=100)
     """Percentile of the background shown for the cold end."""
     high_percentile: float = Field(99.5, ge=0, le=100)
@@ -281,6 +299,15 @@ class Recipe(_Strict):
     """What is written about the objects."""
     output: Output = Output()
     """What is written where."""
+
+    @model_validator(mode="after")
+    def _look_fits_matching(self) -> Recipe:
+        if (self.appearance.mode == "physical") != (self.matching.mode == "local"):
+            raise ValueError(
+                f"appearance.mode {self.appearance.mode} does not go with matching.mode {self.matching.mode}: "
+                "physical needs local, artistic needs percentile"
+            )
+        return self
 
     @property
     def samples(self) -> int:

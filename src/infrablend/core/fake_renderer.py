@@ -14,7 +14,7 @@ from infrablend.core.camera import object_to_world
 from infrablend.core.mesh import Mesh
 from infrablend.core.raster import project_triangles, visible
 from infrablend.core.render import RenderResult
-from infrablend.core.scene import SceneSpec
+from infrablend.core.scene import PartState, SceneSpec
 
 SUPERSAMPLE = 4
 
@@ -29,7 +29,6 @@ class FakeRenderer:
         w, h = scene.camera.size_wh
         xy, inverse_depth, owner, level, labelled, part_owner = [], [], [], [], [], []
         count = 0
-        look = scene.appearance
         for number, (spec, mesh) in enumerate(zip(scene.objects, meshes, strict=True)):
             world = object_to_world(mesh.vertices_m, spec.position_m, spec.yaw_rad, spec.scale)
             projected = project_triangles(scene.camera, world, mesh.triangles)
@@ -38,9 +37,7 @@ class FakeRenderer:
             owner.append(count + mesh.part_of_triangle[projected.source])
             for name in mesh.part_names:
                 state = spec.parts[name]
-                warm = np.clip((state.temperature_k - look.cold_k) / (look.hot_k - look.cold_k), 0, 1)
-                mirrored = np.clip((look.surroundings_k - look.cold_k) / (look.hot_k - look.cold_k), 0, 1)
-                level.append(state.emissivity * warm + (1 - state.emissivity) * mirrored)
+                level.append(_level(state, scene))
                 labelled.append(state.label)
                 part_owner.append(number)
             count += len(mesh.part_names)
@@ -73,3 +70,22 @@ class FakeRenderer:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+def _level(state: PartState, scene: SceneSpec) -> float:
+    """What a surface shows: 0 to 1 in the artistic look; W m^-2 sr^-1 in the physical one, mirroring the ground."""
+    look, e = scene.appearance, state.emissivity
+    if look.mode == "physical":
+        if scene.weather is None:
+            raise ValueError(f"{scene.frame_id}: the physical look needs the weather")
+        # A blackbody's radiance, to 1 %: this module stands below the physics.
+        return e * _radiance(state.temperature_k) + (1 - e) * _radiance(scene.weather.ground_k)
+    warm, mirrored = (
+        min(max((k - look.cold_k) / (look.hot_k - look.cold_k), 0.0), 1.0)
+        for k in (state.temperature_k, look.surroundings_k)
+    )
+    return e * warm + (1 - e) * mirrored
+
+
+def _radiance(kelvin: float) -> float:
+    return float(54.93 * (kelvin / 300) ** 4.6)

@@ -49,14 +49,36 @@ class ObjectSpec:
 
 
 @dataclass(frozen=True)
-class Appearance:
-    """How temperature becomes light in the artistic look: `cold_k` emits 0, `hot_k` emits 1, before emissivity.
+class Weather:
+    """What a frame's surfaces stand in and mirror; used by the physical look.
 
-    `surroundings_k` is the apparent temperature that surfaces mirror; `texture_k` is the amplitude of the low-frequency
-    temperature pattern on every part.
+    Attributes:
+        air_k: Air temperature.
+        dew_point_k: At most the air temperature; how much the clear sky shines.
+        cloud: Covered share of the sky, in [0, 1].
+        cloud_base_k: Temperature of the clouds.
+        wind_m_s: Wind.
+        ground_k: Apparent temperature of the ground.
     """
 
-    mode: Literal["artistic"] = "artistic"
+    air_k: float
+    dew_point_k: float
+    cloud: float
+    cloud_base_k: float
+    wind_m_s: float
+    ground_k: float
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How temperature becomes light.
+
+    `artistic`: the paper's hand-tuned look; `cold_k` emits 0, `hot_k` emits 1, before emissivity; `surroundings_k` is
+    the apparent temperature that surfaces mirror. `physical`: band radiance, W m^-2 sr^-1, from the `Weather`.
+    `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
+    """
+
+    mode: Literal["artistic", "physical"] = "artistic"
     cold_k: float = 278.15
     hot_k: float = 313.15
     surroundings_k: float = 263.15
@@ -79,6 +101,7 @@ class SceneSpec:
         samples: Path-tracing samples per pixel; 0 lets the renderer choose by object size.
         render_seed: Seed of the path tracer's sampling pattern.
         draws: Facts about sampling (attempts, first distance drawn, why an object is absent).
+        weather: Needed by the physical look; None with the artistic one.
     """
 
     frame_id: str
@@ -92,6 +115,7 @@ class SceneSpec:
     samples: int
     render_seed: int
     draws: Mapping[str, Any] = field(default_factory=dict)
+    weather: Weather | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -105,6 +129,7 @@ class SceneSpec:
         camera["size_wh"] = tuple(camera["size_wh"])
         d["camera"] = CameraSpec(**camera)
         d["appearance"] = Appearance(**d["appearance"])
+        d["weather"] = Weather(**d["weather"]) if d.get("weather") else None
         objects = []
         for o in d["objects"]:
             o = dict(o)

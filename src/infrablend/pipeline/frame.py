@@ -14,18 +14,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from infrablend.annotation.labels import LabelSettings, annotate
 from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.compositing.mapping import GreyMapping, Mapper, PercentileMapper
+from infrablend.compositing.local import GainPrior, local_mapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.config.recipe import Recipe
+from infrablend.core.camera import object_to_world
 from infrablend.core.cores import take_core
-from infrablend.core.dataset import Category
+from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.registry import resolve
-from infrablend.core.render import Renderer
+from infrablend.core.render import Renderer, RenderResult
+from infrablend.core.rng import stream
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
@@ -50,6 +55,7 @@ class FrameSettings:
         recipe_json: The recipe.
         seed: The run's seed.
         categories: The source's categories.
+        levels: Darkest and brightest level that the dataset uses; for `matching.mode: local`.
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
         pin_cores: Keep each worker on a processor core of its own.
@@ -63,6 +69,7 @@ class FrameSettings:
     renderer: str = "blender"
     device: str = "cpu"
     pin_cores: bool = True
+    levels: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,8 @@ class FrameMaker:
         background = load_background(source.path, source.size_wh)
         sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed)
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
-        picture = paint(sampled, background, self._renderer, self._mapper, self._recipe.overlay.softness_px)
+        mapping, matching_facts = self._match(source, background, sampled)
+        picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px)
 
         labels, label_report = annotate(
             sampled.spec, sampled.meshes, picture.result, LabelSettings(obb=self._recipe.labels.obb)
@@ -127,11 +135,11 @@ class FrameMaker:
             image_sha256=hashlib.sha256(image_bytes).hexdigest(),
             background=self._background_facts(frame, background),
             scene=sampled.spec,
-            mapping={"dark": picture.mapping.dark, "bright": picture.mapping.bright},
+            mapping=mapping.to_json(),
             kept=tuple(n for n, i in enumerate(source.instances) if id(i) in kept_ids),
             inserted=tuple(i for i in labels if id(i) in kept_ids),
             removed=tuple(r.to_json() for r in removed),
-            facts=label_report.to_json(),
+            facts={**label_report.to_json(), **matching_facts},
             warnings=tuple(p.to_json() for p in background.problems),
         )
         write_json(self._folder.record(frame.frame_id), record.to_json())
@@ -140,6 +148,33 @@ class FrameMaker:
     def close(self) -> None:
         """Release the renderer."""
         self._renderer.close()
+
+    def _match(
+        self, source: ImageRecord, background: Background, sampled: SampledScene
+    ) -> tuple[GreyMapping, dict[str, Any]]:
+        """Grey levels for this scene on this background, and what was estimated of the background."""
+        m, spec = self._recipe.matching, sampled.spec
+        if m.mode == "percentile" or spec.weather is None or not spec.objects:
+            return self._mapper(background.pixels), {}
+        assert self._settings.levels is not None
+        worlds = [
+            object_to_world(mesh.vertices_m, o.position_m, o.yaw_rad, o.scale)
+            for o, mesh in zip(spec.objects, sampled.meshes, strict=True)
+        ]
+        xy = np.concatenate([spec.camera.project(w)[0] for w in worlds])
+        low, high = m.gain_grey_per_k
+        mapping, facts = local_mapping(
+            background.pixels,
+            np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)]),
+            source.instances,
+            spec.weather,
+            source.time_of_day,
+            self._settings.levels,
+            stream(self._settings.seed, spec.frame_id, "matching"),
+            prior=GainPrior(m.gain_prior_grey_per_k, m.gain_prior_grey_per_k * m.gain_prior_spread, low, high),
+            polarity=m.polarity,
+        )
+        return mapping, {"matching": facts}
 
     def _copy_original(self, frame: PlannedFrame) -> FrameDone:
         """The background itself as a frame of the dataset, byte for byte unless another file type is asked for."""
@@ -188,33 +223,31 @@ class FrameMaker:
 class Picture:
     """A finished picture and what it was made of."""
 
-    pixels: Any
-    result: Any
-    mapping: GreyMapping
+    pixels: GreyImage
+    result: RenderResult
 
 
 def paint(
-    sampled: SampledScene, background: Background, renderer: Renderer, mapper: Mapper, softness_px: float
+    sampled: SampledScene, background: Background, renderer: Renderer, mapping: GreyMapping, softness_px: float
 ) -> Picture:
     """Render a scene and lay it over its background."""
     result = renderer.render(sampled.spec, sampled.meshes)
-    mapping = mapper(background.pixels)
     layer = make_layer(result, mapping, softness_px)
-    return Picture(compose(background.pixels, layer), result, mapping)
+    return Picture(compose(background.pixels, layer), result)
 
 
 def repaint(
     record: FrameRecord, background: Background, recipe: Recipe, models: Mapping[str, ObjectModel], renderer: Renderer
 ) -> Picture:
     """Make the picture of a recorded frame again; the same pixels as the first time on the same device."""
-    if record.scene is None:
+    if record.scene is None or record.mapping is None:
         raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
     sampled = SampledScene(record.scene, build_meshes(record.scene, models))
-    return paint(sampled, background, renderer, make_mapper(recipe), recipe.overlay.softness_px)
+    return paint(sampled, background, renderer, GreyMapping.from_json(record.mapping), recipe.overlay.softness_px)
 
 
 def make_mapper(recipe: Recipe) -> Mapper:
-    """The grey-level mapping that a recipe asks for."""
+    """The mapping of `matching.mode: percentile`."""
     m = recipe.matching
     return PercentileMapper(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
 

@@ -48,7 +48,7 @@ class PlannedFrame:
         """What the frame's random streams depend on."""
         assert self.configuration is not None
         b = self.background
-        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg)
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, b.time_of_day)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Path below `images/`: split, the groups asked for, name."""

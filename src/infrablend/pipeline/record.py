@@ -25,7 +25,7 @@ class FrameRecord:
         image_sha256: Of the image file.
         background: Id, path relative to the data folder, sha256, size, pitch, altitude, time of day.
         scene: The SceneSpec; None for an unchanged original.
-        mapping: The grey-level mapping used (`dark`, `bright`); None for an unchanged original.
+        mapping: The grey-level mapping used (`dark`, `bright`, perhaps `limits`); None for an unchanged original.
         kept: Indices of the background's labels that the image keeps, in order.
         inserted: Labels of the new objects that the image carries.
         removed: Labels it does not carry, each with the reason.
@@ -38,7 +38,7 @@ class FrameRecord:
     image_sha256: str
     background: Mapping[str, Any]
     scene: SceneSpec | None
-    mapping: Mapping[str, float] | None
+    mapping: Mapping[str, Any] | None
     kept: tuple[int, ...]
     inserted: tuple[Instance, ...]
     removed: tuple[Mapping[str, Any], ...] = ()

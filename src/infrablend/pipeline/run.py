@@ -15,11 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.compositing.local import measure_levels
 from infrablend.core.files import output_error
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, OutputError, Problem
+from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
+from infrablend.formats.images import load_background
 from infrablend.pipeline.finish import Finished, write_formats
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameDone, FrameSettings
@@ -28,6 +30,7 @@ from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 
 log = logging.getLogger(__name__)
 
+LEVELS_SAMPLE = 64
 FACTORY = "infrablend.pipeline.frame:make_frame_maker"
 # Versions that decide pixels or labels.
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
@@ -149,6 +152,7 @@ def _run(
             renderer=renderer,
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
+            levels=dataset_levels(plan) if plan.recipe.matching.mode == "local" else None,
         )
         worker = WorkerSpec(FACTORY, settings)
         executor: Executor
@@ -200,6 +204,22 @@ def _run(
                 "Give the same command with --resume to go on."
             )
     return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
+
+
+def dataset_levels(plan: RunPlan) -> tuple[float, float]:
+    """Darkest and brightest level that the plan's backgrounds use, measured on at most 64 of them, evenly spread.
+
+    Raises:
+        DatasetError: If none of them can be read.
+    """
+    images = plan.dataset.images
+    pictures = []
+    for image in images[:: max(1, len(images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE]:
+        with contextlib.suppress(DatasetError):  # named and counted when its frame is made
+            pictures.append(load_background(image.path, image.size_wh).pixels)
+    if not pictures:
+        raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
+    return measure_levels(pictures)
 
 
 def _make_frames(

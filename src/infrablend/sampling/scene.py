@@ -14,10 +14,11 @@ from infrablend.assets.model import ObjectModel, PartRange
 from infrablend.config.recipe import Count, FixedPitch, Object, RandomPitch, Recipe
 from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.dataset import TimeOfDay
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import inside_fraction, project_triangles
 from infrablend.core.rng import integer_seed, stream
-from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
+from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
 from infrablend.errors import ModelError
 
 ZERO_C_K = 273.15
@@ -41,6 +42,7 @@ class FrameKey:
         configuration: Number of the scene on this background, from 0.
         size_wh: Size of the background.
         pitch_deg: Depression angle the metadata gives, or None.
+        time_of_day: Of the background, or None if unknown.
     """
 
     background_id: str
@@ -48,6 +50,7 @@ class FrameKey:
     configuration: int
     size_wh: tuple[int, int]
     pitch_deg: float | None
+    time_of_day: TimeOfDay | None = None
 
     @property
     def frame_id(self) -> str:
@@ -130,8 +133,25 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
             "rejected": dict(sorted(tally.rejected.items())),
             "absent": dict(sorted(tally.absent.items())),
         },
+        weather=_weather(frame, recipe, air_k, seed) if look.mode == "physical" else None,
     )
     return SampledScene(spec, tuple(meshes))
+
+
+def _weather(frame: FrameKey, recipe: Recipe, air_k: float, seed: int) -> Weather:
+    """What the frame's surfaces stand in and mirror; from a stream of its own."""
+    rng, e = stream(seed, frame.frame_id, "weather"), recipe.environment
+    below, wind = (float(rng.uniform(*r)) for r in (e.dew_point_below_air_k, e.wind_m_s))
+    clear, cover, base = (float(v) for v in rng.random(3))
+    ground = e.ground_above_air_day_k if frame.time_of_day == "day" else e.ground_above_air_night_k
+    return Weather(
+        air_k=air_k,
+        dew_point_k=air_k - below,
+        cloud=0.0 if clear < e.clear_share else cover,
+        cloud_base_k=air_k - (5 + 5 * base),
+        wind_m_s=wind,
+        ground_k=air_k + float(rng.uniform(*ground)),
+    )
 
 
 def build_meshes(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> tuple[Mesh, ...]:

@@ -21,15 +21,30 @@ def clear_sky_emissivity(dew_point_k: float) -> float:
     return float(np.clip(0.711 + 0.56 * t + 0.73 * t**2, 0, 1))
 
 
+def window_transmittance(air_k: float, dew_point_k: float) -> float:
+    """Share in (0, 0.88] of the 8-14 um radiation that a clear sky lets through straight up.
+
+    From the broadband emissivity e0: at the mean slant t53 = (1 - e0) / f, f = pi L(Ta) / (sigma Ta^4), since nearly
+    all that a clear sky lacks of a blackbody it lacks in this window; at the zenith t53^(1/1.66).
+
+    Raises:
+        ValueError: For a dew point above the air temperature.
+    """
+    if dew_point_k > air_k:
+        raise ValueError(f"dew_point_k {dew_point_k:g} is above air_k {air_k:g}")
+    window = np.pi * float(band_radiance(air_k)) / (STEFAN_BOLTZMANN_W_M2_K4 * air_k**4)
+    slant = max((1 - clear_sky_emissivity(dew_point_k)) / window, 1e-3)
+    return float(min(slant ** (1 / _DIFFUSIVITY), _CLEAREST))
+
+
 def sky_radiance(
     air_k: float, dew_point_k: float, zenith_rad: ArrayLike, cloud: float = 0.0, cloud_base_k: float | None = None
 ) -> Array:
     """8-14 um radiance of the sky, W m^-2 sr^-1, at angles from the zenith.
 
-    Nearly all that a clear sky lacks of a blackbody it lacks in this window. So the window's transmittance at the mean
-    slant follows from the broadband emissivity, t53 = (1 - e0) / f with f = pi L(Ta) / (sigma Ta^4); at the zenith it
-    is t53^(1/1.66), and at angle z that to the power 1 / cos z. Never above L(Ta), which the horizon has. Uncertain by
-    about 15 K of apparent temperature at the zenith, which is 1 K on a roof of emissivity 0.95.
+    A clear sky at angle z is (1 - t^(1 / cos z)) L(Ta) with t = `window_transmittance`. Never above L(Ta), which the
+    horizon has. Uncertain by about 15 K of apparent temperature at the zenith, which is 1 K on a roof of emissivity
+    0.95.
 
     Args:
         air_k: Air temperature, K.
@@ -41,14 +56,10 @@ def sky_radiance(
     Raises:
         ValueError: For a dew point above the air temperature or a cover outside [0, 1].
     """
-    if dew_point_k > air_k:
-        raise ValueError(f"dew_point_k {dew_point_k:g} is above air_k {air_k:g}")
     if not 0 <= cloud <= 1:
         raise ValueError(f"cloud {cloud:g} must lie in [0, 1]")
     of_air = float(band_radiance(air_k))
-    window = np.pi * of_air / (STEFAN_BOLTZMANN_W_M2_K4 * air_k**4)
-    slant = max((1 - clear_sky_emissivity(dew_point_k)) / window, 1e-3)
-    zenith = min(slant ** (1 / _DIFFUSIVITY), _CLEAREST)
+    zenith = window_transmittance(air_k, dew_point_k)
     cos = np.maximum(np.cos(np.asarray(zenith_rad, np.float64)), np.cos(np.radians(89.0)))
     clear = (1 - zenith ** (1 / cos)) * of_air
     of_cloud = float(band_radiance(cloud_base_k if cloud_base_k is not None else air_k - 7.0))

@@ -1,0 +1,154 @@
+"""The physical look: surfaces that emit band radiance and mirror a sky and a ground.
+
+    leaving radiance = eps(theta) L(T) + (1 - eps(theta)) L_env(mirrored direction)
+
+Emission and mirror are added in one shader; what is mirrored is traced by Cycles, so parts also mirror each other, and
+the World shows the sky's radiance above the horizon and the ground's below. Radiance in the shader is in units of
+L(300 K), so that values are near one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from infrablend.core.scene import Weather
+from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
+from infrablend.thermal.sky import window_transmittance
+
+GROUP_NAME = "InfraredEffect Physical"
+REFERENCE_K = 300.0
+UNIT_W_M2_SR = float(band_radiance(REFERENCE_K))
+# ln(L(T) / L(300 K)) as a polynomial in 300/T - 1, fitted below; within 3e-4 of Planck's law from 230 to 400 K.
+_FIT_K = (230.0, 400.0)
+_FIT_DEGREE = 3
+# name, default, minimum, maximum, description; the order is the order of the sockets.
+SOCKETS = (
+    ("Temperature", 25.0, -80.0, 600.0, "Surface temperature, degrees Celsius"),
+    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity looked at straight on"),
+    ("IOR", 1.5, 1.0, 5.0, "Refractive index of a smooth surface; 1 for rough ones (fur, cloth, soil): no rim"),
+    ("Roughness", 0.1, 0.0, 1.0, "Of the mirror image on smooth surfaces"),
+)
+
+
+def radiance_coefficients() -> tuple[float, ...]:
+    """c0, c1, ... of ln(L(T) / L(300 K)) = sum c_k (300/T - 1)^k."""
+    t = np.linspace(*_FIT_K, 2000)
+    powers = np.vander(REFERENCE_K / t - 1, _FIT_DEGREE + 1, increasing=True)
+    fit, *_ = np.linalg.lstsq(powers, np.log(band_radiance(t) / UNIT_W_M2_SR), rcond=None)
+    return tuple(float(c) for c in fit)
+
+
+def physical_group() -> bpy.types.ShaderNodeTree:
+    """The node group of this file; built on first use. Works by hand in Blender's Shader Editor too."""
+    group = bpy.data.node_groups.get(GROUP_NAME)
+    if group is not None:
+        return group
+    group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
+    for name, default, low, high, description in SOCKETS:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.default_value, socket.min_value, socket.max_value = default, low, high
+        socket.description = description
+    group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    new, link = group.nodes.new, group.links.new
+    inputs, outputs = new("NodeGroupInput"), new("NodeGroupOutput")
+
+    kelvin = _math(group, "ADD", inputs.outputs["Temperature"], ZERO_C_K)
+    radiance = _radiance_of(group, kelvin)
+
+    # eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)): flat to about 50 degrees, gone at grazing; with IOR 1 constant.
+    fresnel = new("ShaderNodeFresnel")
+    link(inputs.outputs["IOR"], fresnel.inputs["IOR"])
+    less, more = (_math(group, op, inputs.outputs["IOR"], 1.0) for op in ("SUBTRACT", "ADD"))
+    ratio = _math(group, "DIVIDE", less, more)
+    straight_on = _math(group, "MULTIPLY_ADD", ratio, _math(group, "MULTIPLY", ratio, -1.0), 1.0)
+    share = _math(group, "DIVIDE", _math(group, "SUBTRACT", 1.0, fresnel.outputs["Fac"]), straight_on)
+    emissivity = _math(group, "MULTIPLY", inputs.outputs["Emissivity"], share)
+    emissivity.node.use_clamp = True
+
+    emission = new("ShaderNodeEmission")
+    emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    link(_math(group, "MULTIPLY", radiance, emissivity), emission.inputs["Strength"])
+    mirrored = _math(group, "SUBTRACT", 1.0, emissivity)
+    diffuse, glossy, mix = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic"), new("ShaderNodeMixShader")
+    glossy.distribution = "MULTI_GGX"  # the plain one loses energy at grazing angles
+    link(mirrored, diffuse.inputs["Color"])
+    link(mirrored, glossy.inputs["Color"])
+    link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
+    link(_math(group, "GREATER_THAN", inputs.outputs["IOR"], 1.0001), mix.inputs["Fac"])
+    link(diffuse.outputs["BSDF"], mix.inputs[1])
+    link(glossy.outputs["BSDF"], mix.inputs[2])
+    both = new("ShaderNodeAddShader")
+    link(emission.outputs["Emission"], both.inputs[0])
+    link(mix.outputs["Shader"], both.inputs[1])
+    link(both.outputs["Shader"], outputs.inputs["Shader"])
+    return group
+
+
+def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
+    """Make the World the sky above the horizon and the ground below it, for this weather."""
+    world = bpy.data.worlds.get("thermal_sky") or _build_world()
+    scene.world = world
+    nodes = world.node_tree.nodes
+    air = float(band_radiance(weather.air_k)) / UNIT_W_M2_SR
+    cloud = float(band_radiance(weather.cloud_base_k)) / UNIT_W_M2_SR
+    nodes["clear_at_zenith"].outputs[0].default_value = window_transmittance(weather.air_k, weather.dew_point_k)
+    nodes["air"].outputs[0].default_value = air
+    nodes["cloud"].outputs[0].default_value = cloud
+    nodes["cover"].outputs[0].default_value = weather.cloud
+    nodes["ground"].outputs[0].default_value = float(band_radiance(weather.ground_k)) / UNIT_W_M2_SR
+
+
+def _build_world() -> bpy.types.World:
+    world = bpy.data.worlds.new("thermal_sky")
+    world.use_nodes = True
+    # Mirrors alone see the World; sampling it as a light would cost a table per render and change nothing.
+    world.cycles.sampling_method = "NONE"
+    tree = world.node_tree
+    tree.nodes.clear()
+    new, link = tree.nodes.new, tree.links.new
+
+    def value(name: str) -> Any:
+        node = new("ShaderNodeValue")
+        node.name = name
+        return node.outputs[0]
+
+    clear, air, cloud, cover, ground = (value(n) for n in ("clear_at_zenith", "air", "cloud", "cover", "ground"))
+    direction, parts = new("ShaderNodeTexCoord"), new("ShaderNodeSeparateXYZ")
+    link(direction.outputs["Generated"], parts.inputs["Vector"])
+    up = parts.outputs["Z"]
+    cos = _math(tree, "MAXIMUM", up, float(np.cos(np.radians(89.0))))
+    through = _math(tree, "POWER", clear, _math(tree, "DIVIDE", 1.0, cos))
+    sky = _math(tree, "MULTIPLY", air, _math(tree, "SUBTRACT", 1.0, through))
+    covered = _math(tree, "MULTIPLY_ADD", cover, _math(tree, "SUBTRACT", cloud, sky), sky)
+    above = _math(tree, "GREATER_THAN", up, 0.0)
+    seen = _math(tree, "MULTIPLY_ADD", above, _math(tree, "SUBTRACT", covered, ground), ground)
+    background, output = new("ShaderNodeBackground"), new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)  # Blender's own is 0.8
+    link(seen, background.inputs["Strength"])
+    link(background.outputs["Background"], output.inputs["Surface"])
+    return world
+
+
+def _radiance_of(tree: bpy.types.NodeTree, kelvin: Any) -> Any:
+    """L(T) in units of L(300 K), by Horner's rule on `radiance_coefficients`."""
+    x = _math(tree, "SUBTRACT", _math(tree, "DIVIDE", REFERENCE_K, kelvin), 1.0)
+    *lower, highest = radiance_coefficients()
+    sum_ = _math(tree, "MULTIPLY_ADD", x, highest, lower.pop())
+    while lower:
+        sum_ = _math(tree, "MULTIPLY_ADD", x, sum_, lower.pop())
+    return _math(tree, "EXPONENT", sum_)
+
+
+def _math(tree: bpy.types.NodeTree, operation: str, *values: Any) -> Any:
+    """Output of a new Math node; each value is a number or a socket."""
+    node = tree.nodes.new("ShaderNodeMath")
+    node.operation = operation
+    for i, v in enumerate(values):
+        if isinstance(v, int | float):
+            node.inputs[i].default_value = v
+        else:
+            tree.links.new(v, node.inputs[i])
+    return node.outputs["Value"]
