@@ -114,28 +114,14 @@ def run_plan(
         Interrupted: The user stopped the run; `resume` goes on.
         RenderError: The renderer cannot start.
     """
-    with RunFolder(out).claimed():
-        return _run(plan, out, workers, device, renderer, resume, overwrite, in_process, on_progress)
-
-
-def _run(
-    plan: RunPlan,
-    out: Path,
-    workers: int,
-    device: str,
-    renderer: str,
-    resume: bool,
-    overwrite: bool,
-    in_process: bool,
-    on_progress: OnProgress | None,
-) -> RunReport:
-    """`run_plan` in a folder that no other run writes to."""
     started = time.monotonic()
     folder = RunFolder(out)
-    previous = folder.prepare(resume=resume, overwrite=overwrite)
-    if previous is not None:
-        _require_same_run(previous, plan, out, device, renderer)
-    with _log_file(folder.log_folder / "run.log"):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(folder.claimed())  # no other run may write to it meanwhile
+        previous = folder.prepare(resume=resume, overwrite=overwrite)
+        if previous is not None:
+            _require_same_run(previous, plan, out, device, renderer)
+        stack.enter_context(_log_file(folder.log_folder / "run.log"))
         header = _header(plan, workers, device, renderer)
         folder.write_run({**header, "status": "running"})
         state = _State()
@@ -163,7 +149,7 @@ def _run(
             executor = ProcessPool(worker, pool)
         status = "complete"
         try:
-            _make_frames(executor, todo, plan, state, on_progress, started)
+            _make_frames(executor, todo, plan, state, on_progress)
         except Interrupted:
             status = "interrupted"
         made = time.monotonic()
@@ -228,7 +214,6 @@ def _make_frames(
     plan: RunPlan,
     state: _State,
     on_progress: OnProgress | None,
-    started: float,
 ) -> None:
     """Have every frame of `todo` made; a frame that fails is counted and does not stop the others."""
     of_key = {f.frame_id: f for f in todo}
