@@ -130,6 +130,7 @@ def test_generate_passes_its_options_on(api, capsys):
         "device": "cpu",
         "formats": ("coco", "yolo-obb"),
         "form": "rotate_json",
+        "metadata": None,
         "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}"],
         "resume": True,
         "overwrite": False,

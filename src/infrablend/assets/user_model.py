@@ -25,13 +25,14 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from infrablend.assets.model import ObjectModel, Params, PartRange
 from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.strict import Strict, range_of
 from infrablend.core.wording import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
@@ -39,43 +40,17 @@ from infrablend.errors import ModelError, Problem
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
 
 
-def _pair(value: Any) -> Any:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return (value, value)
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError("a range [lo, hi] or a number")
-    return tuple(value)
-
-
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] > value[1]:
-        raise ValueError("a range [lo, hi] whose low end is not above its high end")
-    return value
-
-
-_Delta = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)]
-_Share = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]],
-    BeforeValidator(_pair),
-    AfterValidator(_ordered),
-]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class UserPart(_Strict):
+class UserPart(Strict):
     """Thermal role of all objects and materials whose name matches."""
 
     match: tuple[str, ...] = Field(min_length=1)
-    delta_t_k: _Delta
-    emissivity: _Share
+    delta_t_k: range_of(-300, 5000)  # type: ignore[valid-type]
+    emissivity: range_of(0, 1)  # type: ignore[valid-type]
     label: bool = True
     ior: float = Field(1.5, ge=1, le=5)
 
 
-class UserModel(_Strict):
+class UserModel(Strict):
     """The YAML's fields."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")

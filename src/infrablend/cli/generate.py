@@ -34,6 +34,10 @@ def generate(
         str | None,
         typer.Option(help="Read only this form of the dataset, e.g. rotate_json [default: detected]."),
     ] = None,
+    metadata: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude, for a folder of images."),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Set a recipe field, e.g. output.image=png; repeatable."),
@@ -67,6 +71,7 @@ def generate(
             device=device.value,
             formats=format_names,
             form=form,
+            metadata=metadata,
             settings=settings or [],
         ).to_json()
         if as_json:
@@ -86,6 +91,7 @@ def generate(
             device=device.value,
             formats=format_names,
             form=form,
+            metadata=metadata,
             settings=settings or [],
             resume=resume,
             overwrite=overwrite,

@@ -8,22 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-
-def _pair(value: Any) -> Any:
-    """A single number stands for the range that holds just it; JSON's lists become the tuples strict mode wants."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return (value, value)
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError("a range [lo, hi] or a number")
-    return tuple(value)
-
-
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] > value[1]:
-        raise ValueError("a range [lo, hi] whose low end is not above its high end")
-    return value
+from infrablend.core.strict import Strict, range_of
 
 
 def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -32,38 +19,21 @@ def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
     return value
 
 
-def range_of(low: float, high: float) -> Any:
-    """Type of a range `[lo, hi]` whose ends lie in [low, high]; a number alone means `[n, n]`."""
-    end = Annotated[float, Field(ge=low, le=high, allow_inf_nan=False)]
-    return Annotated[tuple[end, end], BeforeValidator(_pair), AfterValidator(_ordered)]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(
-        strict=True,
-        frozen=True,
-        extra="forbid",
-        validate_default=True,
-        use_attribute_docstrings=True,
-        allow_inf_nan=False,
-    )
-
-
-class FixedPitch(_Strict):
+class FixedPitch(Strict):
     """One pitch for all frames."""
 
     fixed_deg: float = Field(ge=-90, le=100)
     """Depression angle of the camera, degrees: 0 level, 90 straight down, negative looking up."""
 
 
-class RandomPitch(_Strict):
+class RandomPitch(Strict):
     """A pitch drawn for each frame."""
 
     random_deg: range_of(-90, 100)  # type: ignore[valid-type]
     """Range of the depression angle, degrees; uniform."""
 
 
-class Camera(_Strict):
+class Camera(Strict):
     """The virtual camera; it looks at the scene's origin."""
 
     distance_m: range_of(0.05, 100_000) = (1.0, 10.0)  # type: ignore[valid-type]
@@ -84,7 +54,7 @@ class Camera(_Strict):
     with the same horizontal field of view, and counted."""
 
 
-class Count(_Strict):
+class Count(Strict):
     """A number of objects drawn for each frame: `weights[n]` is the weight of the n-th value of `values`."""
 
     values: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(min_length=1)
@@ -101,7 +71,7 @@ class Count(_Strict):
         return self
 
 
-class PartOverride(_Strict):
+class PartOverride(Strict):
     """Other thermal numbers for one part of a model."""
 
     delta_t_k: range_of(-100, 1000) | None = None  # type: ignore[valid-type]
@@ -110,7 +80,7 @@ class PartOverride(_Strict):
     """Emissivity at normal incidence; uniform."""
 
 
-class Object(_Strict):
+class Object(Strict):
     """A kind of object to insert."""
 
     model: str = Field(min_length=1)
@@ -135,7 +105,7 @@ class Object(_Strict):
     """Other temperatures or emissivities for named parts."""
 
 
-class Placement(_Strict):
+class Placement(Strict):
     """When a draw counts, and what happens if it does not."""
 
     on_miss: Literal["redraw", "redraw_position", "keep"] = "redraw"
@@ -153,7 +123,7 @@ class Placement(_Strict):
     """Least visible share of an object (frame's edge and nearer objects count); less is not inserted."""
 
 
-class Environment(_Strict):
+class Environment(Strict):
     """The weather parts are warmer or colder than."""
 
     air_temperature_c: range_of(-60, 60) = (5.0, 25.0)  # type: ignore[valid-type]
@@ -170,7 +140,7 @@ class Environment(_Strict):
     """The same by night, and where the time of day is unknown."""
 
 
-class Appearance(_Strict):
+class Appearance(Strict):
     """How temperature becomes light."""
 
     mode: Literal["artistic", "physical"] = "artistic"
@@ -186,7 +156,7 @@ class Appearance(_Strict):
     """Amplitude of the slow temperature pattern on every body, kelvin."""
 
 
-class Matching(_Strict):
+class Matching(Strict):
     """How light becomes grey levels of the background."""
 
     mode: Literal["percentile", "local"] = "percentile"
@@ -216,7 +186,7 @@ class Matching(_Strict):
         return self
 
 
-class Overlay(_Strict):
+class Overlay(Strict):
     """How the rendered object is laid over the background."""
 
     softness_px: float = Field(0.45, ge=0, le=10)
@@ -224,7 +194,7 @@ class Overlay(_Strict):
     Labels describe the object before it."""
 
 
-class Render(_Strict):
+class Render(Strict):
     """Path tracing."""
 
     quality: Literal["matched", "paper"] = "matched"
@@ -233,7 +203,7 @@ class Render(_Strict):
     """Samples per pixel, over `quality`."""
 
 
-class Labels(_Strict):
+class Labels(Strict):
     """What is written about the objects."""
 
     mode: Literal["merged", "new", "original"] = "merged"
@@ -255,7 +225,7 @@ Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "native"]
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 
-class Output(_Strict):
+class Output(Strict):
     """What is written where."""
 
     image: Literal["same", "png"] = "same"
@@ -268,7 +238,7 @@ class Output(_Strict):
     """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
 
 
-class Recipe(_Strict):
+class Recipe(Strict):
     """A whole recipe."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
