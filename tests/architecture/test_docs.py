@@ -93,15 +93,15 @@ def test_commands_in_the_docs_exist_with_these_options() -> None:
 def test_settings_in_the_docs_are_recipe_fields() -> None:
     from infrablend.config.loading import load_recipe
 
-    settings = []
+    commands = []
     for page in PAGES:
-        for text in re.findall(r"--set ('[^']*'|[^\s`']+(?:'[^']*')?)", page.read_text("utf-8")):
-            (word,) = shlex.split(text)
-            if word != "KEY=VALUE":
-                settings.append(word)
-    assert len(settings) > 5
-    for setting in settings:
-        load_recipe("hit-uav-drone", [setting])
+        for line in page.read_text("utf-8").replace("\\\n", " ").splitlines():
+            found = re.findall(r"--set ('[^']*'|[^\s`']+(?:'[^']*')?)", line)
+            words = [shlex.split(text)[0] for text in found]
+            commands.append([w for w in words if w != "KEY=VALUE"])
+    assert sum(map(len, commands)) > 5
+    for settings in commands:
+        load_recipe("hit-uav-drone", settings)
 
 
 def test_fields_that_the_docs_name_exist() -> None:

@@ -109,6 +109,27 @@ def test_heading_and_length(files, tmp_path):
     assert mesh.vertices_m[mesh.triangles[head]].reshape(-1, 3)[:, 0].mean() < 0
 
 
+def test_an_obj_that_stands_on_z(files, tmp_path):
+    """The same shape saved with Z up stands upright once its YAML says so."""
+    text = (files / "thing.obj").read_text().splitlines()
+    turned = tmp_path / "z_up.obj"
+
+    def turn(line: str) -> str:
+        if not line.startswith(("v ", "vn ")):
+            return line
+        kind, x, y, z = line.split()[:4]
+        return f"{kind} {x} {-float(z)} {y}"
+
+    turned.write_text("\n".join(turn(line) for line in text if not line.startswith("mtllib")))
+    sizes = []
+    for file, extra in ((files / "thing.obj", PARTS), (turned, PARTS + "up: Z\n")):
+        model = ready_model(describe(files, tmp_path, "", extra, file=file))
+        sizes.append(model.build(model.sample(np.random.default_rng(0), {})).size_m)
+    assert sizes[0] == pytest.approx(sizes[1], abs=1e-5)
+    with pytest.raises(ModelError, match="up is for"):
+        ready_model(describe(files, tmp_path, "glb", PARTS + "up: Z\n"))
+
+
 @pytest.mark.parametrize(
     ("extra", "match"),
     [

@@ -12,7 +12,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.core.tasks import Progress
-from infrablend.errors import DatasetError, Interrupted, OutputError, RecipeError
+from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
 from infrablend.pipeline.record import FrameRecord, read_record
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -421,3 +421,32 @@ def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_
         assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))
     with pytest.raises(RecipeError, match="physical needs local"):
         generate(dataset, tmp_path / "x", settings={"appearance.mode": "physical"})
+
+
+def test_one_split_of_a_dataset_is_not_read_alone(dataset, tmp_path):
+    with pytest.raises(DatasetError, match="lose every label"):
+        generate(dataset / "normal_json" / "train", tmp_path / "run")
+
+
+def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):
+    folder = tmp_path / "colour"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for n in range(3):
+        Image.fromarray(rng.integers(0, 255, (128, 160, 3), dtype=np.uint8)).save(folder / f"1_80_60_0_0000{n}.png")
+    report = generate(folder, tmp_path / "run")
+    (colour,) = [p for p in report.problems if p.code == "image-colour"]
+    assert "and 2 more" in colour.where
+    assert any(p.code == "no-labels" for p in report.problems)
+    written = json.loads((tmp_path / "run" / "run.json").read_text())["problems"]
+    assert {"image-colour", "no-labels"} <= {p["code"] for p in written}
+
+
+def test_a_renderer_that_cannot_start_leaves_no_run_behind(dataset, tmp_path, monkeypatch):
+    from infrablend.pipeline import frame
+
+    monkeypatch.setitem(frame.RENDERERS, "fake", "infrablend.no_such_module:Renderer")
+    with pytest.raises(MissingDependencyError):
+        generate(dataset, tmp_path / "run")
+    monkeypatch.undo()
+    assert generate(dataset, tmp_path / "run", limit=1).ok

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from infrablend.assets.model import ObjectModel
+from infrablend.assets.user_model import SUFFIXES, load_user_model
 from infrablend.core.registry import resolve
 from infrablend.errors import ModelError
 
@@ -33,9 +34,12 @@ def load_model(name: str) -> ObjectModel:
         assert isinstance(model, ObjectModel)
         return model
     if name.lower().endswith((".yaml", ".yml")):
-        from infrablend.assets.user_model import load_user_model
-
         return load_user_model(Path(name))
+    if Path(name).suffix.lower() in SUFFIXES:
+        raise ModelError(
+            f"model {name!r}: is a 3D file; expected a .yaml beside it that says which part is how warm "
+            "(docs/how_to/own_model.md)"
+        )
     raise ModelError(
         f"model {name!r}: no such model; shipped are {', '.join(list_models())}. "
         "Give one of these names, or the path of a .yaml that describes your own (docs/how_to/own_model.md)."

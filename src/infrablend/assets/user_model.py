@@ -4,7 +4,8 @@
     category: fox
     file: fox.glb            # beside the YAML; .glb .gltf .obj .fbx .usd .usda .usdc .usdz .blend
     origin: feet             # feet: middle of the ground below; centre: middle of the box; file: as in the file
-    heading: +X              # where its nose points in the file, Z up
+    heading: +X              # where its nose points, once the file stands upright (Z up)
+    up: Z                    # OBJ only, which does not say it: the file's vertical axis; Y by default
     length_m: 0.7            # its longest side; or scale: 0.01
     parts:
       body: {match: ["Fox_Body*"], delta_t_k: [4, 10], emissivity: [0.97, 0.99], ior: 1.0}
@@ -59,6 +60,7 @@ class UserModel(Strict):
     description: str = ""
     origin: Literal["feet", "centre", "file"] = "file"
     heading: Literal["+X", "-X", "+Y", "-Y"] = "+X"
+    up: Literal["Y", "Z"] | None = None
     length_m: float | None = Field(None, gt=0, le=1e5)
     scale: float = Field(1.0, gt=0, le=1e6)
     parts: dict[str, UserPart] = Field(default_factory=dict)
@@ -103,6 +105,8 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
     file = (path.parent / described.file).resolve()
     if file.suffix.lower() not in SUFFIXES:
         raise ModelError(f"model {path}: file {described.file!r} is no known type; expected {' '.join(SUFFIXES)}")
+    if described.up is not None and file.suffix.lower() != ".obj":
+        raise ModelError(f"model {path}: up is for .obj files alone; a {file.suffix} file says it itself. Remove it")
     if "\0" in described.file or not file.is_file():
         raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
     return described, file
@@ -252,6 +256,8 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
 def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
     vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)
+    if described.up == "Z":  # Blender took the OBJ's Y for up and turned it; turn back
+        vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
     c, s = turn
     vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float64)

@@ -100,6 +100,9 @@ def generate(
     _show(report, session)
 
 
+SHOWN_WARNINGS = 5
+
+
 def _splits(text: str | None) -> tuple[str, ...] | None:
     from infrablend.core.dataset import SPLITS
 
@@ -123,11 +126,14 @@ def _show(report: RunReport, session: Session) -> None:
     for p in report.problems:
         log.info("%s: %s", p.severity, p)
     errors = [p for p in report.problems if p.severity == "error"]
-    warnings = len(report.problems) - len(errors)
+    warnings = sorted({p for p in report.problems if p.severity != "error"})
     if errors:
         typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, session.log_path)]), err=True)
     if warnings:
-        typer.echo(f"{warnings} warning(s), listed in {session.log_path}", err=True)
+        lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
+        if len(warnings) > SHOWN_WARNINGS:
+            lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {report.out / 'run.json'}")
+        typer.echo("\n".join([f"{len(warnings)} warning(s):", *lines]), err=True)
     if session.json:
         say_json(report.to_json())
     else:

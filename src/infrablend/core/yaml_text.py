@@ -58,7 +58,8 @@ def read_yaml(text: str) -> Any:
     except RecursionError as error:
         raise ValueError(f"nested too deeply; expected at most {MAX_DEPTH} levels") from error
     except yaml.YAMLError as error:
-        raise ValueError(f"not YAML: {' '.join(str(error).split())}") from error
+        where = " ".join(str(error).split()).replace('in "<unicode string>", ', "in ")
+        raise ValueError(f"not YAML: {where}") from error
 
 
 def _count(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int:

@@ -67,6 +67,16 @@ def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
     return [("train", root)], []
 
 
+def _belongs_to(root: Path) -> Path | None:
+    """The annotation file beside a folder that is one split's pictures of a larger data set, or None."""
+    here = root.resolve()
+    for name in (f"{here.name}.json", f"instances_{here.name}.json"):
+        file = here.parent / "annotations" / name
+        if file.is_file():
+            return file
+    return None
+
+
 def read(
     root: Path,
     *,
@@ -92,6 +102,13 @@ def read(
     if not root.is_dir():
         problem = Problem(str(root), "folder-missing", "no such folder", "a folder of pictures", "check the path")
         raise DatasetError(f"{root}: no such folder", [problem])
+    whole = _belongs_to(root)
+    if whole is not None and labels == "auto":
+        problem = Problem(
+            str(root), "split-folder", f"a split's pictures; their labels are in {whole}", "the folder of the data set",
+            f"give {whole.parent.parent}",
+        )  # fmt: skip
+        raise DatasetError(f"{root}: one split of a data set, read alone it would lose every label", [problem])
     if labels in ("auto", "coco"):
         files = coco.find_files(root)
         if files:

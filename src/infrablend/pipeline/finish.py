@@ -51,6 +51,7 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
         written = _write_format(name, plan, folder, images)
         losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
         problems += written.problems
+    problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
     return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(problems))
 
@@ -109,6 +110,21 @@ def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) 
         instances=kept + record.inserted,
         file_name=record.image.partition("/")[2],
     )
+
+
+def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """What was noticed about single backgrounds while their frames were made, one warning for each kind."""
+    seen: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for r in records:
+        for w in r.warnings:
+            seen.setdefault(w["code"], {}).setdefault(w["where"], w)
+    warnings = []
+    for code, by_place in sorted(seen.items()):
+        first = min(by_place)
+        w = by_place[first]
+        where = first if len(by_place) == 1 else f"{first} and {len(by_place) - 1} more"
+        warnings.append(Problem(where, code, w["found"], w["expected"], w["todo"], "warning"))
+    return warnings
 
 
 def summarize(

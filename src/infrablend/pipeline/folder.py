@@ -109,6 +109,11 @@ class RunFolder:
         finally:
             os.close(handle)
 
+    def forget_start(self) -> None:
+        """Remove what a run leaves that could not make its first frame, so that the same command can be given again."""
+        shutil.rmtree(self.log_folder, ignore_errors=True)
+        self.run_file.unlink(missing_ok=True)
+
     def prepare(self, *, resume: bool, overwrite: bool) -> dict[str, Any] | None:
         """Make the folder ready; returns the record of the run to go on with, or None for a new one.
 

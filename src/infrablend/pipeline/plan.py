@@ -21,7 +21,7 @@ from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
 # CPU seconds for one frame on the machine in docs/explanation/performance.md; for estimates only.
-TYPICAL_FRAME_CPU_S = 0.35
+TYPICAL_FRAME_CPU_S = 0.18
 START_S = 4.0
 # Labels, records and per-format copies of one frame, bytes; images are hard-linked.
 TYPICAL_LABELS_BYTES = 12_000
@@ -97,7 +97,7 @@ class RunPlan:
             "frames": len(self.frames),
             "frames_per_split": _count(f.background.split for f in self.frames),
             "disk_bytes": round(per_frame * len(self.frames)),
-            "seconds": round(START_S + len(self.frames) * TYPICAL_FRAME_CPU_S / max(workers, 1)),
+            "about_s": round(START_S + len(self.frames) * TYPICAL_FRAME_CPU_S / max(workers, 1)),
             "workers": workers,
             "left_out": _count(p.code for p in self.problems if p.severity == "error"),
         }
@@ -156,6 +156,10 @@ def make_plan(
             + (f" of split {', '.join(splits)}" if splits else ""),
             problems[:20],
         )
+    if recipe.labels.mode == "merged" and not any(image.instances for image in usable):
+        found = "no labels in any image: what they show already counts as background"
+        todo = "check --data, or set labels.mode to new if that is so"
+        problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
     categories = list(dataset.categories)
     new = []
     for o in recipe.objects:

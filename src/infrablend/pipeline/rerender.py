@@ -50,8 +50,9 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     path = folder.record(frame_id)
     record = read_record(path)
     if record is None:
-        near = sorted(p.stem for p in path.parent.glob("*.json"))[:3] if path.parent.is_dir() else []
-        hint = f"; e.g. {path.parent.name}/{near[0]}" if near else ""
+        every = sorted((run / "scenes").rglob("*.json"))
+        near = [p for p in every if p.stem == path.stem] or every
+        hint = f", e.g. {near[0].relative_to(run / 'scenes').with_suffix('').as_posix()}" if near else ""
         raise OutputError(f"{run}: no finished frame {frame_id!r}; expected an id as under {run / 'scenes'}{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")

@@ -18,7 +18,7 @@ from infrablend import __version__
 from infrablend.compositing.local import measure_levels
 from infrablend.core.files import output_error
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
-from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
+from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RenderError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
 from infrablend.formats.images import load_background
@@ -152,6 +152,10 @@ def run_plan(
             _make_frames(executor, todo, plan, state, on_progress)
         except Interrupted:
             status = "interrupted"
+        except (MissingDependencyError, RenderError):  # the renderer could not start
+            if previous is None and not state.done:
+                folder.forget_start()
+            raise
         made = time.monotonic()
         try:
             finished = write_formats(plan, folder) if status == "complete" else Finished()
