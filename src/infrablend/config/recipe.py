@@ -194,6 +194,25 @@ class Overlay(Strict):
     Labels describe the object before it."""
 
 
+class Sensor(Strict):
+    """The background's own camera, imitated for the inserts alone. Strength 0 leaves a step out, 1 is as measured."""
+
+    profile: Literal["off", "hit-uav", "monet", "generic-640x512"] = "off"
+    """What the pictures come from: `off` blurs by `overlay.softness_px` and does nothing else. `monet` is provisional.
+    Labels describe the object before it."""
+    optics: float = Field(1.0, ge=0, le=2)
+    """Factor on the blur, which is estimated from each background's own edges; 0: `overlay.softness_px` instead."""
+    halo: float = Field(1.0, ge=0, le=2)
+    """Detail enhancement: sharpens the inserts and rings them faintly, as the camera's processing does."""
+    noise: float = Field(1.0, ge=0, le=2)
+    """Grain under the inserts, matched to each background's flat places in strength and size."""
+    clip: bool = True
+    """Keep inserts within the dataset's darkest and brightest level (before the codec)."""
+    codec: float = Field(1.0, ge=0, le=2)
+    """Compression of the 8 px blocks the inserts touch, by a JPEG of the profile's quality q: 100 - codec * (100 - q).
+    8-bit pictures only."""
+
+
 class Render(Strict):
     """Path tracing."""
 
@@ -263,6 +282,8 @@ class Recipe(Strict):
     """How light becomes grey levels."""
     overlay: Overlay = Overlay()
     """How the render is laid over the background."""
+    sensor: Sensor = Sensor()
+    """The background's own camera."""
     render: Render = Render()
     """Path tracing."""
     labels: Labels = Labels()

@@ -1,6 +1,6 @@
 """One frame, from its background to its image and labels. This is the whole method; read it from top to bottom.
 
-background --> scene --> render --> grey levels --> overlay --> image
+background --> scene --> render --> grey levels --> overlay [--> sensor] --> image
                  |          |
                  +----------+--> new labels --> merged with the original ones --> record
 """
@@ -23,6 +23,7 @@ from infrablend.assets.model import ObjectModel
 from infrablend.compositing.local import GainPrior, local_mapping
 from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper
 from infrablend.compositing.overlay import compose, make_layer
+from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
 from infrablend.config.recipe import Recipe
 from infrablend.core.camera import object_to_world
 from infrablend.core.cores import take_core
@@ -30,7 +31,7 @@ from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.registry import resolve
 from infrablend.core.render import Renderer, RenderResult
-from infrablend.core.rng import stream
+from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
@@ -55,7 +56,7 @@ class FrameSettings:
         recipe_json: The recipe.
         seed: The run's seed.
         categories: The source's categories.
-        levels: Darkest and brightest level that the dataset uses; for `matching.mode: local`.
+        levels: Darkest and brightest level that the dataset uses; for `matching.mode: local` and the sensor.
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
         pin_cores: Keep each worker on a processor core of its own.
@@ -105,7 +106,8 @@ class FrameMaker:
         sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed)
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
         mapping, matching_facts = self._match(source, background, sampled)
-        picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px)
+        sensor = self._sensor(background, sampled)
+        picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px, sensor)
 
         labels, label_report = annotate(
             sampled.spec, sampled.meshes, picture.result, LabelSettings(obb=self._recipe.labels.obb)
@@ -139,7 +141,11 @@ class FrameMaker:
             kept=tuple(n for n, i in enumerate(source.instances) if id(i) in kept_ids),
             inserted=tuple(i for i in labels if id(i) in kept_ids),
             removed=tuple(r.to_json() for r in removed),
-            facts={**label_report.to_json(), **matching_facts},
+            facts={
+                **label_report.to_json(),
+                **matching_facts,
+                **({} if sensor is None else {"sensor": sensor.to_json()}),
+            },
             warnings=tuple(p.to_json() for p in background.problems),
         )
         write_json(self._folder.record(frame.frame_id), record.to_json())
@@ -175,6 +181,16 @@ class FrameMaker:
             polarity=m.polarity,
         )
         return mapping, {"matching": facts}
+
+    def _sensor(self, background: Background, sampled: SampledScene) -> Sensor | None:
+        """The camera to imitate, fitted to this background; None if the recipe wants none."""
+        s = self._recipe.sensor
+        if s.profile == "off" or not sampled.spec.objects:
+            return None
+        assert self._settings.levels is not None
+        seed = integer_seed(self._settings.seed, sampled.spec.frame_id, "sensor")
+        strength = SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip)
+        return fit_sensor(background.pixels, s.profile, strength, self._settings.levels, seed)
 
     def _copy_original(self, frame: PlannedFrame) -> FrameDone:
         """The background itself as a frame of the dataset, byte for byte unless another file type is asked for."""
@@ -228,12 +244,19 @@ class Picture:
 
 
 def paint(
-    sampled: SampledScene, background: Background, renderer: Renderer, mapping: GreyMapping, softness_px: float
+    sampled: SampledScene,
+    background: Background,
+    renderer: Renderer,
+    mapping: GreyMapping,
+    softness_px: float,
+    sensor: Sensor | None = None,
 ) -> Picture:
-    """Render a scene and lay it over its background."""
+    """Render a scene and lay it over its background, as the background's camera would show it if `sensor` says how."""
     result = renderer.render(sampled.spec, sampled.meshes)
-    layer = make_layer(result, mapping, softness_px)
-    return Picture(compose(background.pixels, layer), result)
+    if sensor is None:
+        return Picture(compose(background.pixels, make_layer(result, mapping, softness_px)), result)
+    blur = softness_px if sensor.blur_sigma_px is None else sensor.blur_sigma_px
+    return Picture(apply_sensor(background.pixels, make_layer(result, mapping, blur), sensor), result)
 
 
 def repaint(
@@ -243,7 +266,15 @@ def repaint(
     if record.scene is None or record.mapping is None:
         raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
     sampled = SampledScene(record.scene, build_meshes(record.scene, models))
-    return paint(sampled, background, renderer, GreyMapping.from_json(record.mapping), recipe.overlay.softness_px)
+    fitted = record.facts.get("sensor")
+    return paint(
+        sampled,
+        background,
+        renderer,
+        GreyMapping.from_json(record.mapping),
+        recipe.overlay.softness_px,
+        None if fitted is None else Sensor.from_json(fitted),
+    )
 
 
 def make_mapper(recipe: Recipe) -> Mapper:

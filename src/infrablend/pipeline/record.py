@@ -29,7 +29,8 @@ class FrameRecord:
         kept: Indices of the background's labels that the image keeps, in order.
         inserted: Labels of the new objects that the image carries.
         removed: Labels it does not carry, each with the reason.
-        facts: What happened while labelling (see `annotation.labels.LabelReport`).
+        facts: What happened while labelling (see `annotation.labels.LabelReport`), and what was estimated of the
+            background: `matching`, `sensor` (which is what the picture was made with).
         warnings: Problems that did not stop the frame.
     """
 

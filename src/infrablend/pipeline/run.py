@@ -138,7 +138,7 @@ def run_plan(
             renderer=renderer,
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
-            levels=dataset_levels(plan) if plan.recipe.matching.mode == "local" else None,
+            levels=dataset_levels(plan) if _needs_levels(plan) else None,
         )
         worker = WorkerSpec(FACTORY, settings)
         executor: Executor
@@ -194,6 +194,10 @@ def run_plan(
                 "Give the same command with --resume to go on."
             )
     return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
+
+
+def _needs_levels(plan: RunPlan) -> bool:
+    return plan.recipe.matching.mode == "local" or plan.recipe.sensor.profile != "off"
 
 
 def dataset_levels(plan: RunPlan) -> tuple[float, float]:
