@@ -20,11 +20,13 @@ from infrablend.compositing.sensor import (
     apply_sensor,
     edge_profiles,
     edge_sigma,
+    enhance,
     fit_sensor,
     flat_noise,
     grain,
     grain_of,
     sharpened_sigma,
+    unsharpen,
     unsharpened_sigma,
 )
 from infrablend.config.loading import list_recipes, load_recipe
@@ -103,6 +105,18 @@ def test_sharpening_can_be_undone():
         assert unsharpened_sigma(seen, 0.6, 1.6) == pytest.approx(sigma, abs=1e-3)
     assert 0.60 <= sharpened_sigma(0.9, 0.6, 1.6) <= 0.66
     assert unsharpened_sigma(0.7, 0.0, 1.6) == 0.7
+
+
+def test_sharpening_of_a_picture_can_be_undone():
+    picture = background().astype(np.float64)
+    assert np.abs(enhance(unsharpen(picture, 0.6, 1.6), 0.6, 1.6) - picture).max() < 0.01
+
+
+def test_a_textured_background_does_not_shine_through_an_insert():
+    ground = np.random.default_rng(2).integers(60, 160, (120, 120)).astype(np.uint8)
+    alpha = np.ones((60, 60), np.float32)
+    picture = apply_sensor(ground, Layer((30, 30), alpha * 110, alpha), Sensor("hit-uav", None, 0.6))
+    assert np.ptp(picture[44:76, 44:76].astype(int)) <= 2
 
 
 def test_an_insert_gets_the_sharpness_of_its_background():

@@ -42,7 +42,7 @@ class SensorProfile:
     Attributes:
         psf_sigma_px: Gaussian of all that blurs, the pixel included, before sharpening.
         edge_bounds_px: Least and largest sigma believed of a picture's sharpest edges, after sharpening.
-        halo_gain, halo_radius_px: Detail enhancement: `D + gain * (D - G_radius * D)`.
+        halo_gain, halo_radius_px: Detail enhancement: `P + gain * (P - G_radius * P)`.
         noise_grey: Standard deviation of the grain where a picture has no flat place, 8-bit levels.
         noise_grain_px: Sigma of the blur that gives white noise the picture's grain.
         codec_quality: JPEG quality that stands for the stream the picture came through; None for none.
@@ -192,10 +192,19 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     ground = under.astype(np.float64)
     alpha = np.zeros(ground.shape)
     alpha[inner] = layer.alpha
-    mixed = ground.copy()
-    seen = layer.alpha > 0
-    mixed[inner] = np.where(seen, layer.grey.astype(np.float64) + (1 - alpha[inner]) * ground[inner], ground[inner])
-    mixed = enhance(ground, mixed, sensor.halo_gain, sensor.halo_radius_px)
+    grey = np.zeros(ground.shape)
+    grey[inner] = layer.grey
+    mixed = np.where(alpha > 0, grey + (1 - alpha) * ground, ground)
+    if sensor.halo_gain > 0:
+        # The background is sharpened already. What the insert hides of it must be taken away as it was before, or its
+        # texture would shine through the insert, inverted.
+        wide = 3 * reach
+        up, back = min(top, wide), min(left, wide)
+        around = background[top - up : bottom + wide, left - back : right + wide].astype(np.float64)
+        before = unsharpen(around, sensor.halo_gain, sensor.halo_radius_px)
+        before = before[up : up + bottom - top, back : back + right - left]
+        added = np.where(alpha > 0, grey - alpha * before, 0.0)
+        mixed = ground + enhance(added, sensor.halo_gain, sensor.halo_radius_px)
     if sensor.noise_grey > 0:
         # The background keeps (1 - alpha) of its own grain; this weight brings the variance back to the whole.
         weight = np.sqrt(alpha * (2 - alpha))
@@ -213,15 +222,19 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     return picture
 
 
-def enhance(
-    ground: NDArray[np.float64], picture: NDArray[np.float64], gain: float, radius_px: float
-) -> NDArray[np.float64]:
-    """`picture + gain * (D - G * D)` with D = picture - ground: detail enhancement of what was added, alone."""
-    if gain <= 0:
-        return picture
-    difference = picture - ground
-    soft = cv2.GaussianBlur(difference, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(picture + gain * (difference - soft), np.float64)
+def enhance(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
+    """Detail enhancement, `P + gain * (P - G * P)`; linear, so it may be had of what an insert adds alone."""
+    soft = cv2.GaussianBlur(picture, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(picture + gain * (picture - soft), np.float64)
+
+
+def unsharpen(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
+    """The picture of which `enhance` makes this one, by iteration; for gain 0.6 the error falls to 0.375 each time."""
+    before = picture
+    for _ in range(12):
+        soft = cv2.GaussianBlur(before, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
+        before = (picture + gain * soft) / (1 + gain)
+    return np.asarray(before, np.float64)
 
 
 def grain(shape_hw: tuple[int, ...], sigma_grey: float, grain_px: float, seed: int) -> NDArray[np.float64]:
