@@ -292,12 +292,16 @@ def sharpened_sigma(sigma_px: float, gain: float, radius_px: float) -> float:
     """Sigma that the 10 to 90 % width of a Gaussian edge shows after detail enhancement."""
     if gain <= 0:
         return sigma_px
-    x = np.linspace(0, 4 * math.hypot(sigma_px, radius_px), 4001)
-    wide = math.hypot(sigma_px, radius_px)
-    erf = np.vectorize(math.erf)
-    edge = 0.5 + (1 + gain) * 0.5 * erf(x / (sigma_px * math.sqrt(2))) - gain * 0.5 * erf(x / (wide * math.sqrt(2)))
-    first = int(np.argmax(edge >= 0.9))
-    return float(2 * np.interp(0.9, edge[first - 1 : first + 1], x[first - 1 : first + 1]) / WIDTH_PER_SIGMA)
+    sharp, wide = sigma_px * math.sqrt(2), math.hypot(sigma_px, radius_px) * math.sqrt(2)
+    low, high = 0.0, 5 * wide
+    # Beyond its crossing of 90 % the edge overshoots and comes back to 100 %: one crossing, so halving finds it.
+    for _ in range(40):
+        x = (low + high) / 2
+        if 0.5 + 0.5 * ((1 + gain) * math.erf(x / sharp) - gain * math.erf(x / wide)) < 0.9:
+            low = x
+        else:
+            high = x
+    return 2 * high / WIDTH_PER_SIGMA
 
 
 def unsharpened_sigma(seen_px: float, gain: float, radius_px: float) -> float:
