@@ -63,7 +63,6 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
         data_root=data_root(plan.dataset),
         recipe_json=plan.recipe.model_dump_json(),
         seed=plan.seed,
-        categories=plan.dataset.categories,
         pin_cores=False,
     )
     return Work(tuple(plan.frames[i] for i in picked), settings)

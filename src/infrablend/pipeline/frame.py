@@ -27,12 +27,11 @@ from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, 
 from infrablend.config.recipe import Recipe
 from infrablend.core.camera import object_to_world
 from infrablend.core.cores import take_core
-from infrablend.core.dataset import Category, ImageRecord
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.registry import resolve
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
-from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
 from infrablend.pipeline.folder import RunFolder
@@ -55,7 +54,6 @@ class FrameSettings:
         data_root: Folder that background paths are recorded against.
         recipe_json: The recipe.
         seed: The run's seed.
-        categories: The source's categories.
         levels: Darkest and brightest level that the dataset uses; for `matching.mode: local` and the sensor.
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
@@ -66,7 +64,6 @@ class FrameSettings:
     data_root: Path
     recipe_json: str
     seed: int
-    categories: tuple[Category, ...]
     renderer: str = "blender"
     device: str = "cpu"
     pin_cores: bool = True
@@ -309,9 +306,3 @@ def drop_barely_visible(sampled: SampledScene, min_visibility: float) -> Sampled
 def make_frame_maker(settings: FrameSettings) -> FrameMaker:
     """Worker factory, named by `execution` through its dotted name."""
     return FrameMaker(settings)
-
-
-def scene_of(frame: PlannedFrame, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> SceneSpec:
-    """The scene of a planned frame without rendering it; decodes the background for its size."""
-    size = load_background(frame.background.path, frame.background.size_wh).size_wh
-    return sample_scene(frame.key(size), recipe, models, seed).spec

@@ -134,7 +134,6 @@ def run_plan(
             data_root=data_root(plan.dataset),
             recipe_json=plan.recipe.model_dump_json(),
             seed=plan.seed,
-            categories=plan.dataset.categories,
             renderer=renderer,
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
