@@ -17,7 +17,7 @@ from pathlib import Path
 
 import bpy
 
-from infrablend.blender.physical import physical_group
+from infrablend.blender.physical import add_inputs, physical_group
 from infrablend.core.files import replace_atomically
 
 GROUP_NAME = "InfraredEffect"
@@ -44,10 +44,7 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     if group is not None:
         return group
     group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
-    for name, default, low, high, description in SOCKETS:
-        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
-        socket.default_value, socket.min_value, socket.max_value = default, low, high
-        socket.description = description
+    add_inputs(group, SOCKETS)
     group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     level_out = group.interface.new_socket("Level", in_out="OUTPUT", socket_type="NodeSocketFloat")
     level_out.description = "The emitted level, 0 cold to 1 hot"

@@ -9,6 +9,7 @@ L(300 K), so that values are near one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -47,10 +48,7 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     if group is not None:
         return group
     group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
-    for name, default, low, high, description in SOCKETS:
-        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
-        socket.default_value, socket.min_value, socket.max_value = default, low, high
-        socket.description = description
+    add_inputs(group, SOCKETS)
     group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     new, link = group.nodes.new, group.links.new
     inputs, outputs = new("NodeGroupInput"), new("NodeGroupOutput")
@@ -85,6 +83,14 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     link(mix.outputs["Shader"], both.inputs[1])
     link(both.outputs["Shader"], outputs.inputs["Shader"])
     return group
+
+
+def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, float, float, float, str]]) -> None:
+    """Give a node group number inputs: name, default, least, largest, description."""
+    for name, default, low, high, description in sockets:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.default_value, socket.min_value, socket.max_value = default, low, high
+        socket.description = description
 
 
 def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
