@@ -78,6 +78,7 @@ def generate(
     formats: Sequence[str] | None = None,
     form: str | None = None,
     metadata: str | Path | None = None,
+    options: Mapping[str, str] | None = None,
     settings: Settings = (),
     resume: bool = False,
     overwrite: bool = False,
@@ -99,6 +100,7 @@ def generate(
         formats: Some of yolo, yolo-obb, yolo-seg, coco, native; as the recipe says by default.
         form: Read only this form of the dataset (HIT-UAV: normal_json, rotate_json, normal_xml, rotate_xml).
         metadata: Table of pitch and altitude (CSV or JSON), for datasets that do not say it themselves.
+        options: Further options of the dataset's reader, e.g. `{"pitch_sign": "-1"}` for MONET.
         settings: Recipe fields to set: `["output.image=png"]` or `{"output.image": "png"}`.
         resume: Go on with an interrupted run in `out`.
         overwrite: Delete an earlier run in `out` first.
@@ -109,7 +111,7 @@ def generate(
     Raises:
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, settings)
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, options, settings)
     return run_plan(
         prepared,
         Path(out),
@@ -136,10 +138,11 @@ def plan(
     formats: Sequence[str] | None = None,
     form: str | None = None,
     metadata: str | Path | None = None,
+    options: Mapping[str, str] | None = None,
     settings: Settings = (),
 ) -> PlanReport:
     """What `generate` with the same arguments would do: frames, disk, estimated time. Writes nothing."""
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, settings)
+    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, options, settings)
     facts = prepared.estimate(workers or default_workers())
     facts["device"] = device
     facts["categories"] = [c.name for c in prepared.categories]
@@ -157,6 +160,7 @@ def _prepare(
     formats: Sequence[str] | None,
     form: str | None,
     metadata: str | Path | None,
+    options: Mapping[str, str] | None,
     settings: Settings,
 ) -> RunPlan:
     pairs: Settings = settings
@@ -177,7 +181,7 @@ def _prepare(
             )
     if out is not None:
         _require_apart(root, Path(out))
-    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata)
+    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, options=options)
     return make_plan(loaded, dataset, seed, splits=splits, limit=limit)
 
 
@@ -198,6 +202,8 @@ def read_dataset(
     splits: Sequence[str] | None = None,
     form: str | None = None,
     metadata: str | Path | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
 ) -> Dataset:
     """A background dataset in memory, its format detected.
 
@@ -206,12 +212,15 @@ def read_dataset(
         splits: The splits wanted; all by default.
         form: Read only this form (HIT-UAV).
         metadata: CSV or JSON table of pitch and altitude, for datasets that do not say it themselves.
+        format: Name of the format; detected by default.
+        options: Further options of that format's reader, e.g. `{"pitch_sign": "-1"}`.
 
     Raises:
         UnknownFormatError: With the reason for each format that does not match.
         DatasetError: If it cannot be read.
     """
-    return detection.read(Path(data), form=form, splits=splits, metadata=None if metadata is None else Path(metadata))
+    table = None if metadata is None else Path(metadata)
+    return detection.read(Path(data), format=format, form=form, splits=splits, metadata=table, options=options)
 
 
 def default_workers() -> int:

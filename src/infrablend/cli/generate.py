@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.options import Device, DeviceOption, JsonOption, SeedOption, WorkersOption, comma_list
+from infrablend.cli.options import (
+    Device,
+    DeviceOption,
+    JsonOption,
+    ReadingOption,
+    SeedOption,
+    WorkersOption,
+    comma_list,
+    key_values,
+)
 
 if TYPE_CHECKING:
     from infrablend.api import RunReport
@@ -38,6 +47,7 @@ def generate(
         Path | None,
         typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude, for a folder of images."),
     ] = None,
+    reading: ReadingOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Set a recipe field, e.g. output.image=png; repeatable."),
@@ -72,6 +82,7 @@ def generate(
             formats=format_names,
             form=form,
             metadata=metadata,
+            options=key_values(reading, "--read"),
             settings=settings or [],
         ).to_json()
         if as_json:
@@ -92,6 +103,7 @@ def generate(
             formats=format_names,
             form=form,
             metadata=metadata,
+            options=key_values(reading, "--read"),
             settings=settings or [],
             resume=resume,
             overwrite=overwrite,

@@ -25,6 +25,10 @@ DeviceOption = Annotated[Device, typer.Option(help="Where Cycles renders; auto t
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Render processes [default: one per core].")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+ReadingOption = Annotated[
+    list[str] | None,
+    typer.Option("--read", metavar="KEY=VALUE", help="Option of the dataset's reader (docs/formats); repeatable."),
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that `generate` wrote.")]
 
 
@@ -40,3 +44,18 @@ def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
     if not all(items):
         raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c", param_hint=option)
     return items
+
+
+def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
+    """`["a=1", "b=x=y"]` as `{"a": "1", "b": "x=y"}`.
+
+    Raises:
+        typer.BadParameter: For an item without `=`, or a key given twice; it names `option`.
+    """
+    found: dict[str, str] = {}
+    for pair in pairs or ():
+        key, equals, value = pair.partition("=")
+        if not equals or not key or key in found:
+            raise typer.BadParameter(f"{pair!r}: write KEY=VALUE, each key once", param_hint=option)
+        found[key] = value
+    return found

@@ -43,6 +43,7 @@ class Instance:
         inserted: True for objects InfraBlend put there.
         source_id: The id the source file gives the annotation, or None.
         extra: Further fields of the source, kept for writing back.
+        track_id: The same for one object through a sequence; None if unknown.
     """
 
     category: str
@@ -55,6 +56,7 @@ class Instance:
     inserted: bool = False
     source_id: int | str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
+    track_id: int | str | None = None
 
     def __post_init__(self) -> None:
         if self.box_xyxy.shape != (4,) or self.box_xyxy.dtype != np.float64:
@@ -78,6 +80,7 @@ class Instance:
             "inserted": self.inserted,
             "source_id": self.source_id,
             "extra": dict(self.extra),
+            **({} if self.track_id is None else {"track_id": self.track_id}),
         }
 
     @classmethod
@@ -100,7 +103,7 @@ class Instance:
                 return a is b
             return bool(np.allclose(a, b, rtol=0, atol=atol_px))
 
-        same = ("category", "visibility", "truncated", "difficult", "inserted", "source_id", "mask")
+        same = ("category", "visibility", "truncated", "difficult", "inserted", "source_id", "mask", "track_id")
         return (
             close(self.box_xyxy, other.box_xyxy)
             and close(self.corners_xy, other.corners_xy)
@@ -125,6 +128,8 @@ class ImageRecord:
         extra: Further fields of the source, kept for writing back.
         file_name: Where the picture lies below its split's picture folder, POSIX, with extension; empty means
             `path.name`. Writers name the picture so.
+        sequence: The flight or clip the image comes from; None if unknown.
+        captured: Date or time of capture, ISO 8601; None if unknown.
     """
 
     id: str
@@ -138,6 +143,8 @@ class ImageRecord:
     source_id: int | str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
     file_name: str = ""
+    sequence: str | None = None
+    captured: str | None = None
 
     @property
     def name(self) -> str:

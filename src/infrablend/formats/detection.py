@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match
-from infrablend.formats.hit_uav import FORMS
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,10 @@ class Format:
         """A function of the format's module."""
         found: Callable[..., Any] = getattr(import_module(self.module), function)
         return found
+
+    def attribute(self, name: str, otherwise: Any) -> Any:
+        """A constant of the format's module, or `otherwise`."""
+        return getattr(import_module(self.module), name, otherwise)
 
 
 FORMATS: tuple[Format, ...] = (
@@ -76,6 +79,7 @@ def read(
     form: str | None = None,
     splits: Iterable[str] | None = None,
     metadata: Path | None = None,
+    options: Mapping[str, str] | None = None,
 ) -> Dataset:
     """Read a folder as a background data set, whatever its format.
 
@@ -85,6 +89,7 @@ def read(
         form: HIT-UAV only: read this annotation form alone.
         splits: The splits wanted; None reads all.
         metadata: Table of pitch and altitude, for formats whose files do not hold them (not HIT-UAV).
+        options: Further options of the format's reader, as text; those it has are its module's `OPTIONS`.
 
     Raises:
         UnknownFormatError: No format fits; `problems` gives each one's reason.
@@ -100,15 +105,28 @@ def read(
             raise UnknownFormatError(f"{root}: no format fits", problems)
         format = found.format
     chosen = find_format(format)
-    if form is not None and form not in FORMS:
-        raise DatasetError(f"form {form!r}: expected one of {', '.join(FORMS)}")
-    if form is not None and chosen.name != "hit-uav":
-        raise DatasetError(f"{root}: form {form!r} is one of HIT-UAV ({', '.join(FORMS)}), the format is {chosen.name}")
-    if metadata is not None and chosen.name == "hit-uav":
-        raise DatasetError(f"{root}: HIT-UAV says pitch and altitude itself; leave out the table {metadata.name}")
+    given: dict[str, Any] = dict(options or {})
+    if form is not None:
+        given["form"] = form
+    known: Mapping[str, str] = chosen.attribute("OPTIONS", {})
+    problems = [
+        Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
+        for name, value in sorted(given.items())
+        if name not in known
+    ]
+    if metadata is not None and not chosen.attribute("TAKES_TABLE", True):
+        says = f"{chosen.name} says pitch and altitude itself"
+        problems.append(Problem(metadata.name, "table-unused", says, "no table", "leave it out"))
+    if problems:
+        raise DatasetError(f"{root}: the format is {chosen.name}, which does not take what was given", problems)
     reader = chosen.load("read")
-    if chosen.name == "hit-uav":
-        dataset: Dataset = reader(root, splits=splits, form=form)
-    else:
-        dataset = reader(root, splits=splits, metadata=metadata)
+    if metadata is not None:
+        given["metadata"] = metadata
+    dataset: Dataset = reader(root, splits=splits, **given)
     return dataset
+
+
+def _options_text(name: str, known: Mapping[str, str]) -> str:
+    if not known:
+        return f"no option: {name} has none"
+    return "one of " + "; ".join(f"{k} ({what})" for k, what in known.items())

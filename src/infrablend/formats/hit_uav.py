@@ -56,6 +56,8 @@ NAME = "hit-uav"
 Form = Literal["normal_json", "rotate_json", "normal_xml", "rotate_xml"]
 # Also the order in which forms are asked for what several of them hold.
 FORMS: tuple[Form, ...] = ("normal_json", "rotate_json", "normal_xml", "rotate_xml")
+OPTIONS = {"form": "read this annotation form alone: " + ", ".join(FORMS)}
+TAKES_TABLE = False  # the file names say pitch and altitude
 
 CATEGORIES: tuple[Category, ...] = (
     Category(0, "Person", "Person"),
@@ -230,6 +232,9 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
     if not forms:
         raise DatasetError(f"{root}: no HIT-UAV folder", [Problem(str(root), "no-form", detect(root).reason)])
     if form is not None:
+        if form not in FORMS:
+            problem = Problem("form", "option-value", f"{form!r}", f"one of {', '.join(FORMS)}")
+            raise DatasetError(f"{root}: no such form", [problem])
         if form not in forms:
             found, expected = f"the forms {', '.join(forms)}", f"the form {form}"
             raise DatasetError(
