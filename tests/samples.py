@@ -1,0 +1,180 @@
+"""A tiny valid dataset of every format that is read: the fuzz suite breaks them, other tests read them.
+
+To add a format (or a further layout of one), write a function that fills an empty folder and returns it:
+
+    @sample("monet")                        # the format's name, or `name:variant`
+    def _monet(folder: Path) -> Path:
+        ...
+        return folder
+
+in the alphabetical place of its name. Rules: three or four pictures of 64 x 48 px (`picture`), at least one with two
+objects, one without any, at least two splits if the format has splits; no more than some thirty files; the same bytes
+every time; read by `detection.read` without an error. Nothing else is to be done: `test_readers_fuzz.py` and the
+tests of `check` take what is in `SAMPLES`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.masks import Mask
+from infrablend.formats import coco, hit_uav, yolo
+
+Build = Callable[[Path], Path]
+SAMPLES: dict[str, Build] = {}
+SIZE_WH = (64, 48)
+
+
+def sample(name: str) -> Callable[[Build], Build]:
+    """Enter a builder into `SAMPLES`."""
+
+    def enter(build: Build) -> Build:
+        assert name not in SAMPLES, name
+        SAMPLES[name] = build
+        return build
+
+    return enter
+
+
+def picture(path: Path, number: int, size_wh: tuple[int, int] = SIZE_WH) -> Path:
+    """Write a small grey picture, another one for every number; the suffix tells the type."""
+    x, y = np.meshgrid(np.arange(size_wh[0]), np.arange(size_wh[1]))
+    grey = (40 + x + y // 2 + 7 * number + 25 * ((x // 8 + y // 8 + number) % 2)).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey).save(path)
+    return path
+
+
+def records(folder: Path) -> tuple[tuple[ImageRecord, ...], tuple[Category, ...]]:
+    """Four records for a writer, pictures in `folder`: several objects, none, one with a mask, one."""
+    obb = (20.5, 18.25, 12.0, 6.0, 0.4)
+    corners = corners_of_cxcywha(np.array([obb]))[0]
+    mask = np.zeros((48, 64), np.bool_)
+    mask[5:12, 40:50] = True
+    labels: tuple[tuple[str, str, tuple[Instance, ...]], ...] = (
+        (
+            "train",
+            "0_60_30_0_00001.jpg",
+            (
+                Instance("Car", np.concatenate([corners.min(axis=0), corners.max(axis=0)]), corners),
+                Instance("DontCare", np.array([1.0, 2.0, 9.0, 30.0])),
+                Instance("Person", np.array([40.0, 5.0, 50.0, 12.0]), mask=Mask.from_array(mask)),
+            ),
+        ),
+        ("train", "1_90_60_0_00012.jpg", ()),
+        (
+            "val",
+            "1_90_60_0_00023.jpg",
+            (Instance("Person", np.array([40.0, 5.0, 50.0, 12.0]), mask=Mask.from_array(mask)),),
+        ),
+        ("test", "1_90_90_0_00034.jpg", (Instance("Bicycle", np.array([10.0, 20.0, 18.0, 25.0])),)),
+    )
+    images = []
+    for k, (split, name, instances) in enumerate(labels):
+        path = picture(folder / name, k)
+        time, altitude, pitch, *_ = name.split("_")
+        of_day = "night" if time == "1" else "day"
+        images.append(
+            ImageRecord(
+                path.stem, path, split, SIZE_WH, float(pitch), float(altitude), of_day, instances,
+                k, {"date": f"2021010{k + 1}"}, name,
+            )  # type: ignore[arg-type]
+        )  # fmt: skip
+    return tuple(images), hit_uav.CATEGORIES
+
+
+def _written(folder: Path, write: Callable[[tuple[ImageRecord, ...], tuple[Category, ...]], object]) -> Path:
+    """A sample made by the format's own writer; the pictures it was made from are removed."""
+    source = folder.with_name(folder.name + "-source")
+    images, categories = records(source)
+    write(images, categories)
+    for path in source.iterdir():
+        path.unlink()
+    source.rmdir()
+    return folder
+
+
+# -- in alphabetical order -------------------------------------------------------------------------------------
+
+
+@sample("coco")
+def _coco(folder: Path) -> Path:
+    return _written(folder, lambda images, names: coco.write(folder, images, names, pictures=True))
+
+
+@sample("coco:plain")
+def _coco_plain(folder: Path) -> Path:
+    """Pictures, one COCO file beside them under a name of its own, and a table as JSON."""
+    for k in range(3):
+        picture(folder / f"a{k}.png", k)
+    annotations = [
+        {
+            "id": k,
+            "image_id": 0,
+            "category_id": 1,
+            "bbox": [5 + 20 * k, 6, 9, 8],
+            "segmentation": [[5, 6, 14, 6, 9, 14]],
+        }
+        for k in range(2)
+    ]
+    images = [{"id": k, "file_name": f"a{k}.png", "width": 64, "height": 48} for k in range(3)]
+    top = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "fox"}]}
+    (folder / "labels.json").write_text(json.dumps(top))
+    (folder / "metadata.json").write_text(json.dumps({"a0.png": {"pitch_deg": 45, "time_of_day": "night"}}))
+    return folder
+
+
+@sample("folder:plain")
+def _folder_plain(folder: Path) -> Path:
+    """Pictures of several types, no labels, a table as JSON."""
+    for k, name in enumerate(("a.jpg", "b.png", "c.bmp", "d.tif")):
+        picture(folder / name, k)
+    table = [{"file": "a.jpg", "pitch_deg": 45, "time_of_day": "night"}, {"stem": "b", "altitude_m": 60.5}]
+    (folder / "metadata.json").write_text(json.dumps(table))
+    return folder
+
+
+@sample("folder:yolo")
+def _folder_yolo(folder: Path) -> Path:
+    """Text beside the pictures in folders of splits, class names in `classes.txt`, a table as CSV."""
+    for k, (split, text) in enumerate(
+        (("train", "0 0.5 0.5 0.2 0.2\n1 0.2 0.25 0.1 0.125\n"), ("train", ""), ("test", ""))
+    ):
+        path = picture(folder / split / f"b {k}.jpg", k)
+        path.with_suffix(".txt").write_text(text)
+    (folder / "classes.txt").write_text("fox\nhare\n")
+    (folder / "metadata.csv").write_text("file,pitch_deg,altitude_m,time_of_day\ntrain/b 0.jpg,30,50,day\n")
+    return folder
+
+
+@sample("hit-uav:json")
+def _hit_uav_json(folder: Path) -> Path:
+    return _written(folder, lambda images, names: hit_uav.write(folder, images, names))
+
+
+@sample("hit-uav:xml")
+def _hit_uav_xml(folder: Path) -> Path:
+    forms: tuple[hit_uav.Form, ...] = ("normal_xml", "rotate_xml")
+    return _written(folder, lambda images, names: hit_uav.write(folder, images, names, forms=forms))
+
+
+@sample("yolo:detect")
+def _yolo_detect(folder: Path) -> Path:
+    return _written(folder, lambda images, names: yolo.write(folder, images, names))
+
+
+@sample("yolo:obb")
+def _yolo_obb(folder: Path) -> Path:
+    return _written(folder, lambda images, names: yolo.write(folder, images, names, task="obb"))
+
+
+@sample("yolo:seg")
+def _yolo_seg(folder: Path) -> Path:
+    return _written(folder, lambda images, names: yolo.write(folder, images, names, task="seg"))
