@@ -240,7 +240,7 @@ class Labels(Strict):
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
-Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "native"]
+Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "hit-uav", "hit-uav-xml", "native"]
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 
@@ -250,7 +250,10 @@ class Output(Strict):
     image: Literal["same", "png"] = "same"
     """`same`: the input's own file type (JPEG with the source's own tables); `png`: lossless."""
     formats: Annotated[tuple[Format, ...], AfterValidator(_distinct)] = FORMATS
-    """Label formats to write."""
+    """Label formats to write; `native` is that of the input."""
+    ids: Literal["new", "source"] = "new"
+    """Ids of images and annotations, in formats that have them: numbered anew (the source's are kept as `source_id`),
+    or the source's own, which needs them to be unique: one configuration, no originals."""
     originals: bool = False
     """Also copy the unchanged backgrounds with their labels into the dataset."""
     group_by: Annotated[tuple[GroupKey, ...], AfterValidator(_distinct)] = ()

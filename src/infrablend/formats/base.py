@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections import Counter
@@ -33,6 +34,13 @@ LOSSES: Mapping[str, str] = {
     "truncated_dropped": "object flagged as truncated, the format holds no such flag",
     "difficult_dropped": "object flagged as difficult, the format holds no such flag",
     "visibility_dropped": "visibility known, the format holds none",
+    "tracks_dropped": "track of an object known, the format holds none",
+    "telemetry_dropped": "picture with pitch, altitude or time of day known, the format holds none",
+    "sequence_dropped": "picture with a known sequence or date, the format holds none",
+    "name_changed": "picture renamed: the format knows no folders, or tells pictures by the stem alone",
+    "class_name_changed": "class renamed: the format allows no blanks in it",
+    "mask_overlap_px": "pixels of masks under a later object's: the format has one object for each pixel",
+    "mask_absent": "object without a mask: it stands in the table and has no pixel",
     "fraction_truncated": "box with fractional coordinates, truncated toward zero",
     "box_widened": "box narrower than a pixel, widened to one pixel",
     "box_clipped": "box reaching outside the frame, clipped",
@@ -234,16 +242,21 @@ def number_ids(
 ) -> tuple[list[int], list[list[int]]]:
     """Image ids and annotation ids for sorted images, counted from `first` over all splits, or the source's own.
 
+    With the source's, objects put in by InfraBlend are numbered on from the largest.
+
     Raises:
-        ValueError: `ids="source"` and the source's ids are missing, no integers, or not unique.
+        ValueError: `ids="source"` and the source's ids are missing, no integers, or not unique in a split.
     """
     if ids == "source":
         image_ids = [i.source_id for i in images]
-        object_ids = [[o.source_id for o in i.instances] for i in images]
-        flat = [o for row in object_ids for o in row]
-        for values in (image_ids, flat):
-            if any(type(v) is not int for v in values) or len(set(values)) != len(values):
-                raise ValueError('ids="source" needs every source_id to be a unique integer; use ids="new"')
+        known = [[o.source_id for o in i.instances if not (o.inserted and o.source_id is None)] for i in images]
+        for rows in ([[i] for i in image_ids], known):
+            for split in SPLITS:
+                values = [v for i, row in zip(images, rows, strict=True) if i.split == split for v in row]
+                if any(type(v) is not int for v in values) or len(set(values)) != len(values):
+                    raise ValueError('ids="source" needs every source_id to be a unique integer; use ids="new"')
+        free = itertools.count(max([first - 1, *(v for row in known for v in row if type(v) is int)]) + 1)
+        object_ids = [[next(free) if o.source_id is None else o.source_id for o in i.instances] for i in images]
         return image_ids, object_ids  # type: ignore[return-value]
     new_ids, start = [], first
     for image in images:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,10 +60,11 @@ def write(
     info: Mapping[str, Any] | None = None,
     pictures: bool = False,
 ) -> Written:
-    """Write `out/<split>.json` for every split there is, see `coco_files`.
+    """Write `<split>.json` for every split there is, see `coco_files`.
 
     With `pictures` they go to `out/images/<split>/`, as hard links of `ImageRecord.path` (copies where that is
-    impossible); without, they should lie in an `images/<split>/` beside or above `out`.
+    impossible), and the files to `out/annotations/`; without, the files lie in `out` itself, and the pictures should
+    lie in an `images/<split>/` beside or above it.
 
     Raises:
         OutputError: A file cannot be written.
@@ -70,7 +72,8 @@ def write(
     """
     ordered = sort_images(images)
     texts, losses = coco_files(ordered, categories, ids=ids, without_mask=without_mask, info=info)
-    files = [write_text(out / name, text) for name, text in texts.items()]
+    folder = out / "annotations" if pictures else out
+    files = [write_text(folder / name, text) for name, text in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
     return Written(tuple(files), losses)
@@ -143,7 +146,8 @@ def _known(**fields: Any) -> dict[str, Any]:
 def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | _source_id(image, new)
-    return record | _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
+    record |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
+    return record | _known(sequence=image.sequence, date_captured=image.captured)
 
 
 def _tidy(values: NDArray[np.float64]) -> list[float]:
@@ -163,6 +167,7 @@ def _annotation(
     if corners is not None:
         a["obb"] = _tidy(corners)
     a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
+    a |= _known(track_id=instance.track_id)
     if instance.mask is not None:
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
             raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")
@@ -296,10 +301,7 @@ def read(
 
 
 def _with_id(record: ImageRecord, id_: str) -> ImageRecord:
-    return ImageRecord(
-        id_, record.path, record.split, record.size_wh, record.pitch_deg, record.altitude_m, record.time_of_day,
-        record.instances, record.source_id, record.extra, record.file_name,
-    )  # fmt: skip
+    return replace(record, id=id_)
 
 
 def _read_file(
@@ -401,8 +403,12 @@ def _image(
     extra = {"source_id": r["source_id"]} if "source_id" in r else {}
     return ImageRecord(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-        number, extra, name,
+        number, extra, name, _text(r.get("sequence")), _text(r.get("date_captured")),
     )  # fmt: skip
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None
 
 
 def _read_annotations(
@@ -454,9 +460,14 @@ def _read_annotations(
                 a.get("inserted") is True,
                 number,
                 extra,
+                _track(a.get("track_id")),
             )
         )
     return tuple(instances)
+
+
+def _track(value: object) -> int | str | None:
+    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
 def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:

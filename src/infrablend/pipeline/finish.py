@@ -7,19 +7,16 @@ import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
-from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.files import link_or_copy
+from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
-from infrablend.formats import coco, hit_uav, yolo
+from infrablend.formats import writing
 from infrablend.formats.base import Written
+from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
-
-YOLO_TASKS: Mapping[str, yolo.Task] = {"yolo": "detect", "yolo-obb": "obb", "yolo-seg": "seg"}
 
 
 @dataclass(frozen=True)
@@ -57,44 +54,14 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
 
 
 def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> Written:
-    labels, categories = plan.recipe.labels, plan.categories
-    out = folder.root / name
-    if name in YOLO_TASKS:
-        return yolo.write(
-            out,
-            images,
-            categories,
-            task=YOLO_TASKS[name],
-            dont_care=labels.dont_care,
-            without_mask=labels.seg_originals,
-        )
-    if name == "coco":
-        return coco.write(out, images, categories)
-    return _write_native(plan, out, images)
-
-
-def _write_native(plan: RunPlan, out: Path, images: Sequence[ImageRecord]) -> Written:
-    """The dataset in the input's own format. A folder of bare pictures has none: its pictures are in `images/`."""
-    source = plan.dataset
-    if source.format == "hit-uav":
-        return hit_uav.write(out, images, plan.categories, extra=source.extra)
-    labels = source.notes.get("labels") if source.format == "folder" else source.format
-    if labels == "yolo":
-        task = yolo_task(source)
-        return yolo.write(out, images, plan.categories, task=task, dont_care="keep", without_mask="obb")
-    if labels == "coco":
-        for image in images:
-            link_or_copy(image.path, out / "images" / image.split / image.name)
-        return coco.write(out / "annotations", images, plan.categories)
-    return Written()
-
-
-def yolo_task(source: Dataset) -> yolo.Task:
-    """Which kind of YOLO labels a dataset has: oriented boxes, polygons, or boxes."""
-    instances = [i for image in source.images for i in image.instances]
-    if any(i.corners_xy is not None for i in instances):
-        return "obb"
-    return "seg" if any(i.mask is not None for i in instances) else "detect"
+    labels = plan.recipe.labels
+    settings = WriteSettings(
+        ids=plan.recipe.output.ids,
+        dont_care=labels.dont_care,
+        without_mask=labels.seg_originals,
+        pictures=name != "coco",  # they lie in `images/` already
+    )
+    return writing.write(name, folder.root / name, images, plan.categories, settings=settings, source=plan.dataset)
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:

@@ -15,11 +15,12 @@ from typing import Any
 
 from infrablend.core.files import write_json
 from infrablend.errors import OutputError
+from infrablend.formats import writing
 
 log = logging.getLogger(__name__)
 
 # What `--overwrite` may delete: these names and nothing else.
-OWN_FOLDERS = ("images", "yolo", "yolo-obb", "yolo-seg", "coco", "native", "scenes", "log")
+OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "log")
 RUN_FILE = "run.json"
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.writing import NATIVE, WriteSettings, unwritable
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
@@ -160,6 +161,7 @@ def make_plan(
         found = "no labels in any image: what they show already counts as background"
         todo = "check --data, or set labels.mode to new if that is so"
         problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
+    _require_ids(recipe, usable)
     categories = list(dataset.categories)
     new = []
     for o in recipe.objects:
@@ -220,6 +222,22 @@ def _require_categories(recipe: Recipe, dataset: Dataset) -> None:
             f"categories of the dataset ({', '.join(names) or 'it has none'})",
         )
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def _require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
+    """Source ids that cannot be kept are told before the first frame, not after the last."""
+    settings = WriteSettings(ids=recipe.output.ids)
+    problems = []
+    if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
+        found = f"source with {recipe.configurations} configuration(s){' and originals' * recipe.output.originals}"
+        todo = "set output.ids to new, or configurations to 1 and output.originals to false"
+        problems.append(Problem("output.ids", "recipe-value", found, "one frame for each background", todo))
+    for name in recipe.output.formats:
+        problem = None if name == NATIVE else unwritable(name, images, settings)
+        if problem is not None:
+            problems.append(replace(problem, where=f"output.ids ({name})"))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: the source's ids cannot be kept", problems)
 
 
 def fingerprint(dataset: Dataset) -> str:

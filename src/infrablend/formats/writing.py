@@ -1,0 +1,285 @@
+"""The table of writers: which formats can be written, what each cannot hold, and the one function that writes."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.files import write_text
+from infrablend.errors import Problem, UnknownFormatError
+from infrablend.formats.base import Written, sort_images
+from infrablend.formats.capture import Capture, facts_from_name
+from infrablend.formats.pictures import assign_ids
+
+NATIVE = "native"
+
+FIELDS: Mapping[str, tuple[str, str]] = {
+    "obb": ("oriented boxes", "obb_dropped"),
+    "masks": ("masks", "mask_dropped"),
+    "ignore": ("regions to ignore", "ignore_dropped"),
+    "tracks": ("track ids", "tracks_dropped"),
+    "visibility": ("visible share", "visibility_dropped"),
+    "truncated": ("flag truncated", "truncated_dropped"),
+    "difficult": ("flag difficult", "difficult_dropped"),
+    "fractions": ("fractions of a pixel", "fraction_truncated"),
+    "telemetry": ("pitch, altitude, time of day", "telemetry_dropped"),
+    "sequence": ("sequence, date", "sequence_dropped"),
+}
+"""What a format may be unable to hold: in words, and the loss (see `base.LOSSES`) that counts it."""
+
+Layout = Literal["nested", "stems", "unique", "flat", "shared"]
+
+
+@dataclass(frozen=True)
+class Writer:
+    """One format to write.
+
+    Attributes:
+        name: As in `--to` and `output.formats`.
+        function: `module:function`, called with the folder, the images, the categories and what it `takes`.
+        reader: The format that reads it back.
+        summary: What it is, in a line.
+        lacks: What it cannot hold: keys of `FIELDS`.
+        fixed: Arguments that make the function write this format.
+        takes: Fields of `WriteSettings` the function knows, and `extra` (the source's own top-level fields).
+        layout: `nested`: pictures keep their folders and names; `stems`: the same, but two pictures of a split may not
+            differ in the suffix alone; `unique`: the same over all splits; `flat`: no folders below a split;
+            `shared`: one folder for all splits.
+        table: Where a picture lies, for formats whose reader takes a `metadata.csv`: telemetry is written there.
+    """
+
+    name: str
+    function: str
+    reader: str
+    summary: str
+    lacks: frozenset[str]
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    takes: frozenset[str] = frozenset()
+    layout: Layout = "nested"
+    table: str = ""
+
+    def load(self) -> Callable[..., Written]:
+        """The function."""
+        module, _, function = self.function.partition(":")
+        found: Callable[..., Written] = getattr(import_module(module), function)
+        return found
+
+
+_YOLO = "infrablend.formats.yolo:write"
+_YOLO_LACKS = frozenset(FIELDS) - {"fractions", "telemetry"}
+_YOLO_TAKES = frozenset({"dont_care", "without_mask"})
+_HIT_UAV = "infrablend.formats.hit_uav:write"
+_PICTURE = "images/{split}/{name}"
+
+WRITERS: tuple[Writer, ...] = (
+    Writer(
+        "yolo", _YOLO, "yolo", "Ultralytics YOLO, axis-aligned boxes", _YOLO_LACKS,
+        {"task": "detect"}, _YOLO_TAKES, "stems", _PICTURE,
+    ),
+    Writer(
+        "yolo-obb", _YOLO, "yolo", "Ultralytics YOLO, oriented boxes", _YOLO_LACKS - {"obb"},
+        {"task": "obb"}, _YOLO_TAKES, "stems", _PICTURE,
+    ),
+    Writer(
+        "yolo-seg", _YOLO, "yolo", "Ultralytics YOLO, one polygon per object", _YOLO_LACKS - {"masks"},
+        {"task": "seg"}, _YOLO_TAKES, "stems", _PICTURE,
+    ),
+    Writer(
+        "coco", "infrablend.formats.coco:write", "coco", "COCO JSON per split, masks as run lengths", frozenset(),
+        takes=frozenset({"ids", "pictures"}),
+    ),
+    Writer(
+        "hit-uav", _HIT_UAV, "hit-uav", "HIT-UAV's normal_json and rotate_json",
+        frozenset({"masks", "tracks", "visibility", "truncated", "fractions", "sequence"}),
+        {"forms": ("normal_json", "rotate_json")}, frozenset({"ids", "extra", "pictures"}),
+        "unique",
+    ),
+    Writer(
+        "hit-uav-xml", _HIT_UAV, "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
+        frozenset({"masks", "tracks", "visibility", "fractions", "telemetry", "sequence"}),
+        {"forms": ("normal_xml", "rotate_xml")}, frozenset({"pictures"}), "shared",
+    ),
+)  # fmt: skip
+"""In the order in which they are listed."""
+
+
+@dataclass(frozen=True)
+class WriteSettings:
+    """What a user may choose; a format that has no such choice ignores it.
+
+    Attributes:
+        ids: Image and annotation ids numbered anew (the source's stand as `source_id`), or the source's own.
+        dont_care: YOLO: regions to ignore are left out, or kept as a class of their own.
+        without_mask: yolo-seg: objects without a mask are left out, or their oriented box (else box) is written.
+        pictures: Link the pictures too, where the format can do without.
+    """
+
+    ids: Literal["new", "source"] = "new"
+    dont_care: Literal["drop", "keep"] = "drop"
+    without_mask: Literal["omit", "obb"] = "omit"
+    pictures: bool = True
+
+
+def names() -> tuple[str, ...]:
+    """Names of the formats that can be written, without `native`."""
+    return tuple(w.name for w in WRITERS)
+
+
+def find_writer(name: str) -> Writer:
+    """The writer of that name.
+
+    Raises:
+        UnknownFormatError: There is none.
+    """
+    for w in WRITERS:
+        if w.name == name:
+            return w
+    raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {', '.join((*names(), NATIVE))}")
+
+
+def native_writer(source: Dataset) -> Writer | None:
+    """The writer of a dataset's own format; None for a folder of bare pictures, or if there is no such writer."""
+    kind = source.notes.get("labels") if source.format == "folder" else source.format
+    if kind == "hit-uav":
+        forms = source.notes.get("forms") or ("normal_json",)
+        return find_writer("hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml")
+    if kind == "yolo":
+        return find_writer(_yolo_kind(source))
+    return next((w for w in WRITERS if w.name == kind), None)
+
+
+def _yolo_kind(source: Dataset) -> str:
+    """Which kind of YOLO labels a dataset has: oriented boxes, polygons, or boxes."""
+    instances = [i for image in source.images for i in image.instances]
+    if any(i.corners_xy is not None for i in instances):
+        return "yolo-obb"
+    return "yolo-seg" if any(i.mask is not None for i in instances) else "yolo"
+
+
+def write(
+    name: str,
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    settings: WriteSettings | None = None,
+    source: Dataset | None = None,
+) -> Written:
+    """Write images and labels in one format below `out`.
+
+    What the format cannot hold is counted in `losses`, see `base.LOSSES`; the same records give the same bytes.
+
+    Args:
+        name: In `WRITERS`, or `native`: the format of `source`, with every label that it can hold.
+        out: Folder; made if need be.
+        images: With `size_wh` known.
+        categories: With the ids to write.
+        settings: What to choose; the defaults if None.
+        source: Where the images come from: needed for `native`, and for its top-level fields (info, licences).
+
+    Raises:
+        UnknownFormatError: No such writer.
+        OutputError: A file cannot be written.
+        ValueError: A size, category or id is missing.
+    """
+    settings = settings or WriteSettings()
+    if name == NATIVE:
+        writer = None if source is None else native_writer(source)
+        if writer is None:
+            return Written()
+        settings = replace(settings, dont_care="keep", without_mask="obb")
+    else:
+        writer = find_writer(name)
+    ordered, renamed = fitting_names(sort_images(images), writer.layout)
+    arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
+    if "extra" in writer.takes and source is not None and source.format == writer.reader:
+        arguments["extra"] = source.extra
+    written = writer.load()(out, ordered, categories, **arguments)
+    parts = [written, _write_table(out, ordered, writer), Written(losses=_further_losses(ordered, writer, written))]
+    if renamed:
+        parts.append(Written(losses={"name_changed": renamed}))
+    return Written.together(parts)
+
+
+def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:
+    """The images with file names that do not clash in a layout (see `Writer`), and how many had to change."""
+    if layout == "nested":
+        return list(images), 0
+    together = layout in ("unique", "shared")
+    wanted: dict[int, str] = {}
+    for split in {"" if together else i.split for i in images}:
+        chosen = {n: i for n, i in enumerate(images) if together or i.split == split}
+        wanted |= _flat_names({n: f"{i.split}/{i.name}" if together else i.name for n, i in chosen.items()})
+    stems = [("" if together else i.split, PurePosixPath(i.name).with_suffix("")) for i in images]
+    count = Counter(stems)
+    fitting = []
+    for n, image in enumerate(images):
+        clashes = layout in ("flat", "shared") or count[stems[n]] > 1
+        fitting.append(replace(image, file_name=wanted[n]) if clashes and wanted[n] != image.name else image)
+    return fitting, sum(a is not b for a, b in zip(fitting, images, strict=True))
+
+
+def _flat_names(paths: Mapping[int, str]) -> dict[int, str]:
+    ids = assign_ids(paths.values())
+    return {n: ids[p] + PurePosixPath(p).suffix for n, p in paths.items()}
+
+
+def _unsaid(image: ImageRecord) -> Capture | None:
+    """What is known of how a picture was taken, if its name does not say it."""
+    facts = facts_from_name(image.name)
+    said = facts.capture if facts else Capture()
+    known = Capture(image.pitch_deg, image.altitude_m, image.time_of_day)
+    return None if known.over(said) == said else known
+
+
+def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Written:
+    """`metadata.csv` with the telemetry that neither the format nor the pictures' names hold."""
+    if not writer.table:
+        return Written()
+    rows = [(writer.table.format(split=i.split, name=i.name), known) for i in images if (known := _unsaid(i))]
+    if not rows:
+        return Written()
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(("file", "pitch_deg", "altitude_m", "time_of_day"))
+    for name, c in rows:
+        table.writerow((name, *("" if v is None else v for v in (c.pitch_deg, c.altitude_m, c.time_of_day))))
+    return Written((write_text(out / "metadata.csv", text.getvalue()),))
+
+
+def _further_losses(images: Sequence[ImageRecord], writer: Writer, written: Written) -> dict[str, int]:
+    """What formats lose alike, counted here unless the writer did: tracks, telemetry, sequence."""
+    counted = {kind.rpartition(".")[2] for kind in written.losses}
+    found = {
+        "tracks": sum(o.track_id is not None for i in images for o in i.instances),
+        "telemetry": sum(_unsaid(i) is not None for i in images),
+        "sequence": sum(i.sequence is not None or i.captured is not None for i in images),
+    }
+    return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks and FIELDS[k][1] not in counted}
+
+
+def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings) -> Problem | None:
+    """Why a format cannot be written with the source's ids, or None; to be asked before anything is made."""
+    if settings.ids == "new" or "ids" not in find_writer(name).takes:
+        return None
+    ordered = sort_images(images)
+    bad = sum(type(i.source_id) is not int for i in ordered) + sum(
+        type(o.source_id) is not int for i in ordered for o in i.instances if not o.inserted
+    )
+    if bad:
+        found = f"{bad} image(s) or object(s) without a whole number as id in the source"
+        return Problem("ids", "ids-missing", found, "an id for each", "let them be numbered: ids new")
+    for split in sorted({i.split for i in ordered}):
+        part = [i for i in ordered if i.split == split]
+        objects = [o.source_id for i in part for o in i.instances if o.source_id is not None]
+        if len({i.source_id for i in part}) != len(part) or len(set(objects)) != len(objects):
+            found = f"ids of the source that occur twice in split {split}"
+            return Problem("ids", "ids-repeated", found, "each once", "let them be numbered: ids new")
+    return None
