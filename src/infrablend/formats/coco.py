@@ -107,10 +107,7 @@ def coco_files(
     image_ids, object_ids = number_ids(ordered, ids, 1)
     losses: Counter[str] = Counter()
     texts: dict[str, str] = {}
-    names = [
-        {"id": c.id, "name": c.name, "supercategory": c.supercategory or c.name} | ({"ignore": 1} if c.ignore else {})
-        for c in categories
-    ]
+    names = category_records(categories)
     for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
         records, annotations = [], []
         for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
@@ -118,10 +115,10 @@ def coco_files(
                 continue
             records.append(_image_record(image, image_id, ids == "new"))
             for instance, number in zip(image.instances, numbers, strict=True):
-                a = _annotation(instance, require_size(image), without_mask, losses)
+                a = annotation_record(instance, require_size(image), ids == "new", without_mask, losses)
                 a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
-                a["iscrowd"] = int(instance.category in ignored or instance.extra.get("iscrowd") == 1)
-                annotations.append(a | _source_id(instance, ids == "new"))
+                a["iscrowd"] |= int(instance.category in ignored)
+                annotations.append(a)
         top = {
             "info": dict(info or _INFO),
             "licenses": [],
@@ -133,7 +130,16 @@ def coco_files(
     return texts, {k: v for k, v in sorted(losses.items()) if v}
 
 
-def _source_id(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
+def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
+    """The list `categories` of a COCO file."""
+    return [
+        {"id": c.id, "name": c.name, "supercategory": c.supercategory or c.name} | ({"ignore": 1} if c.ignore else {})
+        for c in categories
+    ]
+
+
+def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
+    """`source_id` where ids are numbered anew, or as it was read."""
     if new and item.source_id is not None:
         return {"source_id": item.source_id}
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
@@ -145,7 +151,7 @@ def _known(**fields: Any) -> dict[str, Any]:
 
 def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
-    record = {"id": number, "file_name": image.name, "width": w, "height": h} | _source_id(image, new)
+    record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
     record |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
     return record | _known(sequence=image.sequence, date_captured=image.captured)
 
@@ -154,14 +160,16 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), _DIGITS) for v in values.reshape(-1)]
 
 
-def _annotation(
-    instance: Instance, size_wh: tuple[int, int], without_mask: WithoutMask, losses: Counter[str]
+def annotation_record(
+    instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask, losses: Counter[str]
 ) -> dict[str, Any]:
+    """An annotation without `id`, `image_id` and `category_id`; with `new` ids the source's is its `source_id`."""
     x0, y0, x1, y1 = instance.box_xyxy
     a: dict[str, Any] = {
         "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
         "area": round(float((x1 - x0) * (y1 - y0)), _DIGITS),
         "inserted": instance.inserted,
+        "iscrowd": int(instance.extra.get("iscrowd") == 1),
     }
     corners = instance.corners_xy
     if corners is not None:
@@ -179,13 +187,13 @@ def _annotation(
         a |= {"segmentation": [_tidy(outline)], "segmentation_from": "box" if corners is None else "obb"}
         if corners is not None:
             a["area"] = round(abs(polygon_area(corners)), _DIGITS)
-    return a
+    return a | source_id_field(instance, new)
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
 
 
-def _is_coco(top: object) -> bool:
+def is_coco(top: object) -> bool:
     """True for a COCO object of a detection data set (HIT-UAV's own JSON has other keys)."""
     if not isinstance(top, dict):
         return False
@@ -212,7 +220,7 @@ def _split_of(stem: str) -> Split:
 
 def _looks_like_coco(path: Path) -> bool:
     try:
-        return _is_coco(read_json(path))
+        return is_coco(read_json(path))
     except DatasetError:
         # A broken file with a split's name is reported when read; any other is none of ours.
         return path.stem in SPLITS or path.stem.startswith("instances_")
@@ -283,14 +291,16 @@ def read(
         except DatasetError as error:
             problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
             continue
-        if not _is_coco(top):
+        if not is_coco(top):
             problems.append(
                 Problem(where, "annotation-layout", "no COCO keys", "images, annotations, categories", "use COCO")
             )
             continue
-        found += _read_file(top, root, path, split, where, categories, table, problems)
+        listed = [str(i["file_name"]) for i in top["images"] if isinstance(i, dict) and "file_name" in i]
+        folder = _picture_folder(root, path, split, [n for n in listed if check_name(n, "") is None])
+        found += read_records(top, folder, split, where, categories, table, problems)
     ids = assign_ids([key for key, _ in found])
-    images = [_with_id(record, ids[key]) for key, record in found]
+    images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
         raise DatasetError(f"{root}: no picture to read", few(problems))
     if table is not None and (unused := table.unused([r.name for r in images])):
@@ -300,21 +310,26 @@ def read(
     return Dataset(root, NAME, tuple(categories), sort_images(images), tuple(problems), notes)
 
 
-def _with_id(record: ImageRecord, id_: str) -> ImageRecord:
-    return replace(record, id=id_)
-
-
-def _read_file(
+def read_records(
     top: Mapping[str, Any],
-    root: Path,
-    path: Path,
+    folder: PictureFolder,
     split: Split,
     where: str,
     categories: list[Category],
     table: CaptureTable | None,
     problems: list[Problem],
 ) -> list[tuple[str, ImageRecord]]:
-    """(name unique in the data set, record) for every picture that can be used."""
+    """(name unique in the data set, record without an id) for every picture of one file that can be used.
+
+    Args:
+        top: A COCO object, see `is_coco`.
+        folder: Where the pictures lie.
+        split: Of all of them.
+        where: What problems call the file.
+        categories: Those of other files; new ones are added.
+        table: Pitch and altitude by name.
+        problems: What is wrong is added.
+    """
     names: dict[int, str] = {}
     for i, c in enumerate(top["categories"]):
         number = to_int(c.get("id")) if isinstance(c, dict) else None
@@ -328,8 +343,6 @@ def _read_file(
             free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
             ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
             categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
-    listed = [str(i["file_name"]) for i in top["images"] if isinstance(i, dict) and "file_name" in i]
-    folder = _picture_folder(root, path, split, [n for n in listed if check_name(n, "") is None])
     of_image: dict[int, list[Mapping[str, Any]]] = {}
     for i, a in enumerate(top["annotations"]):
         number = to_int(a.get("image_id")) if isinstance(a, dict) else None
