@@ -11,26 +11,28 @@ from PIL import Image
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyMapping
+from infrablend.compositing.measure import (
+    edge_profiles,
+    edge_sigma,
+    flat_noise,
+    grain_of,
+    sharpened_sigma,
+    unsharpened_sigma,
+)
 from infrablend.compositing.overlay import Layer, compose, make_layer
 from infrablend.compositing.sensor import (
     PIXEL_BOX_VARIANCE,
-    PROFILES,
     Sensor,
     SensorStrength,
     apply_sensor,
-    edge_profiles,
-    edge_sigma,
     enhance,
     fit_sensor,
-    flat_noise,
     grain,
-    grain_of,
-    sharpened_sigma,
     unsharpen,
-    unsharpened_sigma,
 )
 from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.recipe import Sensor as SensorFields
+from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.fake_renderer import FakeRenderer
 from infrablend.pipeline.record import read_record
 from infrablend.sampling.scene import build_meshes
@@ -251,7 +253,8 @@ def test_a_record_keeps_the_whole_chain():
 
 
 def test_the_recipe_names_the_profiles_there_are():
-    assert set(get_args(SensorFields.model_fields["profile"].annotation)) == {"off", *PROFILES}
+    names, _ = get_args(SensorFields.model_fields["profile"].annotation)
+    assert set(get_args(names)) == {"off", *PROFILES}
 
 
 def test_nothing_to_lay_over():

@@ -1,9 +1,8 @@
 """What the camera behind a background does to what it sees: optics, detail enhancement, grain, range, codec.
 
-An insert is an ideal picture; its background has been through a lens, a detector, sharpening and compression. This
-module measures what can be measured of that chain in the background itself and applies it to the insert alone:
-pixels that the insert does not reach keep their value to the bit. Everything is scale-free in polarity, so black-hot
-pictures need nothing of their own.
+An insert is an ideal picture; its background has been through a lens, a detector, sharpening and compression. What
+can be measured of that chain (`measure`) is measured in the background itself, the rest is its camera's profile; it is
+applied to the insert alone: pixels that the insert does not reach keep their value to the bit.
 """
 
 from __future__ import annotations
@@ -18,52 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
+from infrablend.compositing.measure import edge_sigma, flat_noise, sharpened_sigma, true_grain, unsharpened_sigma
 from infrablend.compositing.overlay import Layer, blur_radius_px
+from infrablend.config.sensor_profile import SensorProfile, find_profile
 
 # Variance of the renderer's pixel filter, a box of one pixel: part of the total blur, px^2.
 PIXEL_BOX_VARIANCE = 1 / 12
-# Profiles are read by bilinear interpolation and averaged over three, which widens them by this sigma, px.
-PROFILE_SIGMA_PX = 0.43
-# Width of a Gaussian edge from 10 to 90 %, in sigmas.
-WIDTH_PER_SIGMA = 2.563
-_BLOCK = 32  # side of a block for the grain, px
-_FLATTEST = 5
-_MAX_EDGES = 3000
 # How many edges the profile's own sharpness is worth. Much, as the bounds are narrow: a camera's optics hardly change,
 # and a picture without sharp edges (sunlit ground) says more of its scene than of its camera.
 _PRIOR_EDGES = 100.0
 _CODEC_BLOCK = 8
-
-
-@dataclass(frozen=True)
-class SensorProfile:
-    """What is known of a kind of picture before looking at one.
-
-    Attributes:
-        psf_sigma_px: Gaussian of all that blurs, the pixel included, before sharpening.
-        edge_bounds_px: Least and largest sigma believed of a picture's sharpest edges, after sharpening.
-        halo_gain, halo_radius_px: Detail enhancement: `P + gain * (P - G_radius * P)`.
-        noise_grey: Standard deviation of the grain where a picture has no flat place, 8-bit levels.
-        noise_grain_px: Sigma of the blur that gives white noise the picture's grain.
-        codec_quality: JPEG quality that stands for the stream the picture came through; None for none.
-    """
-
-    psf_sigma_px: float
-    edge_bounds_px: tuple[float, float]
-    halo_gain: float
-    halo_radius_px: float
-    noise_grey: float
-    noise_grain_px: float
-    codec_quality: int | None
-
-
-# HIT-UAV: measured on its frames. MONET: provisional, HIT-UAV's sharpening and codec until fitted on real frames.
-# generic: a straight 12 um f/1.0 frame, neither upscaled nor sharpened.
-PROFILES: Mapping[str, SensorProfile] = {
-    "hit-uav": SensorProfile(0.9, (0.5, 0.8), 0.6, 1.6, 1.5, 1.05, 68),
-    "monet": SensorProfile(0.9, (0.5, 0.9), 0.6, 1.6, 1.5, 1.05, 75),
-    "generic-640x512": SensorProfile(0.55, (0.45, 1.3), 0.0, 1.6, 1.5, 0.5, None),
-}
 
 
 @dataclass(frozen=True)
@@ -75,6 +38,7 @@ class SensorStrength:
     noise: float = 1.0
     codec: float = 1.0
     clip: bool = True
+    defocus: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +46,7 @@ class Sensor:
     """The chain for one frame, with all strengths worked in; what a record keeps and `apply_sensor` needs.
 
     Attributes:
-        profile: Name in `PROFILES`.
+        profile: Its name.
         blur_sigma_px: Gaussian to blur the render with, its own pixel taken off; None leaves the recipe's softness.
         halo_gain, halo_radius_px: Detail enhancement; gain 0 for none.
         noise_grey, noise_grain_px: Grain, in the picture's own levels; 0 for none.
@@ -92,6 +56,9 @@ class Sensor:
         edge_sigma_px: Sharpness found in the background, None if it has no edge that serves; for the reader.
         edges: How many edges that rests on.
         flat_blocks: How many blocks the grain rests on.
+        range_m: From the camera to the nearest object; None if that is not the real camera's (paper placement).
+        defocus_sigma_px: What being out of focus at that range adds to the blur, in quadrature.
+        speed_px_s: Motion against the camera that leaves the scene's motion tail; for the reader.
     """
 
     profile: str
@@ -106,6 +73,13 @@ class Sensor:
     edge_sigma_px: float | None = None
     edges: int = 0
     flat_blocks: int = 0
+    range_m: float | None = None
+    defocus_sigma_px: float = 0.0
+    speed_px_s: float = 0.0
+
+    def layer_sigma_px(self, softness_px: float) -> float:
+        """Gaussian to blur the render with; `softness_px` is the recipe's, for chains without optics."""
+        return math.hypot(softness_px if self.blur_sigma_px is None else self.blur_sigma_px, self.defocus_sigma_px)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -121,21 +95,30 @@ class Sensor:
 
 def fit_sensor(
     background: GreyImage,
-    profile: str,
+    profile: str | SensorProfile,
     strength: SensorStrength,
     levels: tuple[float, float],
     noise_seed: int,
+    *,
+    range_m: float | None = None,
+    motion_px: tuple[float, float] = (0.0, 0.0),
 ) -> Sensor:
     """The chain of one background: measured where it can be, the profile's where not.
 
     Args:
         background: (h, w) grey, 8 or 16 bit.
-        profile: Name in `PROFILES`.
+        profile: A shipped one's name, or one's own.
         strength: Of each step.
-        levels: Darkest and brightest level that the dataset uses.
+        levels: Darkest and brightest level that the dataset uses; a profile's own count more in 8-bit pictures.
         noise_seed: Of the grain.
+        range_m: From the camera to the nearest object, for defocus; None for none. A Gaussian of a quarter of the blur
+            disc's diameter has the disc's variance; with the rest of the chain it differs from a true disc by less than
+            1 % of an edge's step up to 3 px of diameter (HIT-UAV: from 15 m), by 3 % at 9 px.
+        motion_px: The scene's motion tail.
     """
-    p = PROFILES[profile]
+    p = find_profile(profile)
+    if p.levels is not None and background.dtype == np.uint8:
+        levels = p.levels
     scale = 1.0 if background.dtype == np.uint8 else (levels[1] - levels[0]) / 220.0
     gain = strength.halo * p.halo_gain
     blur, sigma, edges = None, None, 0
@@ -150,14 +133,19 @@ def fit_sensor(
     noise, grain, blocks = 0.0, p.noise_grain_px, 0
     if strength.noise > 0:
         found, correlation, blocks = flat_noise(background, levels, scale)
-        noise = p.noise_grey * scale if found is None else min(found, 4 * p.noise_grey * scale)
-        if correlation is not None:
-            grain = min(max(grain_of(correlation), 0.8 * p.noise_grain_px), 1.25 * p.noise_grain_px)
+        noise = p.noise_grey * scale if found is None else found
+        if found is not None and correlation is not None:
+            noise, size = true_grain(found, correlation, 1.0)
+            grain = min(max(size, 0.8 * p.noise_grain_px), 1.25 * p.noise_grain_px)
+        noise = min(noise, 4 * p.noise_grey * scale)
+    defocus = 0.0
+    if range_m is not None and p.lens is not None:
+        defocus = strength.defocus * p.lens.blur_disc_px(range_m) / 4
     quality = None
     if strength.codec > 0 and p.codec_quality is not None and background.dtype == np.uint8:
         quality = max(5, round(100 - strength.codec * (100 - p.codec_quality)))
     return Sensor(
-        profile=profile,
+        profile=p.name,
         blur_sigma_px=blur,
         halo_gain=round(gain, 4),
         halo_radius_px=p.halo_radius_px,
@@ -169,6 +157,9 @@ def fit_sensor(
         edge_sigma_px=None if sigma is None else round(sigma, 4),
         edges=edges,
         flat_blocks=blocks,
+        range_m=None if range_m is None else round(range_m, 3),
+        defocus_sigma_px=round(defocus, 4),
+        speed_px_s=round(math.hypot(*motion_px) / p.time_constant_s, 2),
     )
 
 
@@ -286,142 +277,3 @@ def _through_jpeg(part: GreyImage, quality: int) -> NDArray[np.uint8]:
     if not ok:
         raise ValueError(f"a {part.shape} picture cannot be encoded as JPEG")
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.uint8)
-
-
-def sharpened_sigma(sigma_px: float, gain: float, radius_px: float) -> float:
-    """Sigma that the 10 to 90 % width of a Gaussian edge shows after detail enhancement."""
-    if gain <= 0:
-        return sigma_px
-    sharp, wide = sigma_px * math.sqrt(2), math.hypot(sigma_px, radius_px) * math.sqrt(2)
-    low, high = 0.0, 5 * wide
-    # Beyond its crossing of 90 % the edge overshoots and comes back to 100 %: one crossing, so halving finds it.
-    for _ in range(40):
-        x = (low + high) / 2
-        if 0.5 + 0.5 * ((1 + gain) * math.erf(x / sharp) - gain * math.erf(x / wide)) < 0.9:
-            low = x
-        else:
-            high = x
-    return 2 * high / WIDTH_PER_SIGMA
-
-
-def unsharpened_sigma(seen_px: float, gain: float, radius_px: float) -> float:
-    """The sigma before detail enhancement whose edge shows `seen_px` after it; the inverse of `sharpened_sigma`."""
-    if gain <= 0:
-        return seen_px
-    low, high = 0.05, 6.0
-    for _ in range(30):
-        middle = (low + high) / 2
-        if sharpened_sigma(middle, gain, radius_px) < seen_px:
-            low = middle
-        else:
-            high = middle
-    return (low + high) / 2
-
-
-def edge_profiles(picture: GreyImage, scale: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Profiles across a picture's clean steps.
-
-    Canny finds the edges on a slightly blurred copy; across each, over 8 px either way, three parallel lines are
-    averaged. Kept are steps of more than 35 eight-bit levels between two flat sides.
-
-    Returns:
-        (n, 65) profiles, 0 on the dark and 1 on the bright side, a sample each quarter pixel; (n,) steps in levels.
-    """
-    grey = picture.astype(np.float32) / np.float32(scale)
-    if picture.dtype != np.uint8:
-        grey -= grey.min()
-    soft = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    edges = cv2.Canny(np.clip(np.rint(soft), 0, 255).astype(np.uint8), 30, 80)
-    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0)
-    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1)
-    height, width = grey.shape
-    edges[:10] = edges[height - 10 :] = 0
-    edges[:, :10] = edges[:, width - 10 :] = 0
-    ys, xs = np.nonzero(edges)
-    every = max(1, math.ceil(len(ys) / _MAX_EDGES))
-    ys, xs = ys[::every], xs[::every]
-    t = np.arange(-8, 8.001, 0.25, dtype=np.float32)
-    if not len(ys):
-        return np.zeros((0, len(t))), np.zeros(0)
-    nx, ny = gx[ys, xs], gy[ys, xs]
-    length = np.maximum(np.hypot(nx, ny), np.float32(1e-6))
-    nx, ny = (nx / length)[:, None], (ny / length)[:, None]
-    lines = np.zeros((len(ys), len(t)), np.float32)
-    for aside in (-1.0, 0.0, 1.0):
-        mx = (xs[:, None] + t * nx - aside * ny).astype(np.float32)
-        my = (ys[:, None] + t * ny + aside * nx).astype(np.float32)
-        lines += cv2.remap(grey, mx, my, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) / np.float32(3)
-    dark, bright = lines[:, t <= -5], lines[:, t >= 5]
-    low, high = np.median(dark, axis=1), np.median(bright, axis=1)
-    step = high - low
-    keep = (step > 35) & (np.maximum(dark.std(axis=1), bright.std(axis=1)) < 0.06 * step)
-    profiles = (lines[keep] - low[keep, None]) / step[keep, None]
-    return profiles.astype(np.float64), (step[keep] * scale).astype(np.float64)
-
-
-def edge_sigma(picture: GreyImage, scale: float = 1.0, percentile: float = 20.0) -> tuple[float | None, int]:
-    """Sigma of a picture's sharpest edges, px: the 20th percentile, as most edges of a scene are soft by themselves.
-
-    Returns:
-        Sigma with the reading's own width taken off, None if there is no clean edge; number of edges.
-    """
-    profiles, _ = edge_profiles(picture, scale)
-    widths = [w for w in (_width_10_90(p) for p in profiles) if w is not None]
-    if not widths:
-        return None, 0
-    sigma = np.sqrt(np.maximum((np.array(widths) / WIDTH_PER_SIGMA) ** 2 - PROFILE_SIGMA_PX**2, 0))
-    return float(np.percentile(sigma, percentile)), len(widths)
-
-
-def _width_10_90(profile: NDArray[np.float64]) -> float | None:
-    """Distance between the crossings of 10 % and 90 % nearest to the middle, px; None if there are none."""
-    middle = len(profile) // 2
-    centre = middle + int(np.argmin(np.abs(profile[middle - 8 : middle + 9] - 0.5))) - 8
-    above = np.flatnonzero(profile[centre:] >= 0.9)
-    below = np.flatnonzero(profile[: centre + 1] <= 0.1)
-    if not len(above) or not len(below) or above[0] == 0 or below[-1] == centre:
-        return None
-    i, j = centre + int(above[0]), int(below[-1])
-    right = i - (profile[i] - 0.9) / (profile[i] - profile[i - 1])
-    left = j + (0.1 - profile[j]) / (profile[j + 1] - profile[j])
-    return float(0.25 * (right - left))
-
-
-def flat_noise(
-    picture: GreyImage, levels: tuple[float, float], scale: float = 1.0
-) -> tuple[float | None, float | None, int]:
-    """Grain of a picture from its flattest places.
-
-    Of all 32 px blocks away from the dark and bright limit, a quadratic surface removed, the five of least deviation.
-
-    Returns:
-        Their median deviation in levels, their median correlation of neighbours, how many they are; None without
-        any block, and for the correlation without any grain.
-    """
-    h, w = (n // _BLOCK for n in picture.shape)
-    if not h or not w:
-        return None, None, 0
-    cut = picture[: h * _BLOCK, : w * _BLOCK].astype(np.float64)
-    blocks = cut.reshape(h, _BLOCK, w, _BLOCK).swapaxes(1, 2).reshape(h * w, _BLOCK * _BLOCK)
-    lowest, highest = np.percentile(blocks, [5, 95], axis=1)
-    blocks = blocks[(lowest > levels[0] + 3 * scale) & (highest < levels[1] - 3 * scale)]
-    if not len(blocks):
-        return None, None, 0
-    y, x = np.mgrid[-1 : 1 : _BLOCK * 1j, -1 : 1 : _BLOCK * 1j].reshape(2, -1)
-    basis, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1))
-    rest = blocks - (blocks @ basis) @ basis.T
-    deviation = rest.std(axis=1)
-    flattest = np.argsort(deviation, kind="stable")[:_FLATTEST]
-    of = rest[flattest].reshape(-1, _BLOCK, _BLOCK)
-    noise = float(np.median(deviation[flattest]))
-    correlations = [
-        0.5 * float((r[:, 1:] * r[:, :-1]).mean() + (r[1:] * r[:-1]).mean()) / float(r.var())
-        for r in of
-        if r.var() > 1e-6
-    ]
-    return noise, (float(np.median(correlations)) if correlations else None), len(flattest)
-
-
-def grain_of(correlation: float) -> float:
-    """Blur sigma that gives white noise this correlation between neighbours: exp(-1 / (4 sigma^2))."""
-    return math.sqrt(-1 / (4 * math.log(min(max(correlation, 0.02), 0.98))))

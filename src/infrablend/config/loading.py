@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from infrablend.config.recipe import Recipe
+from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
 from infrablend.core.wording import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
@@ -65,7 +66,7 @@ def load_recipe(recipe: str | Path, settings: Sequence[str] | Mapping[str, Any] 
 def parse_recipe(
     text: str, where: str, settings: Sequence[str] | Mapping[str, Any] = (), folder: Path | None = None
 ) -> Recipe:
-    """The recipe in a YAML text; `where` names it in errors, `folder` is what model paths are relative to."""
+    """The recipe in a YAML text; `where` names it in errors, `folder` is what paths in it are relative to."""
     try:
         data = read_yaml(text)
     except ValueError as error:
@@ -81,6 +82,7 @@ def parse_recipe(
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
                 item["model"] = str((folder / item["model"]).resolve())
+    _read_profile(data, folder)
     try:
         # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
         recipe = Recipe.model_validate_json(json.dumps(data))
@@ -91,6 +93,16 @@ def parse_recipe(
     if problems:
         raise RecipeError(f"recipe {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))
     return recipe
+
+
+def _read_profile(data: dict[str, Any], folder: Path | None) -> None:
+    """Put the fields of the profile file that the recipe names in its place: a run then depends on no further file."""
+    sensor = data.get("sensor")
+    if not isinstance(sensor, dict):
+        return
+    named = sensor.get("profile")
+    if isinstance(named, str) and named.lower().endswith(PROFILE_SUFFIXES):
+        data["sensor"] = {**sensor, "profile": read_profile((folder or Path()) / named).model_dump(mode="json")}
 
 
 def _is_path(model: str) -> bool:

@@ -8,14 +8,22 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from infrablend.config.sensor_profile import PROFILES, SensorProfile
 from infrablend.core.strict import Strict, range_of
 
 
 def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(value)) != len(value):
         raise ValueError("each item once")
+    return value
+
+
+def _known_profile(value: Any) -> Any:
+    known = ("off", *PROFILES)
+    if isinstance(value, str) and value not in known:
+        raise ValueError(f"one of {', '.join(known)}, or the path of a profile's .json or .yaml")
     return value
 
 
@@ -197,11 +205,20 @@ class Overlay(Strict):
 class Sensor(Strict):
     """The background's own camera, imitated for the inserts alone. Strength 0 leaves a step out, 1 is as measured."""
 
-    profile: Literal["off", "hit-uav", "monet", "generic-640x512"] = "off"
-    """What the pictures come from: `off` blurs by `overlay.softness_px` and does nothing else. `monet` is provisional.
-    Labels describe the object before it."""
+    profile: Annotated[
+        Literal["off", "hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)
+    ] = "off"
+    """What the pictures come from: a shipped profile's name, the path of a profile's .json or .yaml (relative to the
+    recipe; `infrablend profile` writes such files), or its fields. `off` blurs by `overlay.softness_px` and does
+    nothing else. `monet` is provisional. Labels describe the object before it."""
     optics: float = Field(1.0, ge=0, le=2)
     """Factor on the blur, which is estimated from each background's own edges; 0: `overlay.softness_px` instead."""
+    defocus: float = Field(1.0, ge=0, le=2)
+    """Factor on the blur of objects nearer than the lens is focused. Only with metric placement: the paper's
+    distance is not the real camera's."""
+    motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Length of the tail that motion against the camera leaves, px; uniform, as its direction. HIT-UAV: 1 at 5 m/s and
+    100 m, 3 with a panning gimbal. Labels and scene say where the object is on average."""
     halo: float = Field(1.0, ge=0, le=2)
     """Detail enhancement: sharpens the inserts and rings them faintly, as the camera's processing does."""
     noise: float = Field(1.0, ge=0, le=2)

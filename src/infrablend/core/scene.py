@@ -102,6 +102,8 @@ class SceneSpec:
         render_seed: Seed of the path tracer's sampling pattern.
         draws: Facts about sampling (attempts, first distance drawn, why an object is absent).
         weather: Needed by the physical look; None with the artistic one.
+        motion_px: How far (right, down) a motion tail has moved the objects on average; `objects` and `camera` are
+            after that move. The tail stretches this way, the objects move the other. (0, 0) for none.
     """
 
     frame_id: str
@@ -116,6 +118,7 @@ class SceneSpec:
     render_seed: int
     draws: Mapping[str, Any] = field(default_factory=dict)
     weather: Weather | None = None
+    motion_px: tuple[float, float] = (0.0, 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -130,6 +133,8 @@ class SceneSpec:
         d["camera"] = CameraSpec(**camera)
         d["appearance"] = Appearance(**d["appearance"])
         d["weather"] = Weather(**d["weather"]) if d.get("weather") else None
+        dx, dy = d.get("motion_px", (0.0, 0.0))
+        d["motion_px"] = (dx, dy)
         objects = []
         for o in d["objects"]:
             o = dict(o)

@@ -32,6 +32,7 @@ from infrablend.core.files import write_bytes, write_json
 from infrablend.core.registry import resolve
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
+from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
 from infrablend.pipeline.folder import RunFolder
@@ -186,8 +187,16 @@ class FrameMaker:
             return None
         assert self._settings.levels is not None
         seed = integer_seed(self._settings.seed, sampled.spec.frame_id, "sensor")
-        strength = SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip)
-        return fit_sensor(background.pixels, s.profile, strength, self._settings.levels, seed)
+        strength = SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, s.defocus)
+        return fit_sensor(
+            background.pixels,
+            s.profile,
+            strength,
+            self._settings.levels,
+            seed,
+            range_m=nearest_range_m(sampled.spec),
+            motion_px=sampled.spec.motion_px,
+        )
 
     def _copy_original(self, frame: PlannedFrame) -> FrameDone:
         """The background itself as a frame of the dataset, byte for byte unless another file type is asked for."""
@@ -252,8 +261,19 @@ def paint(
     result = renderer.render(sampled.spec, sampled.meshes)
     if sensor is None:
         return Picture(compose(background.pixels, make_layer(result, mapping, softness_px)), result)
-    blur = softness_px if sensor.blur_sigma_px is None else sensor.blur_sigma_px
-    return Picture(apply_sensor(background.pixels, make_layer(result, mapping, blur), sensor), result)
+    layer = make_layer(result, mapping, sensor.layer_sigma_px(softness_px), sampled.spec.motion_px)
+    return Picture(apply_sensor(background.pixels, layer, sensor), result)
+
+
+def nearest_range_m(spec: SceneSpec) -> float | None:
+    """From the camera to the nearest object's origin; None with the paper's placement: its camera is not the real one.
+
+    All objects of a frame get the defocus of the nearest: the renderer's layer does not tell them apart.
+    """
+    if getattr(spec, "view", None) is None or not spec.objects:
+        return None
+    camera = spec.camera.position_m
+    return min(float(np.linalg.norm(np.array(o.position_m) - camera)) for o in spec.objects)
 
 
 def repaint(

@@ -134,6 +134,7 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
             "absent": dict(sorted(tally.absent.items())),
         },
         weather=_weather(frame, recipe, air_k, seed) if look.mode == "physical" else None,
+        motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
     )
     return SampledScene(spec, tuple(meshes))
 
@@ -152,6 +153,16 @@ def _weather(frame: FrameKey, recipe: Recipe, air_k: float, seed: int) -> Weathe
         wind_m_s=wind,
         ground_k=air_k + float(rng.uniform(*ground)),
     )
+
+
+def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
+    """Mean displacement by the motion tail: its length, in any direction; from a stream of its own."""
+    length, turn = stream(seed, frame.frame_id, "motion").random(2)
+    low, high = recipe.sensor.motion_px
+    if recipe.sensor.profile == "off" or high == 0:
+        return 0.0, 0.0
+    length_px = low + (high - low) * float(length)
+    return length_px * math.cos(2 * math.pi * turn), length_px * math.sin(2 * math.pi * turn)
 
 
 def build_meshes(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> tuple[Mesh, ...]:
