@@ -13,9 +13,10 @@ import pytest
 from infrablend.core.boxes import polygon_area
 from infrablend.core.files import link_or_copy, part_path, write_bytes, write_text
 from infrablend.core.masks import Mask
-from infrablend.errors import OutputError
-from infrablend.formats import polygons
-from infrablend.formats.pictures import assign_ids
+from infrablend.errors import DatasetError, OutputError
+from infrablend.formats import base, polygons
+from infrablend.formats.base import read_json, read_text, read_xml, require_options, snap
+from infrablend.formats.pictures import assign_ids, read_size
 from infrablend.formats.polygons import outline, rasterise
 
 
@@ -129,3 +130,57 @@ def test_a_ragged_mask_stays_below_the_corner_limit() -> None:
     differ = (rasterise(made.polygon_xy, (200, 200)) != mask).sum()
     assert made.raster_difference_px == differ > 0
     assert cv2.contourArea(made.polygon_xy.astype(np.float32)) > 0.7 * disc(95, 200).sum()
+
+
+def jpeg_header(width: int, height: int) -> bytes:
+    """A JPEG that says its size and holds nothing else."""
+    start = b"\xff\xd8\xff\xc0\x00\x0b\x08" + height.to_bytes(2, "big") + width.to_bytes(2, "big")
+    return start + b"\x01\x01\x11\x00\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\xff\xd9"
+
+
+@pytest.mark.parametrize("side", [12000, 30000])
+def test_a_header_of_a_giant_picture_is_a_problem_not_memory(tmp_path: Path, side: int) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(jpeg_header(side, side))
+    size, problem = read_size(path, "a.jpg")
+    assert size is None and problem is not None and problem.code == "image-too-large"
+    path.write_bytes(jpeg_header(640, 512))
+    assert read_size(path, "a.jpg") == ((640, 512), None)
+
+
+def test_files_too_large_to_parse_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        file.truncate(300_000_000)  # a hole: no disk, no memory
+    monkeypatch.setattr(Path, "read_text", lambda *_, **__: pytest.fail("opened"))
+    for _, problem in (read_text(path, "a", "text"), read_xml(path, "a")):
+        assert problem is not None and problem.code == "annotation-too-large" and "300 MB" in problem.found
+    with pytest.raises(DatasetError, match="300 MB"):
+        read_json(path)
+
+
+def test_text_and_xml_that_cannot_be_read_are_problems(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"\xff\xfe\xff")
+    for name in ("a", "missing"):
+        text, problem = read_text(tmp_path / name, name, "a label file")
+        assert text == "" and problem is not None and problem.code == "annotation-unreadable"
+        root, problem = read_xml(tmp_path / name, name)
+        assert root is None and problem is not None and problem.code == "annotation-not-xml"
+    bomb = '<!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;&b;">]><annotation>&c;</annotation>'
+    for text in (bomb, '<!DOCTYPE a SYSTEM "file:///etc/passwd"><a/>', "<a>"):
+        (tmp_path / "a").write_text(text)
+        root, problem = read_xml(tmp_path / "a", "a")
+        assert root is None and problem is not None and str(tmp_path) not in problem.found
+
+
+def test_unknown_values_of_options_are_named_all_at_once(tmp_path: Path) -> None:
+    require_options(tmp_path, a=("x", ("x", "y")))
+    with pytest.raises(DatasetError) as caught:
+        require_options(tmp_path, a=("z", ("x", "y")), b=("x", ("x",)), c=("", ("p",)))
+    assert [p.where for p in caught.value.problems] == ["option a", "option c"]
+    assert "a=z; expected one of x, y" in str(caught.value)
+
+
+def test_only_rounding_is_moved_onto_the_edge() -> None:
+    assert [snap(v, 10) for v in (-5e-7, 10 + 5e-7, -1e-5, 10.1, 4)] == [0, 10, -1e-5, 10.1, 4]
+    assert base.MAX_TEXT_BYTES < base.MAX_JSON_BYTES

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Category, Dataset
-from infrablend.errors import DatasetError, UnknownFormatError
+from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, yolo
-from infrablend.formats.capture import read_table
+from infrablend.formats.capture import Capture, Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
 
 
@@ -72,6 +72,24 @@ def test_tables_may_be_json(tmp_path: Path, content: Any) -> None:
     picture(tmp_path / "in" / "a.png")
     (tmp_path / "t.json").write_text(json.dumps(content))
     assert folder.read(tmp_path / "in", metadata=tmp_path / "t.json").images[0].pitch_deg == 45
+
+
+def test_a_row_may_name_a_sequence(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(
+        "sequence,file,pitch_deg,altitude_m\nflight,,30,80\n,flight/b.png,,70\nother,,1,1\n"
+    )
+    problems: list[Problem] = []
+    captures = Captures(read_table(tmp_path / "t.csv"), problems)
+    assert captures.of("flight/a.png", "a", None, "flight") == Capture(30, 80)
+    assert captures.of("flight/b.png", "b", None, "flight") == Capture(30, 70)
+    assert captures.of("flight/c.png", "c", Capture(45), "flight") == Capture(45, 80)  # an annotation says more
+    assert captures.of("0_60_90_0_00001.png", "d", None, "flight") == Capture(90, 60, "day")
+    assert captures.of("e.png", "e") == Capture()
+    assert (
+        captures.note() == "annotation (1 of 5), file names (1 of 5), none (1 of 5), table t.csv per sequence (2 of 5)"
+    )
+    assert captures.table is not None and captures.table.unused(["flight/b.png"], ["flight"]) == ["other"]
+    assert problems == []
 
 
 @pytest.mark.parametrize("text", ["", "name,pitch\na,1\n", "file,size\na,1\n", "\xff"])

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from defusedxml import ElementTree
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import cxcywha_of_corners
@@ -20,6 +21,10 @@ from infrablend.errors import DatasetError, Problem
 
 # Oriented boxes may overhang the frame by this much without a word: HIT-UAV's own reach 0.5 px.
 OVERHANG_PX = 0.5
+
+# Beyond these sizes a file is refused unread: parsed, it would take some thirty times as much memory.
+MAX_JSON_BYTES = 200_000_000
+MAX_TEXT_BYTES = 50_000_000
 
 LOSSES: Mapping[str, str] = {
     "obb_dropped": "oriented box known, the format holds axis-aligned boxes only",
@@ -91,16 +96,64 @@ def read_json(path: Path) -> Any:
     """The JSON value in a UTF-8 file (a byte order mark is accepted).
 
     Raises:
-        DatasetError: Not there, not readable, not JSON.
+        DatasetError: Not there, not readable, not JSON, above `MAX_JSON_BYTES`.
     """
     try:
+        problem = _too_large(path, path.name, MAX_JSON_BYTES)
+        if problem is not None:
+            raise DatasetError(f"{path}: {problem.found}", [problem])
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         found, code = error.strerror or str(error), "annotation-missing"
+    except DatasetError:
+        raise
     except (ValueError, RecursionError) as error:
         found, code = f"no JSON ({error or type(error).__name__})", "annotation-not-json"
     problem = Problem(path.name, code, found, "a JSON file", "fetch the file again or leave it out")
     raise DatasetError(f"{path}: {found}", [problem])
+
+
+def _too_large(path: Path, where: str, limit: int) -> Problem | None:
+    size = path.stat().st_size
+    if size <= limit:
+        return None
+    found, expected = f"{size / 1e6:.0f} MB of text", f"at most {limit / 1e6:.0f} MB"
+    return Problem(where, "annotation-too-large", found, expected, "split it into several files")
+
+
+def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:
+    """The UTF-8 text of a file (a byte order mark is accepted); empty, and what is wrong, if it cannot be had."""
+    try:
+        problem = _too_large(path, where, MAX_TEXT_BYTES)
+        return ("", problem) if problem else (path.read_text(encoding="utf-8-sig"), None)
+    except (OSError, UnicodeDecodeError) as error:
+        found = f"no text ({getattr(error, 'strerror', None) or type(error).__name__})"
+    return "", Problem(where, "annotation-unreadable", found, expected, "replace or remove it")
+
+
+def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
+    """The root element of an XML file, or None and what is wrong. Entities and DTDs are refused: they load and grow."""
+    try:
+        problem = _too_large(path, where, MAX_TEXT_BYTES)
+        return (None, problem) if problem else (ElementTree.parse(path, forbid_dtd=True).getroot(), None)
+    except Exception as error:  # parse errors, refused entities, wrong encodings
+        found = f"no XML that may be read ({type(error).__name__}: {error})"[:200].replace(str(path), path.name)
+    return None, Problem(where, "annotation-not-xml", found, "a VOC or roLabelImg file", "fetch it again")
+
+
+def require_options(root: Path, **given: tuple[object, Sequence[str]]) -> None:
+    """See that options of a reader have values that it knows: name=(value, choices).
+
+    Raises:
+        DatasetError: Names every option that has not.
+    """
+    problems = [
+        Problem(f"option {name}", "option-value", f"{name}={value}", f"one of {', '.join(choices)}")
+        for name, (value, choices) in given.items()
+        if value not in choices
+    ]
+    if problems:
+        raise DatasetError(f"{root}: an option its reader does not know", problems)
 
 
 def check_splits(splits: Iterable[str] | None) -> tuple[Split, ...]:
@@ -202,6 +255,13 @@ def check_box(
     box = np.array((max(x0, 0.0), max(y0, 0.0), min(x1, float(w)), min(y1, float(h))), np.float64)
     found = f"box {_show(xyxy)} reaches out of the frame, clipped to {_show(box.tolist())}"
     return box, Problem(where, "box-clipped", found, f"a box inside {w}x{h} px", severity="warning")
+
+
+def snap(value: float, size: int, tolerance: float = 1e-6) -> float:
+    """`value`, or the frame's edge (0 or `size`) where it lies outside by less than `tolerance`: that is rounding."""
+    if -tolerance < value < 0:
+        return 0.0
+    return float(size) if size < value < size + tolerance else value
 
 
 def _show(numbers: Sequence[float]) -> str:

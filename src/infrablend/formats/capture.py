@@ -6,18 +6,19 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from infrablend.core.dataset import TimeOfDay
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import read_json
+from infrablend.formats.base import read_json, read_text
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _FIELDS = ("pitch_deg", "altitude_m", "time_of_day")
-_KEYS = ("file", "stem")
+_KEYS = ("file", "stem", "sequence")
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
 
@@ -78,10 +79,11 @@ def find_table(root: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class CaptureTable:
-    """A table of captures by file path, file name or stem."""
+    """A table of captures by file path, file name, stem or sequence."""
 
     rows: Mapping[str, Capture]
     problems: tuple[Problem, ...]
+    name: str = "table"
 
     def find(self, name: str) -> Capture | None:
         """The row for a relative path: by the path, then by the file name, then by the stem."""
@@ -89,18 +91,76 @@ class CaptureTable:
         keys = (name, str(path.with_suffix("")), path.name, path.stem)
         return next((self.rows[k] for k in keys if k in self.rows), None)
 
-    def unused(self, names: list[str]) -> list[str]:
-        """Keys that name none of the relative paths."""
-        paths = [PurePosixPath(n) for n in names]
-        known = {k for n, p in zip(names, paths, strict=True) for k in (n, str(p.with_suffix("")), p.name, p.stem)}
+    def unused(self, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[str]:
+        """Keys that name none of the relative paths and none of the sequences."""
+        known = {k for k in sequences if k is not None}
+        for name in names:
+            path = PurePosixPath(name)
+            known |= {name, str(path.with_suffix("")), path.name, path.stem}
         return sorted(k for k in self.rows if k not in known)
 
 
-def read_table(path: Path) -> CaptureTable:
-    """Read a CSV or JSON table with `file` or `stem` and some of `pitch_deg`, `altitude_m`, `time_of_day`.
+@dataclass
+class Captures:
+    """Tells how each picture of a dataset was taken, and counts where its pitch came from.
 
-    CSV: a header line. JSON: a list of records, or one object with the file names or stems as keys. Rows with a bad
-    value are skipped as errors; empty fields are unknown.
+    The most particular counts: a table's row for the picture, the annotation, the file name, a row for the sequence.
+
+    Attributes:
+        table: Or None.
+        problems: Gets contradictions between the table and the rest, as warnings.
+        sources: Pictures by source of the pitch.
+    """
+
+    table: CaptureTable | None
+    problems: list[Problem]
+    sources: Counter[str] = field(default_factory=Counter)
+
+    def of(self, name: str, where: str, inside: Capture | None = None, sequence: str | None = None) -> Capture:
+        """What is known of a picture.
+
+        Args:
+            name: Relative path, by which a table may name it; the file name may say something itself.
+            where: For problems.
+            inside: What the annotation says.
+            sequence: By which a table may name many pictures at once.
+        """
+        facts = facts_from_name(name)
+        sources = [("annotation", inside or Capture()), ("file names", facts.capture if facts else Capture())]
+        if self.table is not None:
+            row = self.table.find(name)
+            if row is not None:
+                for conflict in row.conflicts(sources[0][1].over(sources[1][1])):
+                    found = f"{conflict} (table, annotation or file name); the table counts"
+                    self.problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
+                sources.insert(0, (f"table {self.table.name} per file", row))
+            of_sequence = self.table.rows.get(sequence or "")
+            if of_sequence is not None and of_sequence is not row:
+                sources.append((f"table {self.table.name} per sequence", of_sequence))
+        self.sources[next((kind for kind, c in sources if c.pitch_deg is not None), "none")] += 1
+        known = Capture()
+        for _, c in sources:
+            known = known.over(c)
+        return known
+
+    def note(self) -> str:
+        """Where pitch came from, for `Dataset.notes["pitch"]`, see `pitch_note`."""
+        return pitch_note(self.sources)
+
+
+def pitch_note(sources: Mapping[str, int]) -> str:
+    """Where the pictures' pitch came from, in words: `file names`, or `annotation (20 of 30), none (10 of 30)`."""
+    left = {kind: n for kind, n in sorted(sources.items()) if n}
+    if len(left) < 2:
+        return next(iter(left), "none")
+    return ", ".join(f"{kind} ({n} of {sum(left.values())})" for kind, n in left.items())
+
+
+def read_table(path: Path) -> CaptureTable:
+    """Read a CSV or JSON table with `file`, `stem` or `sequence` and some of `pitch_deg`, `altitude_m`, `time_of_day`.
+
+    CSV: a header line. JSON: a list of records, or one object with the file names, stems or sequences as keys. Rows
+    with a bad value are skipped as errors; empty fields are unknown.
 
     Raises:
         DatasetError: The file cannot be read, or has no such columns.
@@ -119,27 +179,28 @@ def read_table(path: Path) -> CaptureTable:
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))
     captures: dict[str, Capture] = {}
     for where, row in rows:
-        key = str(row.get("file") or row.get("stem") or "").strip()
+        key = next((v for k in _KEYS if (v := str(row.get(k) or "").strip())), "")
         capture, fault = _capture(row)
         if not key:
-            fault = ("table-value", "no file and no stem", "the name of a picture")
+            fault = ("table-value", "no file, stem or sequence", "the name of a picture or sequence")
         elif fault is None and key in captures:
-            fault = ("table-duplicate", f"a second row for {key!r}", "one row for each picture")
+            fault = ("table-duplicate", f"a second row for {key!r}", "one row for each")
         if fault is not None:
             problems.append(Problem(f"{path.name}: {where}", *fault, "correct the table"))
             continue
         captures[key.removeprefix("./")] = capture
-    return CaptureTable(captures, tuple(problems))
+    return CaptureTable(captures, tuple(problems), path.name)
 
 
 def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-        return [(f"line {reader.line_num}", {(k or "").strip(): v for k, v in row.items()}) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        problem = Problem(path.name, "table-unreadable", str(error).replace(str(path), path.name), "a CSV table")
-        raise DatasetError(f"{path}: cannot be read", [problem]) from error
+    text, problem = read_text(path, path.name, "a CSV table")
+    if problem is None:
+        try:
+            reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+            return [(f"line {reader.line_num}", {(k or "").strip(): v for k, v in row.items()}) for row in reader]
+        except csv.Error as error:
+            problem = Problem(path.name, "table-unreadable", str(error), "a CSV table")
+    raise DatasetError(f"{path}: cannot be read", [problem])
 
 
 def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:

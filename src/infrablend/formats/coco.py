@@ -35,7 +35,7 @@ from infrablend.formats.base import (
     to_int,
     to_size,
 )
-from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 
 NAME = "coco"
@@ -280,6 +280,7 @@ def read(
     table_path = metadata or find_table(root)
     table = read_table(table_path) if table_path else None
     problems: list[Problem] = list(table.problems) if table else []
+    captures = Captures(table, problems)
     categories: list[Category] = []
     found: list[tuple[str, ImageRecord]] = []
     for path, split in files.items():
@@ -298,7 +299,7 @@ def read(
             continue
         listed = [str(i["file_name"]) for i in top["images"] if isinstance(i, dict) and "file_name" in i]
         folder = _picture_folder(root, path, split, [n for n in listed if check_name(n, "") is None])
-        found += read_records(top, folder, split, where, categories, table, problems)
+        found += read_records(top, folder, split, where, categories, captures, problems)
     ids = assign_ids([key for key, _ in found])
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
@@ -306,7 +307,7 @@ def read(
     if table is not None and (unused := table.unused([r.name for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))
-    notes = {"labels": "coco", "table": table_path.name if table_path else None}
+    notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), sort_images(images), tuple(problems), notes)
 
 
@@ -316,7 +317,7 @@ def read_records(
     split: Split,
     where: str,
     categories: list[Category],
-    table: CaptureTable | None,
+    captures: Captures,
     problems: list[Problem],
 ) -> list[tuple[str, ImageRecord]]:
     """(name unique in the data set, record without an id) for every picture of one file that can be used.
@@ -327,7 +328,7 @@ def read_records(
         split: Of all of them.
         where: What problems call the file.
         categories: Those of other files; new ones are added.
-        table: Pitch and altitude by name.
+        captures: Tells pitch and altitude.
         problems: What is wrong is added.
     """
     names: dict[int, str] = {}
@@ -377,9 +378,7 @@ def read_records(
         seen_ids.add(number)
         size_wh = to_size(r.get("width"), r.get("height"))
         instances = _read_annotations(of_image.pop(number, []), names, size_wh, where, problems)
-        records.append(
-            (f"{split}/{name}", _image(r, number, name, file, split, size_wh, instances, table, here, problems))
-        )
+        records.append((f"{split}/{name}", _image(r, number, name, file, split, size_wh, instances, captures, here)))
     for number, left in sorted(of_image.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that is read"))
@@ -394,11 +393,9 @@ def _image(
     split: Split,
     size_wh: tuple[int, int] | None,
     instances: tuple[Instance, ...],
-    table: CaptureTable | None,
+    captures: Captures,
     where: str,
-    problems: list[Problem],
 ) -> ImageRecord:
-    facts = facts_from_name(name)
     pitch, altitude = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
     time = r.get("time_of_day")
     own = Capture(
@@ -406,13 +403,7 @@ def _image(
         altitude[0] if altitude and altitude[0] >= 0 else None,
         time if time in ("day", "night") else None,
     )
-    capture = own.over(facts.capture if facts else Capture())
-    listed = table.find(name) if table else None
-    if listed is not None:
-        for conflict in listed.conflicts(capture):
-            found = f"{conflict} (table, annotation); the table counts"
-            problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
-        capture = listed.over(capture)
+    capture = captures.of(name, where, own, _text(r.get("sequence")))
     extra = {"source_id": r["source_id"]} if "source_id" in r else {}
     return ImageRecord(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,

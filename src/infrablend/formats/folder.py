@@ -15,7 +15,7 @@ from infrablend.core.dataset import Dataset, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.base import Match, check_splits, few, sort_images
-from infrablend.formats.capture import find_table, read_table
+from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.pictures import list_pictures
 from infrablend.formats.yolo import (
     FoundPicture,
@@ -134,11 +134,16 @@ def read(
         problem = Problem(str(root), "annotation-missing", "no label file", "a .txt for each picture")
         raise DatasetError(f"{root}: no YOLO labels", [problem])
     names = _find_names(root, pictures) if labelled else None
-    records, known = build_records(root, pictures, names, table, problems, task)
+    captures = Captures(table, problems)
+    records, known = build_records(root, pictures, names, captures, problems, task)
     problems += check_table(table, pictures, root)
     if not records:
         raise DatasetError(f"{root}: no picture can be read", few(problems))
-    notes = {"labels": "yolo" if labelled else "none", "table": table_path.name if table_path else None}
+    notes = {
+        "labels": "yolo" if labelled else "none",
+        "table": table_path.name if table_path else None,
+        "pitch": captures.note(),
+    }
     return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)
 
 

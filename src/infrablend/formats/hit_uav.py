@@ -21,7 +21,6 @@ from typing import Any, Literal
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from defusedxml import ElementTree
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
@@ -41,6 +40,7 @@ from infrablend.formats.base import (
     obb_from_corners,
     overhang_px,
     read_json,
+    read_xml,
     require_size,
     sort_images,
     to_bool,
@@ -48,7 +48,7 @@ from infrablend.formats.base import (
     to_int,
     to_size,
 )
-from infrablend.formats.capture import Capture, facts_from_name
+from infrablend.formats.capture import Capture, facts_from_name, pitch_note
 from infrablend.formats.pictures import PictureFolder, check_name, is_hidden
 
 NAME = "hit-uav"
@@ -184,9 +184,8 @@ def _own_form(folder: Path) -> Form | None:
     # XML: one with an object decides; empty ones say nothing.
     if (folder / "Annotations").is_dir():
         for path in _xml_files(folder):
-            try:
-                tree = ElementTree.parse(path)
-            except Exception:  # a broken file is reported when it is read
+            tree, _ = read_xml(path, path.name)  # a broken file is reported when it is read
+            if tree is None:
                 continue
             if tree.find("object/robndbox") is not None:
                 return "rotate_xml"
@@ -573,18 +572,9 @@ def _read_image_sets(data: _FormData, root: Path, folder: Path) -> dict[str, Spl
 
 def _read_xml_file(data: _FormData, root: Path, path: Path, listing: PictureFolder, split: Split) -> _Picture | None:
     where = _relative(root, path)
-    try:
-        # defusedxml refuses entities and DTDs that load or grow.
-        top = ElementTree.parse(path, forbid_dtd=True).getroot()
-    except Exception as error:  # parse errors, refused entities, wrong encodings
-        found = f"no XML that may be read ({type(error).__name__}: {error})"[:200]
-        data.add(
-            where,
-            "annotation-not-xml",
-            found.replace(str(path), path.name),
-            "a VOC or roLabelImg file",
-            "fetch it again",
-        )
+    top, fault = read_xml(path, where)
+    if fault is not None:
+        data.problems.append(fault)
         return None
     data.files_read += 1
     if top is None or top.tag != "annotation":
@@ -676,6 +666,7 @@ def _unite(data: Sequence[_FormData]) -> tuple[list[ImageRecord], dict[str, Any]
     stems = sorted({s for d in data for s in d.pictures})
     images: list[ImageRecord] = []
     used: Counter[str] = Counter()
+    pitch_from: Counter[str] = Counter()
     for stem in stems:
         held = [(d.form, d.pictures[stem]) for d in data if stem in d.pictures]
         first = held[0][1]
@@ -685,6 +676,8 @@ def _unite(data: Sequence[_FormData]) -> tuple[list[ImageRecord], dict[str, Any]
             problems.append(Problem(first.where, "image-missing", found, "a file in the picture folder", "restore it"))
             continue
         images.append(_unite_picture(stem, held, file, counts, problems))
+        pitch = images[-1].pitch_deg is not None
+        pitch_from["none" if not pitch else "file names" if facts_from_name(file.name) else "annotation"] += 1
         used.update(form for form, _ in held)
     for d in data:
         if used[d.form] < len(images) and d.pictures:
@@ -708,6 +701,7 @@ def _unite(data: Sequence[_FormData]) -> tuple[list[ImageRecord], dict[str, Any]
         "disagreements": {k: counts[k] for k in ("boxes", "oriented", "categories", "flags", "objects", "metadata")},
         "boxes_checked": counts["checked"],
         "derived_boxes_clipped": counts["derived_clipped"],
+        "pitch": pitch_note(pitch_from),
         "without_pitch": sum(i.pitch_deg is None for i in images),
     }
     return images, notes, problems

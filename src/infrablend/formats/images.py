@@ -14,13 +14,11 @@ from PIL import Image, JpegImagePlugin
 
 from infrablend.core.files import write_bytes
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures import PICTURE_FORMATS
+from infrablend.formats.pictures import MAX_PIXELS, PICTURE_FORMATS
 
 PixelMode = Literal["L", "RGB", "I;16"]
 SaveKind = Literal["same", "png"]
 
-# Above this a picture is taken for a decompression bomb: 16 times a 4K frame.
-MAX_PIXELS = 128 * 1024 * 1024
 _SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff")}
 
 

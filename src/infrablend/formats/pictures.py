@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from PIL import Image
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+# Above this a picture is taken for a decompression bomb: 16 times a 4K frame.
+MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
 
 
@@ -130,10 +133,18 @@ def assign_ids(names: Iterable[str]) -> dict[str, str]:
 def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:
     """(width, height) from the file's header, without decoding; or None and what is wrong."""
     try:
-        with Image.open(path, formats=PICTURE_FORMATS) as picture:
-            return (int(picture.width), int(picture.height)), None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
+            with Image.open(path, formats=PICTURE_FORMATS) as picture:
+                size_wh = (int(picture.width), int(picture.height))
+        if size_wh[0] * size_wh[1] <= MAX_PIXELS:
+            return size_wh, None
+        found = f"{size_wh[0]}x{size_wh[1]} px"
+    except Image.DecompressionBombError as error:
+        found = str(error)
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = f"no readable picture ({error or type(error).__name__})".replace(str(path), path.name)
-    return None, Problem(
-        where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
-    )
+        return None, Problem(
+            where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
+        )
+    return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")

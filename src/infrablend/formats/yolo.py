@@ -33,10 +33,12 @@ from infrablend.formats.base import (
     few,
     is_ignored_name,
     overhang_px,
+    read_text,
     require_size,
+    snap,
     sort_images,
 )
-from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
 from infrablend.formats.pictures import assign_ids, check_name, list_pictures, read_size
 from infrablend.formats.polygons import outline, rasterise
 
@@ -326,7 +328,7 @@ def _instances(
             points = None
             raw: Sequence[float] = (cx - bw / 2, cy - bh / 2, cx + bw / 2, cy + bh / 2)
             # Ten decimals put a box at the frame's edge up to 1e-7 px outside: that is rounding, not a fault.
-            raw = [_snap(raw[0], w), _snap(raw[1], h), _snap(raw[2], w), _snap(raw[3], h)]
+            raw = [snap(raw[0], w), snap(raw[1], h), snap(raw[2], w), snap(raw[3], h)]
         else:
             points = np.array(values, np.float64).reshape(-1, 2) * np.array([w, h], np.float64)
             raw = [float(v) for v in box_of_points(points)]
@@ -339,12 +341,6 @@ def _instances(
         mask = Mask.from_array(rasterise(points, size_wh)) if points is not None and corners is None else None
         instances.append(Instance(names[number], box, corners, mask))
     return tuple(instances), problems
-
-
-def _snap(value: float, size: int) -> float:
-    if -1e-6 < value < 0:
-        return 0.0
-    return float(size) if size < value < size + 1e-6 else value
 
 
 # -- reading folders -------------------------------------------------------------------------------------------
@@ -378,7 +374,7 @@ def build_records(
     root: Path,
     pictures: Sequence[FoundPicture],
     names: Mapping[int, str] | None,
-    table: CaptureTable | None,
+    captures: Captures,
     problems: list[Problem],
     task: Task | None,
 ) -> tuple[list[ImageRecord], dict[int, str]]:
@@ -388,7 +384,7 @@ def build_records(
         root: The data set's folder.
         pictures: What was found.
         names: Category name by class number; None makes names `class_<n>`, with a warning.
-        table: Pitch and altitude, over what the file names say.
+        captures: Tells pitch and altitude.
         problems: Gets what is wrong.
         task: What lines of nine numbers are: `obb` corners, `seg` polygons of four corners; None decides by the
             whole: oriented boxes if every line that is no box has nine numbers.
@@ -398,11 +394,11 @@ def build_records(
         if p.label is None:
             continue
         where = p.label.relative_to(root).as_posix()
-        try:
-            parsed[p.unique_name] = parse_labels(p.label.read_text(encoding="utf-8-sig"), where)
-        except (OSError, UnicodeDecodeError) as error:
-            found = f"no text ({type(error).__name__})"
-            problems.append(Problem(where, "annotation-unreadable", found, "a YOLO label file", "replace or remove it"))
+        text, fault = read_text(p.label, where, "a YOLO label file")
+        if fault is not None:
+            problems.append(fault)
+        else:
+            parsed[p.unique_name] = parse_labels(text, where)
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
@@ -428,7 +424,7 @@ def build_records(
             problems += more
         else:
             unlabelled += 1
-        records.append(_record(p, ids[p.unique_name], size_wh, instances, table, where, problems))
+        records.append(_record(p, ids[p.unique_name], size_wh, instances, captures, where))
     if parsed and unlabelled:
         found = f"{unlabelled} picture(s) have no label file, taken as without objects"
         problems.append(Problem(root.name, "label-missing", found, "a label file each", severity="warning"))
@@ -440,18 +436,10 @@ def _record(
     id_: str,
     size_wh: tuple[int, int] | None,
     instances: tuple[Instance, ...],
-    table: CaptureTable | None,
+    captures: Captures,
     where: str,
-    problems: list[Problem],
 ) -> ImageRecord:
-    facts = facts_from_name(p.name)
-    named = facts.capture if facts else Capture()
-    listed = table.find(p.unique_name) if table else None
-    if listed is not None:
-        for conflict in listed.conflicts(named):
-            found = f"{conflict} (table, file name); the table counts"
-            problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
-        named = listed.over(named)
+    named = captures.of(p.unique_name, where)
     return ImageRecord(
         id_, p.path, p.split, size_wh, named.pitch_deg, named.altitude_m, named.time_of_day, instances,
         file_name=p.name,
@@ -608,9 +596,10 @@ def read(
     ]
     table_path = metadata or find_table(root)
     table = read_table(table_path) if table_path else None
-    records, known = build_records(root, pictures, names, table, problems, task)
+    captures = Captures(table, problems)
+    records, known = build_records(root, pictures, names, captures, problems, task)
     problems += check_table(table, pictures, root)
     if not records:
         raise DatasetError(f"{root}: no picture to read", few(problems))
-    notes = {"labels": "yolo", "table": table_path.name if table_path else None}
+    notes = {"labels": "yolo", "table": table_path.name if table_path else None, "pitch": captures.note()}
     return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)

@@ -139,6 +139,16 @@ def make_plan(
                     "rename the file",
                 )
             )
+        elif image.extra.get("modality") == "visible":
+            problems.append(
+                Problem(
+                    image.path.name,
+                    "image-visible",
+                    "a picture of visible light",
+                    "a thermal picture as background",
+                    "use its labels only (infrablend convert), or take another dataset",
+                )
+            )
         elif recipe.camera.pitch == "metadata" and image.pitch_deg is None:
             problems.append(
                 Problem(

@@ -1,0 +1,85 @@
+"""The last steps of every reader whose files hold no ids and no pitch: from records to a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import few, sort_images
+from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.pictures import assign_ids
+
+KEEP_OR_DROP = ("keep", "drop")
+
+
+def make_dataset(
+    root: Path,
+    format: str,
+    records: Sequence[ImageRecord],
+    categories: Sequence[Category],
+    problems: Sequence[Problem],
+    notes: Mapping[str, Any],
+    *,
+    metadata: Path | None = None,
+    splits: Sequence[Split] = (),
+) -> Dataset:
+    """The dataset of records whose ids are still empty: they get one, and what a table and their names say.
+
+    Args:
+        root: The dataset's folder; every record's path lies in it.
+        format: The reader's name.
+        records: As the reader made them.
+        categories: The dataset's.
+        problems: What is wrong so far.
+        notes: The reader's own facts; `pitch` (where it comes from) and `table` are added.
+        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        splits: What was asked for, for the message if nothing is left.
+
+    Raises:
+        DatasetError: No record is left, or the table cannot be read.
+    """
+    found = list(problems)
+    inside = {r.path.relative_to(root).as_posix(): r for r in records}
+    if not inside:
+        asked = f" in the splits {', '.join(splits)}" if splits else ""
+        missing = Problem(str(root), "image-missing", "no picture that can be used" + asked, "JPEG, PNG, BMP or TIFF")
+        raise DatasetError(f"{root}: no picture to read", few([*found, missing]))
+    path = metadata or find_table(root)
+    table = read_table(path) if path else None
+    captures = Captures(table, found)
+    ids = assign_ids(inside)
+    complete = []
+    for name, record in sorted(inside.items()):
+        own = Capture(record.pitch_deg, record.altitude_m, record.time_of_day)
+        known = captures.of(name, name, own, record.sequence)
+        complete.append(
+            replace(
+                record,
+                id=ids[name],
+                pitch_deg=known.pitch_deg,
+                altitude_m=known.altitude_m,
+                time_of_day=known.time_of_day,
+            )
+        )
+    if table is not None:
+        found += table.problems
+        unused = table.unused(inside, {r.sequence for r in inside.values()})
+        if unused:
+            text = f"{len(unused)} row(s) of the table name no picture and no sequence: {', '.join(unused[:3])}"
+            found.append(
+                Problem(root.name, "table-unused", text, "a picture or sequence for each row", severity="warning")
+            )
+    more = {"table": path.name if path else None, "pitch": captures.note()}
+    return Dataset(root, format, tuple(categories), sort_images(complete), tuple(found), {**notes, **more})
+
+
+def unlabelled(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:
+    """The warning for pictures without labels: nobody looked at them, so they may show objects."""
+    if not count:
+        return []
+    found = f"{count} picture(s) with {what}: {'kept as not labelled' if choice == 'keep' else 'left out'}"
+    return [Problem(where, "label-missing", found, "labels for each", "or give unlabelled=drop", "warning")]
