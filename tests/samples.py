@@ -25,7 +25,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, hit_uav, yolo
+from infrablend.formats import coco, dota, hit_uav, masks, yolo
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -131,6 +131,24 @@ def _coco_plain(folder: Path) -> Path:
     return folder
 
 
+@sample("dota")
+def _dota(folder: Path) -> Path:
+    return _written(folder, lambda images, names: dota.write(folder, images, names))
+
+
+@sample("dota:annfiles")
+def _dota_annfiles(folder: Path) -> Path:
+    """MMRotate's layout: no header, no flag on one line, integers, a test split without labels."""
+    lines = ("2 3 12 3 12 9 2 9 ship 0\n20 20 30.5 22 30 26.5 19 25 plane 1\n", "", "5 5 9 5 9 9 5 9 ship\n")
+    for k, text in enumerate(lines):
+        base = folder / ("train", "train", "val")[k]
+        picture(base / "images" / f"P{k:04}.png", k)
+        (base / "annfiles").mkdir(exist_ok=True)
+        (base / "annfiles" / f"P{k:04}.txt").write_text(text)
+    picture(folder / "test/images/P0009.png", 9)
+    return folder
+
+
 @sample("folder:plain")
 def _folder_plain(folder: Path) -> Path:
     """Pictures of several types, no labels, a table as JSON."""
@@ -163,6 +181,11 @@ def _hit_uav_json(folder: Path) -> Path:
 def _hit_uav_xml(folder: Path) -> Path:
     forms: tuple[hit_uav.Form, ...] = ("normal_xml", "rotate_xml")
     return _written(folder, lambda images, names: hit_uav.write(folder, images, names, forms=forms))
+
+
+@sample("masks")
+def _masks(folder: Path) -> Path:
+    return _written(folder, lambda images, names: masks.write(folder, images, names))
 
 
 @sample("yolo:detect")

@@ -177,7 +177,7 @@ def test_what_is_written_is_detected(case: Case, tmp_path: Path) -> None:
     case.write(tmp_path / "out", golden_images(tmp_path / "in"))
     found = detection.detect(tmp_path / "out")
     assert found.format == case.format
-    assert set(found.reasons) == {"hit-uav", "coco", "yolo", "folder"}
+    assert set(found.reasons) == {f.name for f in detection.FORMATS}
     assert all(found.reasons.values())
 
 
@@ -284,5 +284,5 @@ def test_a_folder_nothing_fits_says_why(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(detection.UnknownFormatError) as caught:
         detection.read(tmp_path)
-    assert [p.where for p in caught.value.problems] == ["hit-uav", "coco", "yolo", "folder"]
+    assert [p.where for p in caught.value.problems] == [f.name for f in detection.FORMATS]
     assert "no data.yaml" in str(caught.value)

@@ -27,6 +27,7 @@ MAX_JSON_BYTES = 200_000_000
 MAX_TEXT_BYTES = 50_000_000
 
 LOSSES: Mapping[str, str] = {
+    "box_dropped": "upright box that is not the bounds of the oriented one or polygon, which is all that is held",
     "obb_dropped": "oriented box known, the format holds axis-aligned boxes only",
     "obb_from_box": "no oriented box known, the axis-aligned one was written as one",
     "obb_not_rectangle": "four corners that form no rectangle were written as the nearest one",

@@ -11,7 +11,10 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from infrablend.core.dataset import Category, Dataset, ImageRecord
+import numpy as np
+
+from infrablend.core.boxes import box_of_points
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import write_text
 from infrablend.errors import Problem, UnknownFormatError
 from infrablend.formats.base import Written, sort_images
@@ -21,6 +24,7 @@ from infrablend.formats.pictures import assign_ids
 NATIVE = "native"
 
 FIELDS: Mapping[str, tuple[str, str]] = {
+    "boxes": ("upright boxes beside oriented ones", "box_dropped"),
     "obb": ("oriented boxes", "obb_dropped"),
     "masks": ("masks", "mask_dropped"),
     "ignore": ("regions to ignore", "ignore_dropped"),
@@ -73,7 +77,7 @@ class Writer:
 
 
 _YOLO = "infrablend.formats.yolo:write"
-_YOLO_LACKS = frozenset(FIELDS) - {"fractions", "telemetry"}
+_YOLO_LACKS = frozenset(FIELDS) - {"boxes", "fractions", "telemetry"}
 _YOLO_TAKES = frozenset({"dont_care", "without_mask"})
 _HIT_UAV = "infrablend.formats.hit_uav:write"
 _PICTURE = "images/{split}/{name}"
@@ -84,16 +88,21 @@ WRITERS: tuple[Writer, ...] = (
         {"task": "detect"}, _YOLO_TAKES, "stems", _PICTURE,
     ),
     Writer(
-        "yolo-obb", _YOLO, "yolo", "Ultralytics YOLO, oriented boxes", _YOLO_LACKS - {"obb"},
+        "yolo-obb", _YOLO, "yolo", "Ultralytics YOLO, oriented boxes", (_YOLO_LACKS | {"boxes"}) - {"obb"},
         {"task": "obb"}, _YOLO_TAKES, "stems", _PICTURE,
     ),
     Writer(
-        "yolo-seg", _YOLO, "yolo", "Ultralytics YOLO, one polygon per object", _YOLO_LACKS - {"masks"},
+        "yolo-seg", _YOLO, "yolo", "Ultralytics YOLO, one polygon per object", (_YOLO_LACKS | {"boxes"}) - {"masks"},
         {"task": "seg"}, _YOLO_TAKES, "stems", _PICTURE,
     ),
     Writer(
         "coco", "infrablend.formats.coco:write", "coco", "COCO JSON per split, masks as run lengths", frozenset(),
         takes=frozenset({"ids", "pictures"}),
+    ),
+    Writer(
+        "dota", "infrablend.formats.dota:write", "dota", "DOTA text, four corners in pixels",
+        frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence"}),
+        takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
     ),
     Writer(
         "hit-uav", _HIT_UAV, "hit-uav", "HIT-UAV's normal_json and rotate_json",
@@ -105,6 +114,10 @@ WRITERS: tuple[Writer, ...] = (
         "hit-uav-xml", _HIT_UAV, "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
         frozenset({"masks", "tracks", "visibility", "fractions", "telemetry", "sequence"}),
         {"forms": ("normal_xml", "rotate_xml")}, frozenset({"pictures"}), "shared",
+    ),
+    Writer(
+        "masks", "infrablend.formats.masks:write", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
+        frozenset(), takes=frozenset({"pictures"}), layout="stems",
     ),
 )  # fmt: skip
 """In the order in which they are listed."""
@@ -255,14 +268,21 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer, written: Written) -> dict[str, int]:
-    """What formats lose alike, counted here unless the writer did: tracks, telemetry, sequence."""
+    """What formats lose alike, counted here unless the writer did: upright boxes, tracks, telemetry, sequence."""
     counted = {kind.rpartition(".")[2] for kind in written.losses}
     found = {
+        "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
         "tracks": sum(o.track_id is not None for i in images for o in i.instances),
         "telemetry": sum(_unsaid(i) is not None for i in images),
         "sequence": sum(i.sequence is not None or i.captured is not None for i in images),
     }
     return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks and FIELDS[k][1] not in counted}
+
+
+def _has_own_box(instance: Instance) -> bool:
+    """Whether the upright box is not just the bounds of the oriented one."""
+    corners = instance.corners_xy
+    return corners is not None and not np.allclose(box_of_points(corners), instance.box_xyxy, rtol=0, atol=1e-6)
 
 
 def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings) -> Problem | None:

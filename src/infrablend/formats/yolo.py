@@ -186,6 +186,7 @@ def seg_text(image: ImageRecord, classes: Classes, without_mask: WithoutMask = "
             losses["mask_raster_px"] += made.raster_difference_px
         _count_flags(instance, losses)
         losses["obb_dropped"] += instance.corners_xy is not None
+        losses["box_dropped"] += not np.allclose(box_of_points(points), instance.box_xyxy, rtol=0, atol=0.03)
         lines.append(_line(classes[instance.category], _shares(points, size_wh)))
     return Text("".join(lines), _counted(losses))
 

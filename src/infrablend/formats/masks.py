@@ -1,0 +1,326 @@
+"""Instance masks as pictures: one 16-bit PNG per image, and a JSON table of its objects beside it.
+
+    categories.json
+    images/<split>/<name>.jpg
+    masks/<split>/<name>.png       value 0: no object; n: the object with `id` n in the table
+    masks/<split>/<name>.json      size, telemetry, and each object with its category, box, pixels
+
+A form of InfraBlend's own. The table holds all that is known of an object; the picture alone is enough for training.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split, TimeOfDay
+from infrablend.core.files import link_or_copy, write_bytes, write_json
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import (
+    Match,
+    Written,
+    category_ids,
+    check_box,
+    check_splits,
+    few,
+    is_ignored_name,
+    read_json,
+    require_size,
+    sort_images,
+    to_bool,
+    to_floats,
+    to_int,
+    to_size,
+)
+from infrablend.formats.images import load_background
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+
+NAME = "masks"
+TAKES_TABLE = False  # the tables say pitch and altitude
+
+CATEGORIES_FILE = "categories.json"
+MOST_OBJECTS = 65_535
+"""Objects that a picture of 16 bits tells apart."""
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
+) -> Written:
+    """Write masks, tables, `categories.json` and, as links, the pictures.
+
+    Where masks overlap, the later object has the pixel; lost pixels are counted, as are objects without a mask.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size or category is missing, a mask has another size than its picture, two pictures of a split
+            differ in the suffix alone, or a picture has more than `MOST_OBJECTS` objects.
+    """
+    of_category = category_ids(categories)
+    ignored = {c.name for c in categories if c.ignore}
+    losses: Counter[str] = Counter()
+    files: list[Path] = []
+    seen: set[Path] = set()
+    for image in sort_images(images):
+        target = out / "masks" / image.split / PurePosixPath(image.name).with_suffix(".png")
+        if target in seen:
+            raise ValueError(f"{image.name}: another picture of the split has the same stem")
+        seen.add(target)
+        pixels = instance_pixels(image, losses)
+        encoded = io.BytesIO()
+        Image.fromarray(pixels).save(encoded, "PNG", compress_level=6)
+        files.append(write_bytes(target, encoded.getvalue()))
+        files.append(write_json(target.with_suffix(".json"), _table(image, pixels, of_category, ignored)))
+        if pictures:
+            files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    names = [
+        {"id": c.id, "name": c.name, "supercategory": c.supercategory, "ignore": c.ignore}
+        for c in sorted(categories, key=lambda c: c.id)
+    ]
+    files.append(write_json(out / CATEGORIES_FILE, {"categories": names, "format": "masks of InfraBlend"}))
+    return Written(tuple(files), {k: v for k, v in sorted(losses.items()) if v})
+
+
+def instance_pixels(image: ImageRecord, losses: Counter[str]) -> NDArray[np.uint16]:
+    """(h, w) the number of the object each pixel belongs to, counted from 1 in the order of the labels; 0 for none."""
+    w, h = require_size(image)
+    if len(image.instances) > MOST_OBJECTS:
+        raise ValueError(f"{image.id}: {len(image.instances)} objects, at most {MOST_OBJECTS} fit")
+    pixels = np.zeros((h, w), np.uint16)
+    for number, instance in enumerate(image.instances, 1):
+        if instance.mask is None:
+            losses["mask_absent"] += 1
+            continue
+        if instance.mask.size_hw != (h, w):
+            raise ValueError(f"{image.id}: mask of {instance.mask.size_hw} in a frame of {(w, h)}")
+        mask = instance.mask.to_array()
+        losses["mask_overlap_px"] += int((pixels[mask] > 0).sum())
+        pixels[mask] = number
+    return pixels
+
+
+def _known(**fields: Any) -> dict[str, Any]:
+    return {k: v for k, v in fields.items() if v is not None}
+
+
+def _table(
+    image: ImageRecord, pixels: NDArray[np.uint16], of_category: Mapping[str, int], ignored: set[str]
+) -> dict[str, Any]:
+    w, h = require_size(image)
+    area = np.bincount(pixels.reshape(-1), minlength=len(image.instances) + 1)
+    objects = []
+    for number, i in enumerate(image.instances, 1):
+        if i.category not in of_category:
+            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
+        row: dict[str, Any] = {
+            "id": number,
+            "category": i.category,
+            "category_id": of_category[i.category],
+            "box_xyxy": i.box_xyxy.tolist(),
+            "has_mask": i.mask is not None,
+            "area_px": int(area[number]),
+            "inserted": i.inserted,
+            "ignore": i.category in ignored,
+        }
+        if i.corners_xy is not None:
+            row["corners_xy"] = i.corners_xy.tolist()
+        row |= _known(visibility=i.visibility, truncated=i.truncated, difficult=i.difficult)
+        objects.append(row | _known(track_id=i.track_id, source_id=i.source_id))
+    top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
+    top |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
+    return top | _known(sequence=image.sequence, captured=image.captured, source_id=image.source_id)
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds `categories.json` and `masks/<split>/`."""
+    missing = [n for n in (CATEGORIES_FILE, "masks") if not (root / n).exists()]
+    if missing:
+        return Match(NAME, False, f"no {' and no '.join(missing)}")
+    splits = [s for s in SPLITS if (root / "masks" / s).is_dir()]
+    if not splits:
+        return Match(NAME, False, "no train, val or test in masks/")
+    return Match(NAME, True, f"masks with tables; {', '.join(splits)}")
+
+
+def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
+    """Read masks and their tables.
+
+    Args:
+        root: The folder with `categories.json`.
+        splits: The splits wanted; None reads all there are.
+
+    Raises:
+        DatasetError: No list of categories, or nothing can be read.
+    """
+    wanted = check_splits(splits)
+    categories = _read_categories(root)
+    names = {c.name for c in categories}
+    problems: list[Problem] = []
+    found: list[tuple[str, ImageRecord]] = []
+    for split in wanted:
+        base = root / "masks" / split
+        listing = PictureFolder.scan(root / "images" / split)
+        named: set[str] = set()
+        for path in sorted(base.rglob("*.json")) if base.is_dir() else ():
+            if path.name.startswith("."):
+                continue
+            record = _read_table(root, path, split, listing, names, problems)
+            if record is not None:
+                named.add(record.name)
+                found.append((f"{split}/{record.name}", record))
+        unlisted = sorted(set(listing.by_name) - named)
+        if unlisted:
+            text = f"{len(unlisted)} picture(s) of {split} without a table, left out: {', '.join(unlisted[:3])}"
+            problems.append(Problem(root.name, "image-unlisted", text, "a table for each", severity="warning"))
+    if not found:
+        problems.append(Problem(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json"))
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
+    ids = assign_ids([key for key, _ in found])
+    images = [replace(record, id=ids[key]) for key, record in found]
+    return Dataset(root, NAME, categories, sort_images(images), tuple(problems), {"labels": NAME})
+
+
+def _read_categories(root: Path) -> tuple[Category, ...]:
+    path = root / CATEGORIES_FILE
+    top = read_json(path)
+    rows = top.get("categories") if isinstance(top, dict) else None
+    problems: list[Problem] = []
+    categories: list[Category] = []
+    for n, row in enumerate(rows if isinstance(rows, list) else ()):
+        number = to_int(row.get("id")) if isinstance(row, dict) else None
+        name = row.get("name") if isinstance(row, dict) else None
+        if number is None or not isinstance(name, str) or any(c.id == number or c.name == name for c in categories):
+            here = f"{CATEGORIES_FILE}: category {n}"
+            problems.append(Problem(here, "category-malformed", repr(row)[:80], "a new id and a new name"))
+            continue
+        ignore = row.get("ignore") is True or is_ignored_name(name)
+        categories.append(Category(number, name, str(row.get("supercategory") or ""), ignore))
+    if problems or not isinstance(rows, list):
+        problems = problems or [Problem(CATEGORIES_FILE, "annotation-layout", "no list `categories`", "one")]
+        raise DatasetError(f"{path}: no list of categories", problems)
+    return tuple(categories)
+
+
+def _read_table(
+    root: Path, path: Path, split: Split, listing: PictureFolder, names: set[str], problems: list[Problem]
+) -> ImageRecord | None:
+    where = path.relative_to(root).as_posix()
+    try:
+        top = read_json(path)
+    except DatasetError as error:
+        problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        return None
+    rows = top.get("objects") if isinstance(top, dict) else None
+    size_wh = to_size(top.get("width"), top.get("height")) if isinstance(top, dict) else None
+    if not isinstance(rows, list) or size_wh is None:
+        found, expected = "no list `objects`, or no width and height", "a table of masks"
+        problems.append(Problem(where, "annotation-layout", found, expected, "leave it out"))
+        return None
+    fault = check_name(top.get("file_name"), where)
+    name, picture = str(top.get("file_name")), None
+    if fault is None:
+        name, picture, fault = listing.find(name, where)
+    if fault is None and picture is None:
+        fault = Problem(where, "image-missing", f"no picture {name!r}", f"a file in images/{split}", "restore it")
+    if fault is not None or picture is None:
+        problems += [fault] if fault else []
+        return None
+    pixels = _read_pixels(root, path.with_suffix(".png"), size_wh, problems)
+    instances = []
+    seen: set[int] = set()
+    for n, row in enumerate(rows):
+        here = f"{where}: object {row.get('id', n) if isinstance(row, dict) else n}"
+        instance = _read_object(row, pixels, size_wh, here, names, seen, problems)
+        if instance is not None:
+            instances.append(instance)
+    if pixels is not None:
+        unknown = sorted(set(np.unique(pixels).tolist()) - seen - {0})
+        if unknown:
+            found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
+            problems.append(Problem(where, "mask-unknown", found, "an object for each value", severity="warning"))
+    pitch, altitude = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
+    time: TimeOfDay | None = top["time_of_day"] if top.get("time_of_day") in ("day", "night") else None
+    return ImageRecord(
+        "", picture, split, size_wh, pitch[0] if pitch else None, altitude[0] if altitude else None, time,
+        tuple(instances), _id(top.get("source_id")), {}, name, _text(top.get("sequence")), _text(top.get("captured")),
+    )  # fmt: skip
+
+
+def _read_pixels(
+    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem]
+) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
+    where = path.relative_to(root).as_posix()
+    try:
+        loaded = load_background(path, size_wh)
+    except DatasetError as error:
+        problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        return None
+    if loaded.mode == "RGB":
+        problems.append(Problem(where, "mask-malformed", "a colour picture", "16 or 8 bits per pixel, grey"))
+        return None
+    return loaded.pixels
+
+
+def _read_object(
+    row: object,
+    pixels: NDArray[Any] | None,
+    size_wh: tuple[int, int],
+    where: str,
+    names: set[str],
+    seen: set[int],
+    problems: list[Problem],
+) -> Instance | None:
+    number = to_int(row.get("id")) if isinstance(row, dict) else None
+    box = to_floats(row.get("box_xyxy"), 4) if isinstance(row, dict) else None
+    if not isinstance(row, dict) or number is None or box is None or number in seen:
+        problems.append(Problem(where, "annotation-malformed", json.dumps(row)[:80], "a new id and a box_xyxy"))
+        return None
+    seen.add(number)
+    if row.get("category") not in names:
+        found, expected = f"category {row.get('category')!r}", f"one of {', '.join(sorted(names))}"
+        problems.append(Problem(where, "category-unknown", found, expected, f"add it to {CATEGORIES_FILE}"))
+        return None
+    inside, problem = check_box(box, size_wh, where)
+    problems += [problem] if problem is not None else []
+    if inside is None:
+        return None
+    corners = _corners(row.get("corners_xy"))
+    mask = None
+    if row.get("has_mask") is not False and pixels is not None:
+        mask = Mask.from_array(pixels == number)
+    visibility = to_floats([row.get("visibility")], 1)
+    return Instance(
+        str(row["category"]), inside, corners, mask, visibility[0] if visibility else None,
+        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
+        _id(row.get("source_id")), {}, _id(row.get("track_id")),
+    )  # fmt: skip
+
+
+def _corners(value: object) -> NDArray[np.float64] | None:
+    if not isinstance(value, list) or len(value) != 4:
+        return None
+    points = [to_floats(p, 2) for p in value]
+    return np.array(points, np.float64) if all(p is not None and np.isfinite(p).all() for p in points) else None
+
+
+def _id(value: object) -> int | str | None:
+    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None
