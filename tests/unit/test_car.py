@@ -122,7 +122,7 @@ def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
 
 def test_temperatures_follow_the_state() -> None:
     cold, driven = (MODEL.roles({**NOMINAL, "state": s}) for s in ("parked_cold", "driven"))
-    assert cold["roof"].delta_t_k == (-8.0, -4.0)
+    assert cold["roof"].delta_t_k == (-6.0, -4.0)
     assert driven["bonnet"].delta_t_k == (20.0, 50.0)
     assert driven["tyre"].delta_t_k == (8.0, 11.0)
     assert driven["exhaust"].delta_t_k == (50.0, 250.0)
@@ -132,6 +132,23 @@ def test_temperatures_follow_the_state() -> None:
         for c in ("black", "grey", "silver", "white")
     ]
     assert roofs == sorted(roofs, reverse=True) and roofs[-1] < 15 < 38 < roofs[0]
+    sun, both = (MODEL.roles({**NOMINAL, "state": s, "colour": "black"}) for s in ("day_sun", "day_driven"))
+    assert both["roof"].delta_t_k == sun["roof"].delta_t_k
+    assert both["grille"].delta_t_k == driven["grille"].delta_t_k
+    for part, role in both.items():
+        assert role.delta_t_k[0] >= max(sun[part].delta_t_k[0], driven[part].delta_t_k[0])
+
+
+def test_the_time_of_day_decides_which_states_come_up() -> None:
+    for when, parked, driven in (("night", "parked_cold", "driven"), ("day", "day_sun", "day_driven")):
+        draws = [MODEL.sample(stream(k, "when"), {"time_of_day": when}) for k in range(400)]
+        assert {d["state"] for d in draws} == {parked, driven}
+        assert np.mean([d["state"] == driven for d in draws]) == pytest.approx(0.25, abs=0.06)
+        assert all("time_of_day" not in d for d in draws)
+        fixed = MODEL.sample(stream(0, "when"), {"time_of_day": when, "state": "day_sun"})
+        assert fixed["state"] == "day_sun"
+    night, day = (MODEL.sample(stream(3, "when"), {"time_of_day": w}) for w in ("night", "day"))
+    assert {**night, "state": 0} == {**day, "state": 0}
 
 
 @pytest.mark.parametrize("state", CHOICES["state"])
@@ -202,6 +219,7 @@ def test_options_are_honoured_and_leave_other_draws_alone() -> None:
         ({"state": []}, r"'state': found \[\]"),
         ({"exhausts": True}, r"'exhausts': found True"),
         ({"colour": 3}, r"'colour': found 3"),
+        ({"time_of_day": "dusk"}, r"'time_of_day': found 'dusk', expected 'day' or 'night'"),
     ],
 )
 def test_bad_options_are_named(options: dict[str, object], expected: str) -> None:

@@ -178,6 +178,7 @@ def test_options_are_honoured_and_leave_other_draws_alone() -> None:
         ({"layout": []}, r"'layout': found \[\]"),
         ({"body": 3}, r"'body': found 3"),
         ({"blades": True}, r"'blades': found True"),
+        ({"propellers": "fast"}, r"'propellers': found 'fast', expected one of 'still', 'spinning'"),
         ({"propeller_angle_deg": "fast"}, r"'propeller_angle_deg': found 'fast', expected an angle"),
         ({"propeller_angle_deg": [1, 2, 3]}, r"'propeller_angle_deg': found \[1, 2, 3\]"),
     ],
@@ -194,6 +195,7 @@ def test_bad_options_are_named(options: dict[str, object], expected: str) -> Non
         ({"layout": None}, "'layout': found None"),
         ({"propeller_angle_deg": [0, 0, 0]}, "four angles"),
         ({"colour": 1}, "unknown parameter 'colour'"),
+        ({"propellers": "off"}, "'propellers': found 'off'"),
     ],
 )
 def test_bad_params_are_named(change: dict[str, object], expected: str) -> None:
@@ -210,4 +212,49 @@ def test_parts_have_sane_thermal_roles() -> None:
         assert role.what
     hot, cold = ("battery", "motor", "winding", "esc"), ("frame", "arm", "propeller", "leg")
     assert min(MODEL.parts[h].delta_t_k[0] for h in hot) > max(MODEL.parts[c].delta_t_k[1] for c in cold)
-    assert all(role in {p for d in DRAWS for p in MODEL.build(d).part_names} for role in MODEL.parts)
+    assert all(role in {p for d in DRAWS for p in MODEL.build(d).part_names} for role in MODEL.roles(NOMINAL))
+
+
+def test_spinning_propellers_are_discs_that_labels_do_not_count() -> None:
+    assert not set(MODEL.roles(NOMINAL)) & set(drone.DISC_RINGS)
+    for k, drawn in enumerate(DRAWS):
+        still, spinning = MODEL.build(drawn), MODEL.build({**drawn, "propellers": "spinning"})
+        roles = MODEL.roles({**drawn, "propellers": "spinning"})
+        assert set(spinning.part_names) == set(still.part_names) | set(drone.DISC_RINGS), k
+        # What is not a blade is where it was; hubs are still there.
+        for name in still.part_names:
+            a, b = (
+                m.vertices_m[m.triangles[m.part_of_triangle == m.part_names.index(name)]] for m in (still, spinning)
+            )
+            if name == "propeller":
+                assert 0 < len(b) < len(a)
+            else:
+                assert np.array_equal(a, b)
+        areas, opacities = [], []
+        for name in drone.DISC_RINGS:
+            assert not roles[name].label and not MODEL.parts[name].label
+            corners = spinning.vertices_m[
+                spinning.triangles[spinning.part_of_triangle == spinning.part_names.index(name)]
+            ]
+            cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            assert (cross[:, 2] > 0).all()  # faces up
+            areas.append(float(np.linalg.norm(cross, axis=1).sum() / 2))
+            opacities.append(roles[name].opacity)
+        # Blades cover more of the circle near the hub; on the whole 5 to 15 %.
+        assert opacities == sorted(opacities, reverse=True)
+        assert 0.05 < np.average(opacities, weights=areas) < 0.15
+        # As much as the blades themselves do, seen from above.
+        blades = still.vertices_m[still.triangles[still.part_of_triangle == still.part_names.index("propeller")]]
+        normals = np.cross(blades[:, 1] - blades[:, 0], blades[:, 2] - blades[:, 0])[:, 2] / 2
+        assert float(np.dot(opacities, areas)) == pytest.approx(float(normals[normals > 0].sum()), rel=0.35)
+
+
+def test_propellers_are_an_option_that_changes_nothing_else() -> None:
+    free = MODEL.sample(stream(4, "o"), {})
+    assert free["propellers"] == "still"
+    assert MODEL.sample(stream(4, "o"), {"propellers": "spinning"}) == {**free, "propellers": "spinning"}
+    both = {MODEL.sample(stream(k, "o"), {"propellers": ["still", "spinning"]})["propellers"] for k in range(20)}
+    assert both == {"still", "spinning"}
+    # A scene written before there was the choice.
+    old = {k: v for k, v in NOMINAL.items() if k != "propellers"}
+    assert MODEL.build(old).vertices_m.tobytes() == MODEL.build(NOMINAL).vertices_m.tobytes()

@@ -148,7 +148,7 @@ class LabelReport:
 
 @dataclass(frozen=True, eq=False)
 class _Projected:
-    """One object in the image: triangles that labels count, the others, and all of them."""
+    """One object in the image: triangles that labels count, the others, and all of them; no translucent ones."""
 
     labelled: ProjectedTriangles
     unlabelled: ProjectedTriangles
@@ -289,12 +289,14 @@ def _project(camera: CameraSpec, spec: ObjectSpec, mesh: Mesh, near_m: float) ->
             f"expected some of {sorted(spec.parts)}"
         )
     world = object_to_world(mesh.vertices_m, spec.position_m, spec.yaw_rad, spec.scale)
-    counts = np.array([spec.parts[name].label for name in mesh.part_names])[mesh.part_of_triangle]
+    states = [spec.parts[name] for name in mesh.part_names]
+    counts = np.array([s.label for s in states])[mesh.part_of_triangle]
+    hides = ~counts & np.array([s.opacity == 1 for s in states])[mesh.part_of_triangle]
     labelled = project_triangles(camera, world, mesh.triangles[counts], near_m)
-    if counts.all():
+    if not hides.any():
         nothing = labelled.select(np.zeros(len(labelled.xy), np.bool_))
         return _Projected(labelled, nothing, labelled)
-    unlabelled = project_triangles(camera, world, mesh.triangles[~counts], near_m)
+    unlabelled = project_triangles(camera, world, mesh.triangles[hides], near_m)
     return _Projected(labelled, unlabelled, _joined([labelled, unlabelled]))
 
 

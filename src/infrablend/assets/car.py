@@ -12,7 +12,7 @@ drive (mistersustainable.blogspot.com), and the grey levels of HIT-UAV's cars by
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.errors import ModelError
@@ -31,37 +31,38 @@ Range = tuple[float, float]
 
 # --- temperatures --------------------------------------------------------------------------------------------
 
-_PAINT: Range = (0.92, 0.94)
-# part -> emissivity, index of refraction, what it is. Paint 0.92-0.94 in any colour (HeatSeeker manual).
-_SURFACES: Mapping[str, tuple[Range, float, str]] = {
-    "roof": (_PAINT, 1.5, "roof: faces the whole sky; HIT-UAV's night cars -46 DN against the ground, some -8 K"),
-    "bonnet": (_PAINT, 1.5, "bonnet: +20..+50 K just after a drive, decays over 1-2 h; the brightest part in HIT-UAV"),
-    "cowl": (_PAINT, 1.5, "bonnet's rear third, behind the engine; runs into the bonnet (est.)"),
-    "wing": (_PAINT, 1.5, "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
-    "boot": (_PAINT, 1.5, "boot lid of a saloon, horizontal like the roof"),
-    "side": (_PAINT, 1.5, "doors, rear wings: upright, so half of what they face is ground (est. from the roof)"),
-    "pillar": (_PAINT, 1.5, "window frames: lean inwards, between roof and doors; hardly seen in HIT-UAV (est.)"),
-    "front": (_PAINT, 1.5, "bumper and nose, ahead of the radiator (est.)"),
-    "rear": (_PAINT, 1.5, "bumper and tailgate (est.)"),
-    "trim": ((0.94, 0.95), 1.5, "mirrors and rails, plastic 0.94-0.95 (testo)"),
-    "windscreen": ((0.86, 0.90), 1.5, "glass 0.86-0.94 (testo), -4 K by night, the darkest part; +5..+20 K heated"),
-    "rear_window": ((0.86, 0.90), 1.5, "rear screen, as the windscreen"),
-    "window": ((0.86, 0.90), 1.5, "side windows: steeper, so they face less of the sky (est.)"),
-    "sunroof": ((0.86, 0.90), 1.5, "glass in the roof, as the windscreen"),
-    "tyre": ((0.93, 0.95), 1.0, "rubber 0.94 (testo); +8..+11 K after a drive of 14 miles"),
-    "rim": ((0.80, 0.92), 1.5, "lacquered alloy or steel (est.)"),
-    "brake": ((0.80, 0.92), 1.0, "brake and hub behind the rim: hotter than the tyre after a drive (rotors +17 K)"),
-    "underbody": ((0.92, 0.95), 1.0, "floor and wheel wells: shielded from the sky (est.)"),
-    "grille": ((0.94, 0.98), 1.0, "grille and intake: plastic over cavities (est.)"),
-    "exhaust": ((0.80, 0.90), 1.0, "tail pipe, oxidised steel: +50..+250 K running (est.)"),
-    "headlamp": ((0.94, 0.95), 1.5, "covers of the front lamps, polycarbonate 0.94-0.95 (testo)"),
-    "tail_lamp": ((0.94, 0.95), 1.5, "covers of the rear lamps, as the front ones"),
-}  # fmt: skip
+# part -> material, what it is.
+_SURFACES: Mapping[str, tuple[str, str]] = {
+    "roof": ("car_paint", "roof: faces the whole sky; HIT-UAV's night cars -46 DN against the ground, some -8 K"),
+    "bonnet": ("car_paint", "bonnet: +20..+50 K just after a drive, decays over 1-2 h; the brightest part in HIT-UAV"),
+    "cowl": ("car_paint", "bonnet's rear third, behind the engine; runs into the bonnet (est.)"),
+    "wing": ("car_paint", "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
+    "boot": ("car_paint", "boot lid of a saloon, horizontal like the roof"),
+    "side": ("car_paint", "doors, rear wings: upright, so half of what they face is ground (est. from the roof)"),
+    "pillar": ("car_paint", "window frames: lean inwards, between roof and doors; hardly seen in HIT-UAV (est.)"),
+    "front": ("car_paint", "bumper and nose, ahead of the radiator (est.)"),
+    "rear": ("car_paint", "bumper and tailgate (est.)"),
+    "trim": ("plastic", "mirrors and rails"),
+    "windscreen": ("glass", "-4 K by night, the darkest part; +5..+20 K heated"),
+    "rear_window": ("glass", "rear screen, as the windscreen"),
+    "window": ("glass", "side windows: steeper, so they face less of the sky (est.)"),
+    "sunroof": ("glass", "glass in the roof, as the windscreen"),
+    "tyre": ("rubber", "+8..+11 K after a drive of 14 miles"),
+    "rim": ("lacquered_metal", "lacquered alloy or steel"),
+    "brake": ("oxidised_steel", "brake and hub behind the rim: hotter than the tyre after a drive (rotors +17 K)"),
+    "underbody": ("painted", "floor and wheel wells: shielded from the sky (est.)"),
+    "grille": ("cavity", "grille and intake: plastic over cavities"),
+    "exhaust": ("oxidised_steel", "tail pipe: +50..+250 K running (est.)"),
+    "headlamp": ("plastic", "covers of the front lamps, polycarbonate"),
+    "tail_lamp": ("plastic", "covers of the rear lamps, as the front ones"),
+}
 
-# Clear night, parked for hours: what faces the sky is below air temperature.
+# Clear night, parked for hours: what faces the sky is below air temperature, a roof by 8.5 K without wind and by 4 K at
+# 3 m/s (energy balance). The warmer half of that range is drawn: HIT-UAV's median car is 46 +- 12 levels darker than
+# the ground at its middle, which is 7.7 K at 6 levels per kelvin, and mirroring the sky makes some 4 K of it.
 _PARKED_COLD: Mapping[str, Range] = {
-    "roof": (-8.0, -4.0), "bonnet": (-8.0, -4.0), "boot": (-8.0, -4.0), "cowl": (-7.5, -3.5),
-    "wing": (-4.5, -1.0), "side": (-3.5, -0.5), "pillar": (-6.5, -2.5), "front": (-3.0, -0.5),
+    "roof": (-6.0, -4.0), "bonnet": (-6.0, -4.0), "boot": (-6.0, -4.0), "cowl": (-5.5, -3.5),
+    "wing": (-3.5, -1.0), "side": (-3.0, -0.5), "pillar": (-5.0, -2.5), "front": (-3.0, -0.5),
     "rear": (-3.0, -0.5), "trim": (-5.0, -2.0), "windscreen": (-5.0, -3.0), "rear_window": (-5.0, -3.0),
     "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (-1.5, 0.5), "rim": (-2.5, -0.5), "brake": (-1.0, 0.5),
     "underbody": (-0.5, 2.0), "grille": (-1.5, 0.5), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
@@ -69,7 +70,7 @@ _PARKED_COLD: Mapping[str, Range] = {
 }  # fmt: skip
 # The same night, within minutes after a drive.
 _DRIVEN: Mapping[str, Range] = {
-    "roof": (-7.0, -3.0), "bonnet": (20.0, 50.0), "boot": (-6.5, -2.5), "cowl": (8.0, 25.0),
+    "roof": (-5.5, -3.0), "bonnet": (20.0, 50.0), "boot": (-5.5, -2.5), "cowl": (8.0, 25.0),
     "wing": (12.0, 35.0), "side": (-2.0, 2.0), "pillar": (-5.5, -2.0), "front": (12.0, 35.0),
     "rear": (-1.5, 3.0), "trim": (-3.0, 0.0), "windscreen": (-2.0, 8.0), "rear_window": (-3.0, 5.0),
     "window": (-3.0, 3.0), "sunroof": (-4.0, 1.0), "tyre": (8.0, 11.0), "rim": (6.0, 16.0), "brake": (17.0, 60.0),
@@ -95,16 +96,19 @@ _DAY_SUN: Mapping[str, Range] = {
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
-    state = params["state"]
+    deltas = _deltas(params["state"], params["colour"])
+    return {part: made_of(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
+
+
+def _deltas(state: str, colour: str) -> dict[str, Range]:
     if state == "day_sun":
-        low, high = _SUN_ON_PAINT[params["colour"]]
-        deltas = {**_DAY_SUN, **{part: (a * low, b * high) for part, (a, b) in _SUN_SHARE.items()}}
-    else:
-        deltas = dict({"parked_cold": _PARKED_COLD, "driven": _DRIVEN}[state])
-    return {
-        part: PartRange(deltas[part], emissivity, what=what, ior=ior)
-        for part, (emissivity, ior, what) in _SURFACES.items()
-    }
+        low, high = _SUN_ON_PAINT[colour]
+        return {**_DAY_SUN, **{part: (a * low, b * high) for part, (a, b) in _SUN_SHARE.items()}}
+    if state == "day_driven":
+        # The sun and the engine, whichever heats a part more.
+        sun = _deltas("day_sun", colour)
+        return {part: (max(a, sun[part][0]), max(b, sun[part][1])) for part, (a, b) in _DRIVEN.items()}
+    return dict({"parked_cold": _PARKED_COLD, "driven": _DRIVEN}[state])
 
 
 PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
@@ -171,7 +175,7 @@ _BODIES: Mapping[str, _Body] = {
 
 CHOICES: Mapping[str, tuple[Any, ...]] = {
     "body": tuple(_BODIES),
-    "state": ("parked_cold", "driven", "day_sun"),
+    "state": ("parked_cold", "driven", "day_sun", "day_driven"),
     "colour": ("black", "grey", "silver", "white"),
     "sunroof": (False, True),
     "rails": (False, True),
@@ -181,7 +185,7 @@ CHOICES: Mapping[str, tuple[Any, ...]] = {
 }
 _ODDS: Mapping[str, tuple[float, ...]] = {
     "body": (0.36, 0.22, 0.24, 0.06, 0.12),
-    "state": (0.5, 0.25, 0.25),
+    "state": (0.5, 0.25, 0.19, 0.06),
     "colour": (0.25, 0.17, 0.2, 0.38),
     "sunroof": (0.7, 0.3),
     "rails": (0.35, 0.65),
@@ -189,6 +193,8 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
     "exhausts": (0.2, 0.55, 0.25),
     "spokes": (0.5, 0.2, 0.3),
 }
+# What is parked and what has been driven in the last minutes (est.).
+_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.75, 0.25, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),
     "width": (0.97, 1.04),
@@ -238,10 +244,14 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Raises:
         ModelError: An unknown option or a bad value; the message names it and what was expected.
     """
-    _require_known(options, "option")
+    _require_known(options, "option", (*NOMINAL, "time_of_day"))
+    when = options.get("time_of_day")
+    if when not in (None, *_STATE_ODDS):
+        raise _bad("time_of_day", when, "'day' or 'night'")
     dice = {name: float(rng.random()) for name in CHOICES}
     dials = {name: float(rng.random()) for name in DRAWN}
-    params: dict[str, Any] = {name: _choose(name, dice[name], options) for name in CHOICES}
+    odds = _ODDS if when is None else {**_ODDS, "state": _STATE_ODDS[when]}
+    params: dict[str, Any] = {name: _choose(name, dice[name], odds[name], options) for name in CHOICES}
     body = _BODIES[params["body"]]
     for name in DRAWN:
         low, high = _number_range(name, options, body.lengths_m if name == "length_m" else DRAWN[name])
@@ -254,11 +264,11 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     return params
 
 
-def _require_known(given: Params, what: str) -> None:
+def _require_known(given: Params, what: str, known: Collection[str] = tuple(NOMINAL)) -> None:
     for name in given:
-        if name not in NOMINAL:
+        if name not in known:
             raise ModelError(
-                f"car: unknown {what} {name!r}; expected one of {', '.join(sorted(NOMINAL))}. Correct the name"
+                f"car: unknown {what} {name!r}; expected one of {', '.join(sorted(known))}. Correct the name"
             )
 
 
@@ -282,7 +292,7 @@ def _number_range(name: str, options: Params, own: Range) -> Range:
     return float(pair[0]), float(pair[1])
 
 
-def _choose(name: str, dice: float, options: Params) -> Any:
+def _choose(name: str, dice: float, odds: tuple[float, ...], options: Params) -> Any:
     allowed = CHOICES[name]
     if name in options:
         value = options[name]
@@ -292,7 +302,7 @@ def _choose(name: str, dice: float, options: Params) -> Any:
         if not wanted or len(found) != len(wanted):
             raise _bad(name, value, f"one of {', '.join(map(repr, allowed))}, or a list of some of them")
         return found[min(int(dice * len(found)), len(found) - 1)]
-    edges = np.cumsum(_ODDS[name]) / sum(_ODDS[name])
+    edges = np.cumsum(odds) / sum(odds)
     return allowed[min(int(np.searchsorted(edges, dice, side="right")), len(allowed) - 1)]
 
 
@@ -717,6 +727,9 @@ MODEL = ObjectModel(
     parts=PARTS,
     sample=sample_params,
     build=build_car,
-    options={name: _option_text(name) for name in NOMINAL},
+    options={
+        **{name: _option_text(name) for name in NOMINAL},
+        "time_of_day": "day or night: which states come up; by default that of the background",
+    },
     parts_for=parts_for,
 )

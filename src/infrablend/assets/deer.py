@@ -19,7 +19,7 @@ is smooth.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.errors import ModelError
@@ -47,35 +47,55 @@ SHOULDER_HEIGHT_M = (0.4, 1.6)
 TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6}
 HEAD_TURN_RAD = 0.35
 
-_FUR = (0.97, 0.99)
-_HARD = (0.94, 0.96)
 # Surface minus air. Levels: measured trunk in winter +6..+8 K (thermal.md 2.2, S11) and the map there
 # T = Ta + dT_core * m(part). The issue asks for a "nearly uniform warm body with cooler legs, ears and antlers": so
 # legs and ears lie below the trunk here although thermal.md's skin values of lower legs and inner ears are above it,
 # and the spread over the trunk is 1-2 K. Fur is rough: no Fresnel rim (thermal.md 1.3), ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "back": PartRange((5.0, 8.0), _FUR, what="top of the trunk, thickest coat; thermal.md 2.2 (m 0.25-0.30)", ior=1.0),
-    "upper_flank": PartRange((5.5, 8.5), _FUR, what="between back and flank", ior=1.0),
-    "flank": PartRange((6.0, 9.0), _FUR, what="sides of the trunk; +6..+8 K measured, thermal.md 2.2 S11", ior=1.0),
-    "belly": PartRange((6.5, 10.0), _FUR, what="underside and groin, thin coat; thermal.md 2.2", ior=1.0),
-    "neck_base": PartRange((5.6, 8.8), _FUR, what="between trunk and neck", ior=1.0),
-    "neck": PartRange((6.0, 9.5), _FUR, what="thermal.md 2.2 (m 0.35)", ior=1.0),
-    "head": PartRange((7.0, 11.0), _FUR, what="thermal.md 2.2 (m 0.6), lowered towards a uniform body", ior=1.0),
-    "muzzle": PartRange((8.0, 12.5), _FUR, what="thermal.md 2.2 (m 0.9), lowered towards a uniform body", ior=1.0),
-    "nose": PartRange((9.0, 14.5), (0.97, 0.98), what="bare skin; thermal.md 2.2 S14", ior=1.0),
-    "eye": PartRange((11.0, 18.0), (0.97, 0.98), what="hottest spot; thermal.md 2.2 S14 (m 1.0)", ior=1.33),
-    "ear": PartRange((2.5, 5.5), _FUR, what="cooler than the body, as the issue says", ior=1.0),
-    "haunch": PartRange((5.6, 8.6), _FUR, what="thigh, between flank and leg", ior=1.0),
-    "shoulder": PartRange((5.6, 8.6), _FUR, what="shoulder to elbow, between flank and leg", ior=1.0),
-    "upper_leg": PartRange((5.0, 8.0), _FUR, what="forearm and gaskin; thermal.md 2.2, issue: cooler legs", ior=1.0),
-    "mid_leg": PartRange((3.8, 6.5), _FUR, what="above knee and hock, between its neighbours", ior=1.0),
-    "lower_leg": PartRange((2.5, 5.0), _FUR, what="below knee and hock; issue: cooler legs", ior=1.0),
-    "hoof": PartRange((0.5, 2.5), _HARD, what="horn, touches the ground; thermal.md 2.1", ior=1.0),
-    "tail": PartRange((4.0, 7.0), _FUR, what="thermal.md 2.2 (m 0.3)", ior=1.0),
-    "antler": PartRange((0.0, 0.5), _HARD, what="bone at air temperature; thermal.md 2.2 S14", ior=1.0),
-    "antler_velvet": PartRange((6.0, 10.0), _FUR, what="growing antler, fed with blood; thermal.md 2.2 S15", ior=1.0),
+    "back": made_of("fur", (5.0, 8.0), "top of the trunk, thickest coat; thermal.md 2.2 (m 0.25-0.30)"),
+    "upper_flank": made_of("fur", (5.5, 8.5), "between back and flank"),
+    "flank": made_of("fur", (6.0, 9.0), "sides of the trunk; +6..+8 K measured, thermal.md 2.2 S11"),
+    "belly": made_of("fur", (6.5, 10.0), "underside and groin, thin coat; thermal.md 2.2"),
+    "neck_base": made_of("fur", (5.6, 8.8), "between trunk and neck"),
+    "neck": made_of("fur", (6.0, 9.5), "thermal.md 2.2 (m 0.35)"),
+    "head": made_of("fur", (7.0, 11.0), "thermal.md 2.2 (m 0.6), lowered towards a uniform body"),
+    "muzzle": made_of("fur", (8.0, 12.5), "thermal.md 2.2 (m 0.9), lowered towards a uniform body"),
+    "nose": made_of("skin", (9.0, 14.5), "bare skin; thermal.md 2.2 S14", emissivity=(0.97, 0.98)),
+    "eye": made_of("eye", (11.0, 18.0), "hottest spot; thermal.md 2.2 S14 (m 1.0)"),
+    "ear": made_of("fur", (2.5, 5.5), "cooler than the body, as the issue says"),
+    "haunch": made_of("fur", (5.6, 8.6), "thigh, between flank and leg"),
+    "shoulder": made_of("fur", (5.6, 8.6), "shoulder to elbow, between flank and leg"),
+    "upper_leg": made_of("fur", (5.0, 8.0), "forearm and gaskin; thermal.md 2.2, issue: cooler legs"),
+    "mid_leg": made_of("fur", (3.8, 6.5), "above knee and hock, between its neighbours"),
+    "lower_leg": made_of("fur", (2.5, 5.0), "below knee and hock; issue: cooler legs"),
+    "hoof": made_of("antler", (0.5, 2.5), "horn, touches the ground; thermal.md 2.1"),
+    "tail": made_of("fur", (4.0, 7.0), "thermal.md 2.2 (m 0.3)"),
+    "antler": made_of("antler", (0.0, 0.5), "bone at air temperature; thermal.md 2.2 S14"),
+    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler, fed with blood; thermal.md 2.2 S15"),
 }
 PART_NAMES = tuple(PARTS)
+TIMES = ("night", "day")
+# Dark fur in direct sun is 15..25 K warmer than air and loses 18 K in two minutes of shade; the weaker part of it, and
+# the share of it that parts facing less of the sky reach (est.).
+SUN_K = (5.0, 20.0)
+_SUN_SHARE: Mapping[str, float] = {
+    "back": 1.0, "upper_flank": 0.9, "flank": 0.7, "belly": 0.1, "neck_base": 0.9, "neck": 0.8, "head": 0.7,
+    "muzzle": 0.5, "ear": 0.7, "haunch": 0.7, "shoulder": 0.7, "upper_leg": 0.5, "mid_leg": 0.4, "lower_leg": 0.3,
+    "hoof": 0.1, "tail": 0.7, "antler": 0.3, "antler_velvet": 0.5,
+}  # fmt: skip
+
+
+def parts_for(params: Params) -> Mapping[str, PartRange]:
+    """Thermal role of every part; by day the sun warms the coat."""
+    if params.get("time_of_day", "night") == "night":
+        return PARTS
+    low, high = SUN_K
+    return {
+        n: replace(r, delta_t_k=(r.delta_t_k[0] + share * low, r.delta_t_k[1] + share * high))
+        for n, r in PARTS.items()
+        for share in [_SUN_SHARE.get(n, 0.0)]
+    }
+
 
 BODY_CELL = 0.019
 HEAD_CELL = 0.0105
@@ -687,6 +707,7 @@ DEFAULTS: Mapping[str, Any] = {
     "neck_turn_rad": 0.0,
     "head_turn_rad": 0.0,
     "mirror": False,
+    "time_of_day": "night",
 }
 
 
@@ -717,6 +738,7 @@ def _checked(params: Params) -> dict[str, Any]:
         p["variant"] = VARIANTS[pose][0]
     _one_of("parameter variant", p["variant"], VARIANTS[pose])
     _one_of("parameter build", p["build"], BUILDS)
+    _one_of("parameter time_of_day", p["time_of_day"], TIMES)
     _one_of("parameter antlers", p["antlers"], ANTLERS)
     _one_of("parameter antler_form", p["antler_form"], ANTLER_FORMS)
     _number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M)
@@ -742,6 +764,7 @@ def build(params: Params) -> Mesh:
             length_factor, width_factor: Extra factors along x and y.
             neck_turn_rad, head_turn_rad: Turn about the vertical, positive to the deer's left, before mirroring.
             mirror: Left and right exchanged.
+            time_of_day: `night` or `day`; for the temperatures.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -808,6 +831,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "neck_turn_rad": turn * (u[8] + u[9] - 1.0),
         "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0),
         "mirror": u[11] < 0.5,
+        "time_of_day": _one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
     }
 
 
@@ -821,6 +845,7 @@ OPTIONS: Mapping[str, str] = {
     "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of them",
     "build": "one of " + ", ".join(BUILDS) + ", or a list of them",
     "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]",
+    "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, else night",
 }
 
 
@@ -867,4 +892,5 @@ MODEL = ObjectModel(
     sample=sample,
     build=build,
     options=OPTIONS,
+    parts_for=parts_for,
 )

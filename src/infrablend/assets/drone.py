@@ -11,36 +11,61 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
 from infrablend.errors import ModelError
 
 Vector = tuple[float, float, float]
 
+_DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
 PARTS: Mapping[str, PartRange] = {
-    "battery": PartRange((8.0, 20.0), (0.92, 0.95), what="battery pack: +8..+20 K, rising with flight time"),
-    "motor": PartRange((10.0, 40.0), (0.92, 0.96), what="motor bell, black anodised: +10..+25 K in hover, more loaded"),
-    "winding": PartRange((18.0, 55.0), (0.88, 0.94), what="stator, seen between bell and base: hotter than the bell"),
-    "motor_mount": PartRange((5.0, 10.0), (0.84, 0.94), what="last 2-4 cm of the arm, heated by the motor: +5..+10 K"),
-    "esc": PartRange((15.0, 40.0), (0.88, 0.94), what="speed controller and power boards in the open: +15..+40 K"),
-    "vent": PartRange((8.0, 25.0), (0.92, 0.96), what="air outlets over the electronics; cavities: high emissivity"),
-    "shell": PartRange((2.0, 8.0), (0.93, 0.95), what="plastic body over electronics: +2..+8 K"),
-    "camera": PartRange((10.0, 25.0), (0.92, 0.95), what="camera, video transmitter, on-board computer: +10..+25 K"),
-    "lens": PartRange((4.0, 12.0), (0.84, 0.90), what="glass of cameras and sensors"),
-    "gimbal": PartRange((2.0, 10.0), (0.90, 0.95), what="gimbal arms and their small motors"),
-    "frame": PartRange((0.0, 3.0), (0.80, 0.90), what="carbon plates, spacers, clamps: 0..+3 K"),
-    "arm": PartRange((0.0, 3.0), (0.80, 0.94), what="arms, carbon tube or plate, or moulded: 0..+3 K"),
-    "propeller": PartRange((0.0, 4.0), (0.85, 0.94), what="blades, still: 0..+4 K of recovery heating"),
-    "leg": PartRange((0.0, 0.8), (0.85, 0.94), what="landing gear, at air temperature"),
-    "antenna": PartRange((0.0, 3.0), (0.90, 0.95), what="antennas, satellite receiver and mast"),
-}  # fmt: skip
+    "battery": made_of(
+        "plastic", (8.0, 20.0), "battery pack: +8..+20 K, rising with flight time", emissivity=(0.92, 0.95)
+    ),
+    "motor": made_of(
+        "black_anodised", (10.0, 40.0), "motor bell: +10..+25 K in hover, more loaded", emissivity=(0.92, 0.96)
+    ),
+    "winding": made_of("circuit_board", (18.0, 55.0), "stator, seen between bell and base: hotter than the bell"),
+    "motor_mount": made_of(
+        "cfrp", (5.0, 10.0), "last 2-4 cm of the arm, heated by the motor: +5..+10 K", emissivity=(0.84, 0.94)
+    ),
+    "esc": made_of("circuit_board", (15.0, 40.0), "speed controller and power boards in the open: +15..+40 K"),
+    "vent": made_of(
+        "plastic", (8.0, 25.0), "air outlets over the electronics; cavities: high emissivity", emissivity=(0.92, 0.96)
+    ),
+    "shell": made_of("plastic", (2.0, 8.0), "plastic body over electronics: +2..+8 K", emissivity=(0.93, 0.95)),
+    "camera": made_of(
+        "plastic", (10.0, 25.0), "camera, video transmitter, on-board computer: +10..+25 K", emissivity=(0.92, 0.95)
+    ),
+    "lens": made_of("lens", (4.0, 12.0), "glass of cameras and sensors"),
+    "gimbal": made_of("plastic", (2.0, 10.0), "gimbal arms and their small motors", emissivity=(0.90, 0.95)),
+    "frame": made_of("cfrp", (0.0, 3.0), "carbon plates, spacers, clamps: 0..+3 K"),
+    "arm": made_of("cfrp", (0.0, 3.0), "arms, carbon tube or plate, or moulded: 0..+3 K", emissivity=(0.80, 0.94)),
+    "propeller": made_of("plastic", (0.0, 4.0), "blades, still: 0..+4 K of recovery heating", emissivity=(0.85, 0.94)),
+    "leg": made_of("plastic", (0.0, 0.8), "landing gear, at air temperature", emissivity=(0.85, 0.94)),
+    "antenna": made_of("plastic", (0.0, 3.0), "antennas, satellite receiver and mast", emissivity=(0.90, 0.95)),
+    # A propeller in flight passes within the detector's memory (10 ms) 0.5 to 1.5 times: a translucent disc, in rings.
+    "prop_disc_root": made_of("plastic", (0.0, 1.0), "spinning blades", **_DISC),
+    "prop_disc_inner": made_of("plastic", (0.0, 2.0), "spinning blades", **_DISC),
+    "prop_disc_outer": made_of("plastic", (0.5, 3.0), "spinning blades", **_DISC),
+    "prop_disc_tip": made_of(
+        "plastic", (1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K", **_DISC
+    ),
+}
+# Ring -> its inner and outer radius, in parts of the propeller's.
+DISC_RINGS: Mapping[str, tuple[float, float]] = {
+    "prop_disc_root": (0.14, 0.3),
+    "prop_disc_inner": (0.3, 0.5),
+    "prop_disc_outer": (0.5, 0.75),
+    "prop_disc_tip": (0.75, 1.0),
+}
 
 # What does not count when the origin is put at the centre of the bounding box: thin things that stick out, and
 # propellers, whose extent changes with the angle at which they stand.
@@ -57,6 +82,9 @@ CHOICES: Mapping[str, tuple[Any, ...]] = {
     "camera": (False, True),
     "mast": (False, True),
 }
+PROPELLERS = ("still", "spinning")
+_STATES: Mapping[str, tuple[Any, ...]] = {**CHOICES, "propellers": PROPELLERS}
+"""What is chosen, drawn or not: propellers stand still unless a recipe says otherwise."""
 DRAWN: Mapping[str, tuple[float, float]] = {
     "size_m": (0.3, 0.9),
     "propeller_angle_deg": (0.0, 360.0),
@@ -101,6 +129,7 @@ NOMINAL: Mapping[str, Any] = {
     "propeller_radius": 0.92,
     "leg_height": 1.0,
     "gimbal_pitch_deg": 15.0,
+    "propellers": "still",
 }
 """A consumer camera drone; `{**NOMINAL, ...}` is handy for tests and pictures."""
 
@@ -130,7 +159,8 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """Parameters of one drone, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the
-    others as they would have been (save `body` and what follows from it, whose odds depend on the size).
+    others as they would have been (save `body` and what follows from it, whose odds depend on the size). A list of
+    `propellers` takes one more, at the end.
 
     Args:
         rng: The stream to draw from.
@@ -161,6 +191,8 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
             low, high = _number_range(name, options)
             params[name] = low + (high - low) * dials[name]
     params["propeller_angle_deg"] = _angles(angles, options)
+    several = isinstance(options.get("propellers"), list | tuple)
+    params["propellers"] = _choose("propellers", float(rng.random()) if several else 0.0, (1.0, 0.0), options)
     return params
 
 
@@ -198,7 +230,7 @@ def _number_range(name: str, options: Params) -> tuple[float, float]:
 
 
 def _choose(name: str, dice: float, odds: tuple[float, ...], options: Params) -> Any:
-    allowed = CHOICES[name]
+    allowed = _STATES[name]
     if name in options:
         value = options[name]
         wanted = list(value) if isinstance(value, list | tuple) else [value]
@@ -228,12 +260,14 @@ def _angles(unit: FloatArray, options: Params) -> list[float]:
 def _require_params(params: Params) -> None:
     _require_known(params, "parameter")
     for name in NOMINAL:
+        if name == "propellers" and name not in params:
+            continue  # a scene written before there was a choice
         if name not in params:
             raise ModelError(f"drone: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
         value = params[name]
-        if name in CHOICES:
-            if not any(a == value and type(a) is type(value) for a in CHOICES[name]):
-                raise _bad(name, value, f"one of {', '.join(map(repr, CHOICES[name]))}", "parameter")
+        if name in _STATES:
+            if not any(a == value and type(a) is type(value) for a in _STATES[name]):
+                raise _bad(name, value, f"one of {', '.join(map(repr, _STATES[name]))}", "parameter")
             continue
         low, high = ALLOWED[name]
         if name == "propeller_angle_deg":
@@ -360,11 +394,20 @@ class _Pieces:
 # --- motors and propellers -----------------------------------------------------------------------------------
 
 
+def _motor_height(plan: _Plan) -> float:
+    """From the seat to the top of the bell."""
+    r = plan.motor_radius
+    return r * (0.62 if plan.p["body"] == "industrial" else 0.8) + 0.10 * r
+
+
+def _motor_top(plan: _Plan) -> float:
+    return plan.tip_z + plan.arm_half_height + _motor_height(plan)
+
+
 def _add_motors(out: _Pieces, plan: _Plan) -> None:
     r = plan.motor_radius
-    tall = r * (0.62 if plan.p["body"] == "industrial" else 0.8)
     gap = 0.10 * r
-    top = tall + gap
+    top = _motor_height(plan)
     # Outrunner: a fixed base with the stator on it, and a bell that turns round the stator, its top spoked.
     base = shapes.lathe([(0.55 * r, -0.03 * r), (0.98 * r, 0.0), (0.98 * r, 0.08 * r), (0.5 * r, 0.12 * r)], 16)
     stator = shapes.cylinder(0.78 * r, 0.05 * r, top - 0.22 * r, 12)
@@ -403,18 +446,74 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
             out.add("motor", shapes.placed(spoke, shapes.turn_z(a), offset), smooth=False)
         out.add("motor", shaft, at=at)
         out.add("propeller", hub, at=at)
+        if _spinning(plan.p):
+            continue
         for k in range(plan.p["blades"]):
             a = turn + 2 * math.pi * k / plan.p["blades"]
             out.add("propeller", shapes.placed(blades[i % 2], shapes.turn_z(a), (x, y, seat + top + 0.18 * r)))
 
 
-def _propeller(plan: _Plan, clockwise: bool) -> Solid:
-    """One blade: narrow at the hub, widest at a third, tapering to a rounded tip, its pitch falling outwards."""
-    R = plan.propeller_radius
-    t = np.array([0.05, 0.12, 0.2, 0.3, 0.45, 0.65, 0.82, 0.92, 0.97, 1.0])
+def _spinning(params: Params) -> bool:
+    return bool(params.get("propellers", "still") == "spinning")
+
+
+def _chord(t: FloatArray, params: Params) -> FloatArray:
+    """Width of a blade at `t` of its radius, in radii: widest at a third, tapering to a rounded tip."""
     wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
     wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
-    wide *= {2: 1.0, 3: 0.92}[plan.p["blades"]] * (0.85 if plan.p["body"] == "industrial" else 1.0)
+    wide *= {2: 1.0, 3: 0.92}[params["blades"]] * (0.85 if params["body"] == "industrial" else 1.0)
+    return np.asarray(wide)
+
+
+def parts_for(params: Params) -> dict[str, PartRange]:
+    """Thermal role of every part of this drone: without discs if its propellers stand still.
+
+    A ring's opacity is the share of its circle that the blades cover: blades * chord / (2 pi r).
+    """
+    if not _spinning(params):
+        return {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
+    roles = dict(PARTS)
+    for name, (inner, outer) in DISC_RINGS.items():
+        t = np.linspace(inner, outer, 21)
+        covered = float((params["blades"] * _chord(t, params)).sum() / (2 * math.pi * t).sum())
+        roles[name] = replace(PARTS[name], opacity=round(covered, 4))
+    return roles
+
+
+def _with_discs(mesh: Mesh, params: Params, plan: _Plan, centre: FloatArray, size: float) -> Mesh:
+    """The mesh with a disc over each motor: a sheet of rings that share vertices, so that they run into each other."""
+    n, rings = 48, list(DISC_RINGS)
+    edges = np.array([DISC_RINGS[rings[0]][0], *(DISC_RINGS[name][1] for name in rings)])
+    turn = np.arange(n) * (2 * math.pi / n)
+    R, r = plan.propeller_radius, plan.motor_radius
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    flat = R * edges[:, None, None] * around
+    # As the blades: above the hub, and bent up a little.
+    z = _motor_top(plan) + 0.18 * r + 0.03 * R * edges**2
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(len(rings)), np.arange(n), indexing="ij"))
+    a, b = i * n + j, i * n + (j + 1) % n
+    sheet = np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)])
+    part = np.concatenate([i, i]) + len(mesh.part_names)
+    vertices, triangles = [mesh.vertices_m], [mesh.triangles]
+    for k, xy in enumerate(plan.motors_xy):
+        at = np.concatenate([flat + xy, np.broadcast_to(z[:, None, None], (*flat.shape[:2], 1))], axis=2)
+        vertices.append((at.reshape(-1, 3) - centre) * size)
+        triangles.append(sheet + len(mesh.vertices_m) + k * len(edges) * n)
+    count = len(plan.motors_xy)
+    return Mesh(
+        np.concatenate(vertices),
+        np.concatenate(triangles).astype(np.int32),
+        np.concatenate([mesh.part_of_triangle, np.tile(part, count)]).astype(np.int32),
+        (*mesh.part_names, *rings),
+        np.concatenate([mesh.smooth, np.ones(count * len(sheet), np.bool_)]),
+    )
+
+
+def _propeller(plan: _Plan, clockwise: bool) -> Solid:
+    """One blade: narrow at the hub, tapering to a rounded tip, its pitch falling outwards."""
+    R = plan.propeller_radius
+    t = np.array([0.05, 0.12, 0.2, 0.3, 0.45, 0.65, 0.82, 0.92, 0.97, 1.0])
+    wide = _chord(t, plan.p)
     lead = 0.5 * wide + 0.012 - 0.03 * t**2
     pitch = np.arctan2(0.22, 2.4 * np.maximum(t, 0.16)) + np.radians(1.5)
     thick = np.interp(t, [0.0, 0.2, 1.0], [0.035, 0.022, 0.006])
@@ -812,7 +911,8 @@ def build_drone(params: Params) -> Mesh:
     counted = np.concatenate([v for part, v, _, _ in pieces if part not in OUTSIDE_ORIGIN_BOX])
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
     size = float(params["size_m"])
-    return make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
+    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
+    return _with_discs(mesh, params, _plan(params), centre, size) if _spinning(params) else mesh
 
 
 def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
@@ -831,6 +931,8 @@ def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]
 
 
 def _option_text(name: str) -> str:
+    if name == "propellers":
+        return "still (by default) or spinning, or a list of both; spinning: translucent discs that labels do not count"
     if name in CHOICES:
         return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
     low, high = DRAWN[name]
@@ -841,11 +943,12 @@ def _option_text(name: str) -> str:
 MODEL = ObjectModel(
     name="drone",
     category="drone",
-    description="A quadrotor with still propellers: hot motors and batteries, cold carbon, propellers and legs.",
+    description="A quadrotor, propellers still or spinning: hot motors and batteries, cold carbon, blades and legs.",
     origin="the drone's centre: the middle of its bounding box without propellers and antennas",
     stands=False,
     parts=PARTS,
     sample=sample_params,
     build=build_drone,
     options={name: _option_text(name) for name in NOMINAL},
+    parts_for=parts_for,
 )

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
@@ -56,32 +56,47 @@ BUILDS = ("slim", "average", "heavy")
 HEIGHT_M = (1.4, 2.1)
 DRAWN_HEIGHT_M = (1.5, 1.95)
 
-_CLOTH = (0.94, 0.97)
-_SKIN = (0.97, 0.985)
 # Surface minus air for cool weather, air about -5..+12 C. Skin: 24-34 C (thermal.md 2.2, S16) is +14..+29 K at
 # 5-10 C; the face's cold end first at nose and ears. Clothes: winter clothing +2..+8 K, neck and collar gap hot, hat
 # and hood cooler (2.2, K). Cloth, hair and skin at this scale are rough or matt: no Fresnel rim (1.3), ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "face": PartRange((14.0, 24.0), _SKIN, what="bare skin, 24-34 C; thermal.md 2.2 S16", ior=1.0),
-    "nose": PartRange((10.0, 20.0), _SKIN, what="cool air lowers it first; thermal.md 2.2 S16", ior=1.0),
-    "ear": PartRange((9.0, 20.0), _SKIN, what="cools like the nose; thermal.md 2.2 S16", ior=1.0),
-    "neck": PartRange((15.0, 25.0), _SKIN, what="neck and collar gap hot; thermal.md 2.2", ior=1.0),
-    "hand": PartRange((10.0, 22.0), _SKIN, what="bare skin, 24-34 C; thermal.md 2.2 S16", ior=1.0),
-    "leg": PartRange((6.0, 14.0), _CLOTH, what="thin stocking over skin, between skin and clothing", ior=1.0),
-    "hair": PartRange((5.0, 11.0), (0.96, 0.98), what="between skin and air; emissivity thermal.md 2.1", ior=1.0),
-    "hat": PartRange((3.0, 7.0), _CLOTH, what="hat cooler than hair; thermal.md 2.2", ior=1.0),
-    "hood": PartRange((2.0, 6.0), _CLOTH, what="hood cooler; thermal.md 2.2", ior=1.0),
-    "collar": PartRange((4.0, 9.0), _CLOTH, what="warm air escapes here; thermal.md 2.2", ior=1.0),
-    "jacket": PartRange((2.0, 7.0), _CLOTH, what="winter clothing +2..+8 K; thermal.md 2.2", ior=1.0),
-    "sleeve": PartRange((2.5, 7.5), _CLOTH, what="winter clothing +2..+8 K; thermal.md 2.2", ior=1.0),
-    "coat_skirt": PartRange((1.8, 6.0), _CLOTH, what="hangs free of the body; low end of thermal.md 2.2", ior=1.0),
-    "trousers": PartRange((3.0, 8.0), _CLOTH, what="one layer, close to the leg; thermal.md 2.2", ior=1.0),
-    "shoe": PartRange((1.5, 5.0), (0.93, 0.96), what="thick, touches the ground; low end of thermal.md 2.2", ior=1.0),
-    "backpack": PartRange((0.0, 2.5), _CLOTH, what="carried away from the body, near air temperature", ior=1.0),
-    "strap": PartRange((1.5, 5.0), _CLOTH, what="on the jacket", ior=1.0),
-    "seat": PartRange((-1.0, 1.0), (0.90, 0.95), False, "wood or stone at air temperature; no part of a person", 1.0),
+    "face": made_of("skin", (14.0, 24.0), "bare skin, 24-34 C; thermal.md 2.2 S16"),
+    "nose": made_of("skin", (10.0, 20.0), "cool air lowers it first; thermal.md 2.2 S16"),
+    "ear": made_of("skin", (9.0, 20.0), "cools like the nose; thermal.md 2.2 S16"),
+    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap hot; thermal.md 2.2"),
+    "hand": made_of("skin", (10.0, 22.0), "bare skin, 24-34 C; thermal.md 2.2 S16"),
+    "leg": made_of("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
+    "hair": made_of("hair", (5.0, 11.0), "between skin and air; emissivity thermal.md 2.1"),
+    "hat": made_of("cloth", (3.0, 7.0), "hat cooler than hair; thermal.md 2.2"),
+    "hood": made_of("cloth", (2.0, 6.0), "hood cooler; thermal.md 2.2"),
+    "collar": made_of("cloth", (4.0, 9.0), "warm air escapes here; thermal.md 2.2"),
+    "jacket": made_of("cloth", (2.0, 7.0), "winter clothing +2..+8 K; thermal.md 2.2"),
+    "sleeve": made_of("cloth", (2.5, 7.5), "winter clothing +2..+8 K; thermal.md 2.2"),
+    "coat_skirt": made_of("cloth", (1.8, 6.0), "hangs free of the body; low end of thermal.md 2.2"),
+    "trousers": made_of("cloth", (3.0, 8.0), "one layer, close to the leg; thermal.md 2.2"),
+    "shoe": made_of("leather", (1.5, 5.0), "thick, touches the ground; low end of thermal.md 2.2"),
+    "backpack": made_of("cloth", (0.0, 2.5), "carried away from the body, near air temperature"),
+    "strap": made_of("cloth", (1.5, 5.0), "on the jacket"),
+    "seat": made_of("wood", (-1.0, 1.0), "wood or stone at air temperature; no part of a person", label=False),
 }
 PART_NAMES = tuple(PARTS)
+TIMES = ("night", "day")
+# The sun warms clothes and hair by this much more (est.); by day, under clouds too, the low end at least.
+SUN_K = (3.0, 12.0)
+_SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
+
+
+def parts_for(params: Params) -> Mapping[str, PartRange]:
+    """Thermal role of every part; by day clothes are warmer."""
+    if params.get("time_of_day", "night") == "night":
+        return PARTS
+    low, high = SUN_K
+    return {
+        n: replace(r, delta_t_k=(r.delta_t_k[0] + low, r.delta_t_k[1] + high)) if n in _SUNLIT else r
+        for n, r in PARTS.items()
+    }
+
+
 _NUMBER = {name: i for i, name in enumerate(PART_NAMES)}
 
 CLOTH_CELL = 0.0155
@@ -655,6 +670,7 @@ DEFAULTS: Mapping[str, Any] = {
     "head_turn_rad": 0.0,
     "head_nod_rad": 0.0,
     "mirror": False,
+    "time_of_day": "night",
 }
 _CHECKS = Checks("person")
 _WORDS = {"top": TOPS, "bottom": BOTTOMS, "headwear": HEADWEAR, "hair": HAIR, "build": BUILDS}
@@ -678,6 +694,7 @@ def _checked(params: Params) -> dict[str, Any]:
     _CHECKS.one_of("parameter arms", p["arms"], ARMS[pose])
     for name, allowed in _WORDS.items():
         _CHECKS.one_of(f"parameter {name}", p[name], allowed)
+    _CHECKS.one_of("parameter time_of_day", p["time_of_day"], TIMES)
     for name in ("backpack", "seat", "mirror"):
         _CHECKS.flag(f"parameter {name}", p[name])
     for name, (low, high) in _LIMITS.items():
@@ -701,6 +718,7 @@ def build(params: Params) -> Mesh:
             lean_rad: The trunk's lean forward beyond the pose's own.
             head_turn_rad, head_nod_rad: Turn to the left, before mirroring, and nod forward beyond the pose's own.
             mirror: Left and right exchanged.
+            time_of_day: `night` or `day`; for the temperatures.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -843,6 +861,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "head_turn_rad": 0.9 * (u[15] + u[16] - 1.0),
         "head_nod_rad": -0.10 + 0.35 * u[4],
         "mirror": u[17] < 0.5,
+        "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
     }
 
 
@@ -867,6 +886,7 @@ OPTIONS: Mapping[str, str] = {
     "backpack": "true or false; by default about one in five carries one",
     "seat": "true or false: whether someone on a seat brings it along; by default true",
     "height_m": f"a number from {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g}, or [low, high]; by default adults of both sexes",
+    "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, else night",
 }
 
 MODEL = ObjectModel(
@@ -879,4 +899,5 @@ MODEL = ObjectModel(
     sample=sample,
     build=build,
     options=OPTIONS,
+    parts_for=parts_for,
 )

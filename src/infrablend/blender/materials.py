@@ -14,10 +14,11 @@ An IOR of 1 switches the angle dependence off (fur, cloth, grass: rough surfaces
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 
-from infrablend.blender.physical import add_inputs, physical_group
+from infrablend.blender.physical import SKY, add_inputs, emission_alone, physical_group
 from infrablend.core.files import replace_atomically
 
 GROUP_NAME = "InfraredEffect"
@@ -100,13 +101,15 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     return group
 
 
-def object_material(slot: int, look: str = "artistic") -> bpy.types.Material:
+def object_material(slot: int, look: str = "artistic", *, translucent: bool = False) -> bpy.types.Material:
     """Material of the k-th object of a scene: the look's node group fed from the mesh's attributes.
 
-    Attributes (per face corner): `temperature_c`, `emissivity`, `ior`, `label`. Custom properties of the scene
-    object, for the artistic look: `cold_c`, `hot_c`, `surroundings_c`. The AOV `coverage_<slot>` gets `label`.
+    Attributes (per face corner): `temperature_c`, `emissivity`, `ior`, `label`; with the physical look `roughness` and
+    `metal`; of an object with translucent parts `opacity`. Custom properties of the scene object: `cold_c`, `hot_c` and
+    `surroundings_c` for the artistic look, those of `physical.SKY` for the physical one. The AOV `coverage_<slot>` gets
+    `label`.
     """
-    name = f"{look}_{slot}"
+    name = f"{look}_{slot}" + ("_translucent" if translucent else "")
     material = bpy.data.materials.get(name)
     if material is not None:
         return material
@@ -118,24 +121,48 @@ def object_material(slot: int, look: str = "artistic") -> bpy.types.Material:
     effect = new("ShaderNodeGroup")
     effect.node_tree = infrared_effect_group() if look == "artistic" else physical_group()
 
-    def attribute(attribute_name: str, kind: str) -> bpy.types.NodeSocket:
+    def attribute(attribute_name: str, kind: str = "GEOMETRY") -> bpy.types.NodeSocket:
         node = new("ShaderNodeAttribute")
         node.attribute_type, node.attribute_name = kind, attribute_name
         return node.outputs["Fac"]
 
-    link(attribute("temperature_c", "GEOMETRY"), effect.inputs["Temperature"])
-    link(attribute("emissivity", "GEOMETRY"), effect.inputs["Emissivity"])
-    link(attribute("ior", "GEOMETRY"), effect.inputs["IOR"])
+    celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
+    link(celsius, effect.inputs["Temperature"])
+    link(emissivity, effect.inputs["Emissivity"])
+    link(ior, effect.inputs["IOR"])
     if look == "artistic":
         link(attribute("surroundings_c", "OBJECT"), effect.inputs["Surroundings"])
         link(attribute("cold_c", "OBJECT"), effect.inputs["Cold"])
         link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
+    else:
+        link(attribute("roughness"), effect.inputs["Roughness"])
+        link(attribute("metal"), effect.inputs["Metal"])
+    shown = effect.outputs["Shader"]
+    if translucent:
+        opacity, clear = attribute("opacity"), new("ShaderNodeBsdfTransparent")
+        thin = shown
+        if look == "physical":
+            thin = emission_alone(tree, celsius, emissivity, ior, {n: attribute(n, "OBJECT") for n in SKY})
+        thin = _mixed(tree, opacity, clear.outputs["BSDF"], thin)
+        opaque = new("ShaderNodeMath")
+        opaque.operation = "GREATER_THAN"
+        link(opacity, opaque.inputs[0])
+        opaque.inputs[1].default_value = 0.9999
+        shown = _mixed(tree, opaque.outputs["Value"], thin, shown)
     output = new("ShaderNodeOutputMaterial")
-    link(effect.outputs["Shader"], output.inputs["Surface"])
+    link(shown, output.inputs["Surface"])
     aov = new("ShaderNodeOutputAOV")
     aov.aov_name = aov_name(slot)
-    link(attribute("label", "GEOMETRY"), aov.inputs["Value"])
+    link(attribute("label"), aov.inputs["Value"])
     return material
+
+
+def _mixed(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
+    """Shader that is `none` where the share is 0 and `full` where it is 1."""
+    mix = tree.nodes.new("ShaderNodeMixShader")
+    for socket, value in zip(mix.inputs, (share, none, full), strict=True):
+        tree.links.new(value, socket)
+    return mix.outputs["Shader"]
 
 
 def aov_name(slot: int) -> str:
@@ -144,22 +171,25 @@ def aov_name(slot: int) -> str:
 
 
 def write_infrared_effect(path: Path) -> Path:
-    """Write the node group, and a material that shows how to use it, as a .blend to append from."""
+    """Write both node groups, each with a material that shows how to use it, as a .blend to append from."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    group = infrared_effect_group()
-    group.use_fake_user = True
-    group.asset_mark()
-    group.asset_data.description = "Thermal look of a surface from its temperature and emissivity (InfraBlend)"
-    material = bpy.data.materials.new("InfraredEffect example")
-    material.use_fake_user = True
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    node = tree.nodes.new("ShaderNodeGroup")
-    node.node_tree = group
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    output.location = (250, 0)
-    tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+    for group, what in (
+        (infrared_effect_group(), "Thermal look of a surface from its temperature and emissivity (InfraBlend)"),
+        (physical_group(), "Band radiance of a surface that mirrors its surroundings, 1 at 300 K (InfraBlend)"),
+    ):
+        group.use_fake_user = True
+        group.asset_mark()
+        group.asset_data.description = what
+        material = bpy.data.materials.new(f"{group.name} example")
+        material.use_fake_user = True
+        material.use_nodes = True
+        tree = material.node_tree
+        tree.nodes.clear()
+        node = tree.nodes.new("ShaderNodeGroup")
+        node.node_tree = group
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        output.location = (250, 0)
+        tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
     with replace_atomically(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=False)
     return path

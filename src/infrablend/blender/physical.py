@@ -5,11 +5,14 @@
 Emission and mirror are added in one shader; what is mirrored is traced by Cycles, so parts also mirror each other, and
 the World shows the sky's radiance above the horizon and the ground's below. Radiance in the shader is in units of
 L(300 K), so that values are near one.
+
+Smooth dielectrics (IOR above 1) mirror more towards the rim; rough ones (IOR 1) scatter; metals mirror at all angles,
+as sharply as their roughness lets them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -30,7 +33,10 @@ SOCKETS = (
     ("Temperature", 25.0, -80.0, 600.0, "Surface temperature, degrees Celsius"),
     ("Emissivity", 0.95, 0.0, 1.0, "Emissivity looked at straight on"),
     ("IOR", 1.5, 1.0, 5.0, "Refractive index of a smooth surface; 1 for rough ones (fur, cloth, soil): no rim"),
-    ("Roughness", 0.1, 0.0, 1.0, "Of the mirror image on smooth surfaces"),
+    ("Roughness", 0.1, 0.0, 1.0, "Of the mirror image on smooth surfaces and metals"),
+    ("Metal", 0.0, 0.0, 1.0, "1: bare metal, which mirrors at all angles; its emissivity is the same everywhere"),
+    ("Texture", 0.0, 0.0, 50.0, "Largest deviation of a slow pattern from the temperature, kelvin"),
+    ("Texture Size", 0.3, 0.001, 1000.0, "Size of that pattern's patches, metres in object coordinates"),
 )
 
 
@@ -53,18 +59,14 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     new, link = group.nodes.new, group.links.new
     inputs, outputs = new("NodeGroupInput"), new("NodeGroupOutput")
 
-    kelvin = _math(group, "ADD", inputs.outputs["Temperature"], ZERO_C_K)
-    radiance = _radiance_of(group, kelvin)
+    deviation = _math(group, "MULTIPLY", _pattern(group, inputs.outputs["Texture Size"]), inputs.outputs["Texture"])
+    celsius = _math(group, "ADD", inputs.outputs["Temperature"], deviation)
+    radiance = _radiance_of(group, _math(group, "ADD", celsius, ZERO_C_K))
 
-    # eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)): flat to about 50 degrees, gone at grazing; with IOR 1 constant.
-    fresnel = new("ShaderNodeFresnel")
-    link(inputs.outputs["IOR"], fresnel.inputs["IOR"])
-    less, more = (_math(group, op, inputs.outputs["IOR"], 1.0) for op in ("SUBTRACT", "ADD"))
-    ratio = _math(group, "DIVIDE", less, more)
-    straight_on = _math(group, "MULTIPLY_ADD", ratio, _math(group, "MULTIPLY", ratio, -1.0), 1.0)
-    share = _math(group, "DIVIDE", _math(group, "SUBTRACT", 1.0, fresnel.outputs["Fac"]), straight_on)
-    emissivity = _math(group, "MULTIPLY", inputs.outputs["Emissivity"], share)
-    emissivity.node.use_clamp = True
+    # A metal is taken for a surface of IOR 1 here: constant emissivity.
+    dielectric = _math(group, "SUBTRACT", 1.0, inputs.outputs["Metal"])
+    ior = _math(group, "MULTIPLY_ADD", _math(group, "SUBTRACT", inputs.outputs["IOR"], 1.0), dielectric, 1.0)
+    emissivity = _emissivity_at_angle(group, inputs.outputs["Emissivity"], ior)
 
     emission = new("ShaderNodeEmission")
     emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
@@ -75,7 +77,8 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     link(mirrored, diffuse.inputs["Color"])
     link(mirrored, glossy.inputs["Color"])
     link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
-    link(_math(group, "GREATER_THAN", inputs.outputs["IOR"], 1.0001), mix.inputs["Fac"])
+    smooth = _math(group, "GREATER_THAN", ior, 1.0001)
+    link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), mix.inputs["Fac"])
     link(diffuse.outputs["BSDF"], mix.inputs[1])
     link(glossy.outputs["BSDF"], mix.inputs[2])
     both = new("ShaderNodeAddShader")
@@ -83,6 +86,60 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     link(mix.outputs["Shader"], both.inputs[1])
     link(both.outputs["Shader"], outputs.inputs["Shader"])
     return group
+
+
+def _emissivity_at_angle(tree: bpy.types.NodeTree, straight_on: Any, ior: Any) -> Any:
+    """eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)): flat to about 50 degrees, gone at grazing; with IOR 1 constant."""
+    fresnel = tree.nodes.new("ShaderNodeFresnel")
+    tree.links.new(ior, fresnel.inputs["IOR"])
+    less, more = (_math(tree, op, ior, 1.0) for op in ("SUBTRACT", "ADD"))
+    ratio = _math(tree, "DIVIDE", less, more)
+    through = _math(tree, "MULTIPLY_ADD", ratio, _math(tree, "MULTIPLY", ratio, -1.0), 1.0)
+    share = _math(tree, "DIVIDE", _math(tree, "SUBTRACT", 1.0, fresnel.outputs["Fac"]), through)
+    emissivity = _math(tree, "MULTIPLY", straight_on, share)
+    emissivity.node.use_clamp = True
+    return emissivity
+
+
+def _pattern(tree: bpy.types.NodeTree, size_m: Any) -> Any:
+    """Smooth noise in [-1, 1] in object coordinates."""
+    where, noise = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
+    noise.normalize = True
+    noise.inputs["Detail"].default_value = 0.0
+    tree.links.new(where.outputs["Object"], noise.inputs["Vector"])
+    tree.links.new(_math(tree, "DIVIDE", 1.0, size_m), noise.inputs["Scale"])
+    return _math(tree, "MULTIPLY_ADD", noise.outputs["Fac"], 2.0, -1.0)
+
+
+def emission_alone(tree: bpy.types.NodeTree, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, Any]) -> Any:
+    """Shader of a translucent surface: all it shows as emission, its mirror image of the bare sky and ground included.
+
+    Beside a Transparent node a shader that scatters is sampled at random, and alpha and coverage become noisy; an
+    emission adds exactly its share. Neighbouring parts are not mirrored.
+
+    Args:
+        tree: Of the material.
+        celsius, emissivity, ior: Of the surface.
+        sky: A socket for each name of `sky_values`.
+    """
+    geometry, dot = tree.nodes.new("ShaderNodeNewGeometry"), tree.nodes.new("ShaderNodeVectorMath")
+    dot.operation = "DOT_PRODUCT"
+    upward = []
+    for i, name in enumerate(("Incoming", "Normal")):
+        tree.links.new(geometry.outputs[name], dot.inputs[i])
+        parts = tree.nodes.new("ShaderNodeSeparateXYZ")
+        tree.links.new(geometry.outputs[name], parts.inputs["Vector"])
+        upward.append(parts.outputs["Z"])
+    # The mirrored direction is 2 (N I) N - I, with I from the surface to the eye.
+    twice = _math(tree, "MULTIPLY", dot.outputs["Value"], 2.0)
+    up = _math(tree, "SUBTRACT", _math(tree, "MULTIPLY", twice, upward[1]), upward[0])
+    eps = _emissivity_at_angle(tree, emissivity, ior)
+    own, mirrored = _radiance_of(tree, _math(tree, "ADD", celsius, ZERO_C_K)), _sky(tree, up, sky)
+    shown = _math(tree, "MULTIPLY_ADD", eps, _math(tree, "SUBTRACT", own, mirrored), mirrored)
+    emission = tree.nodes.new("ShaderNodeEmission")
+    emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    tree.links.new(shown, emission.inputs["Strength"])
+    return emission.outputs["Emission"]
 
 
 def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, float, float, float, str]]) -> None:
@@ -93,18 +150,24 @@ def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, flo
         socket.description = description
 
 
+SKY = ("clear_at_zenith", "air", "cloud", "cover", "ground")
+
+
+def sky_values(weather: Weather) -> dict[str, float]:
+    """What the sky's nodes need of the weather, by the names in `SKY`; radiances in units of L(300 K)."""
+    air, cloud, ground = (
+        float(band_radiance(k)) / UNIT_W_M2_SR for k in (weather.air_k, weather.cloud_base_k, weather.ground_k)
+    )
+    through = window_transmittance(weather.air_k, weather.dew_point_k)
+    return dict(zip(SKY, (through, air, cloud, weather.cloud, ground), strict=True))
+
+
 def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
     """Make the World the sky above the horizon and the ground below it, for this weather."""
     world = bpy.data.worlds.get("thermal_sky") or _build_world()
     scene.world = world
-    nodes = world.node_tree.nodes
-    air = float(band_radiance(weather.air_k)) / UNIT_W_M2_SR
-    cloud = float(band_radiance(weather.cloud_base_k)) / UNIT_W_M2_SR
-    nodes["clear_at_zenith"].outputs[0].default_value = window_transmittance(weather.air_k, weather.dew_point_k)
-    nodes["air"].outputs[0].default_value = air
-    nodes["cloud"].outputs[0].default_value = cloud
-    nodes["cover"].outputs[0].default_value = weather.cloud
-    nodes["ground"].outputs[0].default_value = float(band_radiance(weather.ground_k)) / UNIT_W_M2_SR
+    for name, value in sky_values(weather).items():
+        world.node_tree.nodes[name].outputs[0].default_value = value
 
 
 def _build_world() -> bpy.types.World:
@@ -121,21 +184,25 @@ def _build_world() -> bpy.types.World:
         node.name = name
         return node.outputs[0]
 
-    clear, air, cloud, cover, ground = (value(n) for n in ("clear_at_zenith", "air", "cloud", "cover", "ground"))
+    values = {name: value(name) for name in SKY}
     direction, parts = new("ShaderNodeTexCoord"), new("ShaderNodeSeparateXYZ")
     link(direction.outputs["Generated"], parts.inputs["Vector"])
-    up = parts.outputs["Z"]
+    background, output = new("ShaderNodeBackground"), new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)  # Blender's own is 0.8
+    link(_sky(tree, parts.outputs["Z"], values), background.inputs["Strength"])
+    link(background.outputs["Background"], output.inputs["Surface"])
+    return world
+
+
+def _sky(tree: bpy.types.NodeTree, up: Any, values: Mapping[str, Any]) -> Any:
+    """Radiance that comes from a direction with this upward component; `values` holds a socket for each of `SKY`."""
+    clear, air, cloud, cover, ground = (values[name] for name in SKY)
     cos = _math(tree, "MAXIMUM", up, float(np.cos(np.radians(89.0))))
     through = _math(tree, "POWER", clear, _math(tree, "DIVIDE", 1.0, cos))
     sky = _math(tree, "MULTIPLY", air, _math(tree, "SUBTRACT", 1.0, through))
     covered = _math(tree, "MULTIPLY_ADD", cover, _math(tree, "SUBTRACT", cloud, sky), sky)
     above = _math(tree, "GREATER_THAN", up, 0.0)
-    seen = _math(tree, "MULTIPLY_ADD", above, _math(tree, "SUBTRACT", covered, ground), ground)
-    background, output = new("ShaderNodeBackground"), new("ShaderNodeOutputWorld")
-    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)  # Blender's own is 0.8
-    link(seen, background.inputs["Strength"])
-    link(background.outputs["Background"], output.inputs["Surface"])
-    return world
+    return _math(tree, "MULTIPLY_ADD", above, _math(tree, "SUBTRACT", covered, ground), ground)
 
 
 def _radiance_of(tree: bpy.types.NodeTree, kelvin: Any) -> Any:

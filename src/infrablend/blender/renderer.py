@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from infrablend.blender import session
 from infrablend.blender.materials import aov_name, object_material
-from infrablend.blender.physical import UNIT_W_M2_SR, set_world
+from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray, Mesh
@@ -175,13 +175,17 @@ class BlenderRenderer:
         thing = None
         try:
             _fill_mesh(data, world_m, mesh, spec, scene)
-            material = object_material(slot, scene.appearance.mode)
+            translucent = any(spec.parts[name].opacity < 1 for name in mesh.part_names)
+            material = object_material(slot, scene.appearance.mode, translucent=translucent)
             data.materials.append(material)
             thing = bpy.data.objects.new(f"thing_{slot}", data)
             look = scene.appearance
             thing["cold_c"] = look.cold_k - ZERO_C_K
             thing["hot_c"] = look.hot_k - ZERO_C_K
             thing["surroundings_c"] = look.surroundings_k - ZERO_C_K
+            if scene.weather is not None:
+                for name, value in sky_values(scene.weather).items():
+                    thing[name] = value
             self._scene.collection.objects.link(thing)
             yield
         finally:
@@ -242,27 +246,34 @@ def _fill_mesh(data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: Obje
     states = [spec.parts[name] for name in mesh.part_names]
     temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
     columns = {
-        "temperature_c": _corner_values(mesh, temperature_c, blend=True)
+        "temperature_c": _corner_values(mesh, temperature_c, mesh.smooth)
         + _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()],
-        "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), blend=True),
-        "ior": _corner_values(mesh, np.array([s.ior for s in states]), blend=False),
-        "label": _corner_values(mesh, np.array([float(s.label) for s in states]), blend=False),
+        "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), mesh.smooth),
+        "ior": _corner_values(mesh, np.array([s.ior for s in states])),
+        "label": _corner_values(mesh, np.array([float(s.label) for s in states])),
     }
+    if scene.appearance.mode == "physical":
+        columns["roughness"] = _corner_values(mesh, np.array([s.roughness for s in states]))
+        columns["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
+    opacity = np.array([s.opacity for s in states])
+    if (opacity < 1).any():
+        # Translucent parts run into each other, never into an opaque one: labels count that one whole.
+        columns["opacity"] = _corner_values(mesh, opacity, mesh.smooth & (opacity < 1)[mesh.part_of_triangle])
     for name, values in columns.items():
         data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
     data.update()
 
 
-def _corner_values(mesh: Mesh, of_part: FloatArray, *, blend: bool) -> NDArray[np.float32]:
-    """(3T,) value per face corner; `blend` averages over the smooth triangles that share a vertex.
+def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+    """(3T,) value per face corner; averaged over those of the triangles `blend` (T,) that share a vertex.
 
     Averaging makes neighbouring parts of one skin (flank, leg) run into each other; parts that are bodies of their
     own share no vertices and stay sharp.
     """
     per_triangle = of_part[mesh.part_of_triangle]
     corners = np.repeat(per_triangle, 3)
-    if blend and mesh.smooth.any():
-        smooth = np.repeat(mesh.smooth, 3)
+    if blend is not None and blend.any():
+        smooth = np.repeat(blend, 3)
         at = mesh.triangles.ravel()[smooth]
         size = len(mesh.vertices_m)
         total = np.bincount(at, corners[smooth], size)

@@ -70,7 +70,10 @@ def pin_settings(scene: bpy.types.Scene) -> None:
     c.filter_width = 1.0
     c.max_bounces = 0
     c.diffuse_bounces = c.glossy_bounces = c.transmission_bounces = c.volume_bounces = 0
-    c.transparent_max_bounces = 8
+    # Behind propeller discs of several drones in a row there is still something to be seen ...
+    c.transparent_max_bounces = 64
+    # ... and counted: an AOV is written on every surface up to the first one of this alpha.
+    scene.view_layers[0].pass_alpha_threshold = 1.0
     c.caustics_reflective = c.caustics_refractive = False
     c.use_auto_tile = False
     c.texture_limit_render = "OFF"

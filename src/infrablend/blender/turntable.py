@@ -93,7 +93,9 @@ def _view(
     reach = float(np.linalg.norm(mesh.vertices_m - centre, axis=1).max())
     distance = 12 * reach
     parts = {
-        n: PartState(AIR_K + sum(r.delta_t_k) / 2, sum(r.emissivity) / 2, r.label, r.ior)
+        n: PartState(
+            AIR_K + sum(r.delta_t_k) / 2, sum(r.emissivity) / 2, r.label, r.ior, r.roughness, r.metal, r.opacity
+        )
         for n, r in model.roles(params).items()
         if n in mesh.part_names
     }
@@ -110,8 +112,8 @@ def _view(
 def _look(model: ObjectModel, params: dict[str, Any]) -> Appearance:
     """White end at the individual's own warm parts: a deer is a few kelvin above air, a drone's motors tens."""
     means = [sum(r.delta_t_k) / 2 for r in model.roles(params).values()]
-    # Where individuals differ in heat, a single hot part (a tail pipe) must not darken all the others.
-    hottest = 0.55 * max(means) if model.parts_for is None else float(np.quantile(means, 0.9))
+    # A single hot part (a tail pipe) must not darken all the others.
+    hottest = min(0.55 * max(means), float(np.quantile(means, 0.9)))
     return Appearance(cold_k=AIR_K - 6, hot_k=AIR_K + max(8.0, hottest), surroundings_k=AIR_K - 10)
 
 

@@ -14,15 +14,36 @@ from infrablend.core.camera import CameraSpec
 
 @dataclass(frozen=True)
 class PartState:
-    """One part of an object in one frame: its temperature, its emissivity, whether labels count it.
+    """One part of an object in one frame.
 
-    `ior` is the refractive index that makes its rim mirror the surroundings; 1 for rough surfaces (fur, cloth).
+    Attributes:
+        temperature_k: Of its surface.
+        emissivity: Looked at straight on.
+        label: Whether boxes and masks count it.
+        ior: Refractive index that makes its rim mirror the surroundings; 1 for rough surfaces (fur, cloth) and metals.
+        roughness: Of the mirror image on smooth surfaces and metals.
+        metal: Mirrors at all angles. Physical look only, as roughness.
+        opacity: In (0, 1]. Below 1 what lies behind shows through, and for labels the part is not there.
+
+    Raises:
+        ValueError: A value outside its limits.
     """
 
     temperature_k: float
     emissivity: float
     label: bool = True
     ior: float = 1.5
+    roughness: float = 0.1
+    metal: bool = False
+    opacity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.temperature_k > 0:
+            raise ValueError(f"a surface of {self.temperature_k:g} K; expected a temperature above 0 K")
+        if not 0 <= self.emissivity <= 1:
+            raise ValueError(f"emissivity {self.emissivity:g}; expected a number from 0 to 1")
+        if not 0 < self.opacity <= 1 or (self.opacity < 1 and self.label):
+            raise ValueError(f"opacity {self.opacity:g}; expected above 0 and up to 1, below 1 only without label")
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
     pitch_rad = math.radians(_pitch_deg(frame, recipe, rng["world"]))
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     empty = bool(rng["world"].random() < recipe.empty_share)
-    wanted = [] if empty else _wanted(recipe, models, rng["shape"])
+    wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
     tally = _Tally()
 
     camera, poses = _place(frame, recipe, models, pitch_rad, wanted, rng["placement"], tally)
@@ -202,17 +202,24 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> flo
 _Wanted = tuple[Object, dict[str, Any], Mesh, float]
 
 
-def _wanted(recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator) -> list[_Wanted]:
+def _wanted(
+    recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, time_of_day: TimeOfDay | None
+) -> list[_Wanted]:
     """Kind, parameters, mesh and scale of each object the frame shall hold."""
     result = []
     for kind in recipe.objects:
+        options = kind.options
+        # The artistic look stays as the paper tuned it, at all times of day.
+        physical = recipe.appearance.mode == "physical"
+        if physical and time_of_day is not None and "time_of_day" in models[kind.model].options:
+            options = {"time_of_day": time_of_day, **options}
         if isinstance(kind.count, Count):
             weights = np.array(kind.count.weights or [1.0] * len(kind.count.values))
             count = int(rng.choice(np.array(kind.count.values), p=weights / weights.sum()))
         else:
             count = kind.count
         for _ in range(count):
-            params = models[kind.model].sample(rng, kind.options)
+            params = models[kind.model].sample(rng, options)
             low, high = kind.scale
             scale = math.exp(rng.uniform(math.log(low), math.log(high)))
             result.append((kind, params, models[kind.model].build(params), scale))
@@ -238,6 +245,9 @@ def _parts(
                 emissivity=emissivity[0] + (emissivity[1] - emissivity[0]) * surface,
                 label=role.label,
                 ior=role.ior,
+                roughness=role.roughness,
+                metal=role.metal,
+                opacity=role.opacity,
             )
     return parts
 

@@ -1,0 +1,73 @@
+"""What surfaces are made of: emissivity in the band, and how they mirror.
+
+Emissivities are for 8-14 um, looked at straight on. Sources: the emissivity tables of FLIR (T505002), testo and
+ired.co.uk, and of Ideal Industries' HeatSeeker manual; a study of horses' coats for fur; "computed" from the refractive
+index; "est." an estimate. `docs/how_to/infrared_effect.md` shows this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Material:
+    """One kind of surface.
+
+    Attributes:
+        emissivity: (low, high) at normal incidence.
+        source: Where the numbers come from.
+        ior: Refractive index near 10 um of a smooth surface, which mirrors more towards its rim; 1 for rough ones and
+            for metals, whose emissivity is the same at all angles.
+        roughness: Of the mirror image, in [0, 1]; means nothing on rough surfaces.
+        metal: Mirrors at all angles, however rough.
+    """
+
+    emissivity: Range
+    source: str
+    ior: float = 1.0
+    roughness: float = 0.1
+    metal: bool = False
+
+
+# Glass and carbon composites absorb: 1.7 + 0.8i and 2.0 + 0.6i. The real indices here give their angle dependence to
+# 3 % of the emissivity up to 75 degrees.
+MATERIALS: Mapping[str, Material] = {
+    "plastic": Material((0.94, 0.95), "PE, PP, PVC, ABS, PC; testo, ired.co.uk", 1.5, 0.15),
+    "painted": Material((0.92, 0.96), "oil paint of any colour; testo", 1.5, 0.2),
+    "car_paint": Material((0.92, 0.94), "any colour; HeatSeeker", 1.5, 0.05),
+    "glass": Material((0.84, 0.88), "window glass, computed for the band: 0.86; testo says 0.86-0.94", 1.7, 0.02),
+    "lens": Material((0.84, 0.90), "glass or coated plastic in front of a sensor (est.)", 1.5, 0.02),
+    "polished_aluminium": Material((0.04, 0.06), "FLIR", 1.0, 0.05, True),
+    "bare_aluminium": Material((0.06, 0.18), "rough sheet; FLIR", 1.0, 0.25, True),
+    "weathered_aluminium": Material((0.83, 0.94), "old conductors and masts; FLIR", 1.0),
+    "black_anodised": Material((0.94, 0.96), "aluminium, black anodised: 0.95; FLIR", 1.5, 0.3),
+    "grey_anodised": Material((0.96, 0.98), "aluminium, light grey anodised: 0.97; FLIR", 1.5, 0.3),
+    "galvanised_steel": Material((0.20, 0.30), "new: 0.25 (est.)", 1.0, 0.3, True),
+    "weathered_steel": Material((0.60, 0.90), "galvanised, weathered (est.)", 1.0, 0.5, True),
+    "oxidised_steel": Material((0.80, 0.90), "exhausts, rust (est.)"),
+    "lacquered_metal": Material((0.80, 0.92), "wheel rims (est.)", 1.5, 0.1),
+    "cfrp": Material((0.80, 0.90), "carbon fibre in epoxy, matt to glossy; computed 0.86 (est.)", 1.5, 0.1),
+    "circuit_board": Material((0.88, 0.94), "lacquered boards, windings (est.)", 1.5, 0.2),
+    "cavity": Material((0.94, 0.98), "openings, grilles, vents: many reflections inside (est.)"),
+    "rubber": Material((0.93, 0.95), "tyres: 0.94; testo"),
+    "fur": Material((0.97, 0.99), "coats of animals 0.95-0.98, a cavity at this scale (est.)"),
+    "hair": Material((0.96, 0.98), "0.95-0.99; coats of horses"),
+    "skin": Material((0.97, 0.985), "0.95-0.98; HeatSeeker, testo"),
+    "eye": Material((0.97, 0.98), "wet, smooth (est.)", 1.33, 0.02),
+    "antler": Material((0.94, 0.96), "antler, horn, bone, hoof: 0.95 (est.)"),
+    "cloth": Material((0.94, 0.97), "cotton, wool, technical cloth: 0.95; testo"),
+    "leather": Material((0.93, 0.96), "shoes (est.)"),
+    "wood": Material((0.90, 0.95), "sawn, weathered (est.)"),
+    "porcelain": Material((0.91, 0.93), "insulators, glazed: 0.92; testo", 1.5, 0.05),
+    "concrete": Material((0.92, 0.93), "FLIR, testo"),
+    "brick": Material((0.92, 0.94), "0.93; FLIR, testo"),
+    "asphalt": Material((0.95, 0.97), "FLIR, testo"),
+    "soil": Material((0.92, 0.95), "dry to wet; HeatSeeker"),
+    "grass": Material((0.97, 0.99), "grass, leaves, canopy (est.)"),
+    "water": Material((0.98, 0.99), "computed", 1.25, 0.02),
+    "snow": Material((0.85, 0.98), "HeatSeeker"),
+}
