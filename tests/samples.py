@@ -188,6 +188,31 @@ def _masks(folder: Path) -> Path:
     return _written(folder, lambda images, names: masks.write(folder, images, names))
 
 
+@sample("monet")
+def _monet(folder: Path) -> Path:
+    """Two good sequences, one without telemetry, a file for each; pitch as MONET's gimbal gives it."""
+    for n, (split, sequence, pitches) in enumerate(
+        (("train", "runway_01", (None,)), ("train", "runway_04", (-35.5, -60.0)), ("test", "dirtroad_03", (-90.0, 4.5)))
+    ):
+        images, annotations = [], []
+        for k, pitch in enumerate(pitches):
+            path = picture(folder / split / sequence / "lwir" / f"image{k:05d}.png", 10 * n + k)
+            telemetry = {"g_pitch": pitch, "alt": 51.5, "timestamp": f"2022-07-01T10:00:0{k}+02:00", "speed_x": 1.5}
+            images.append(
+                {"id": k + 1, "file_name": f"lwir/{path.name}", "width": 64, "height": 48,
+                 "metadata": {} if pitch is None else telemetry}
+            )  # fmt: skip
+        for k in range(2):
+            annotations.append(
+                {"id": k + 1, "image_id": 1, "category_id": k + 1, "bbox": [5 + 20 * k, 6, 9, 8], "area": 72,
+                 "iscrowd": 0}
+            )  # fmt: skip
+        categories = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
+        top = {"images": images, "annotations": annotations, "categories": categories}
+        (folder / split / f"{sequence}.json").write_text(json.dumps(top))
+    return folder
+
+
 @sample("yolo:detect")
 def _yolo_detect(folder: Path) -> Path:
     return _written(folder, lambda images, names: yolo.write(folder, images, names))

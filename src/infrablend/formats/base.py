@@ -42,6 +42,7 @@ LOSSES: Mapping[str, str] = {
     "visibility_dropped": "visibility known, the format holds none",
     "tracks_dropped": "track of an object known, the format holds none",
     "telemetry_dropped": "picture with pitch, altitude or time of day known, the format holds none",
+    "not_finite_dropped": "telemetry that is no finite number, written as null",
     "sequence_dropped": "picture with a known sequence or date, the format holds none",
     "name_changed": "picture renamed: the format knows no folders, or tells pictures by the stem alone",
     "class_name_changed": "class renamed: the format allows no blanks in it",
