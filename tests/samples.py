@@ -25,7 +25,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, dota, hit_uav, masks, yolo
+from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -210,6 +210,25 @@ def _monet(folder: Path) -> Path:
         categories = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
         top = {"images": images, "annotations": annotations, "categories": categories}
         (folder / split / f"{sequence}.json").write_text(json.dumps(top))
+    return folder
+
+
+@sample("voc")
+def _voc(folder: Path) -> Path:
+    return _written(folder, lambda images, names: voc.write(folder, images, names))
+
+
+@sample("voc:flat")
+def _voc_flat(folder: Path) -> Path:
+    """XML beside the pictures in folders of splits, in LabelImg's manner and roLabelImg's, one without objects."""
+    turned = "<robndbox><cx>30</cx><cy>20</cy><w>12.5</w><h>6</h><angle>0.4</angle></robndbox>"
+    upright = "<bndbox><xmin>1</xmin><ymin>2</ymin><xmax>64</xmax><ymax>30.5</ymax></bndbox>"
+    objects = "".join(f"<object><name>fox</name><difficult>0</difficult>{box}</object>" for box in (turned, upright))
+    size = "<size><width>64</width><height>48</height><depth>1</depth></size>"
+    for k, split in enumerate(("train", "train", "valid")):
+        path = picture(folder / split / f"c {k}.jpg", k)
+        text = f"<annotation><filename>{path.name}</filename>{size}{objects if k == 0 else ''}</annotation>"
+        path.with_suffix(".xml").write_text(text)
     return folder
 
 

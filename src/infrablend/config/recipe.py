@@ -263,7 +263,7 @@ class Labels(Strict):
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
-Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "native"]
+Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "voc", "native"]
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 

@@ -37,6 +37,7 @@ LOSSES: Mapping[str, str] = {
     "mask_from_obb": "object without a mask, its oriented box was written as polygon",
     "mask_raster_px": "pixels by which the polygon, rasterised as Ultralytics does, differs from the mask",
     "ignore_dropped": "object of an ignored or unwanted category left out",
+    "ignore_as_class": "object of a category to ignore, which only the category's name may still tell",
     "truncated_dropped": "object flagged as truncated, the format holds no such flag",
     "difficult_dropped": "object flagged as difficult, the format holds no such flag",
     "visibility_dropped": "visibility known, the format holds none",

@@ -123,6 +123,11 @@ WRITERS: tuple[Writer, ...] = (
         "monet", "infrablend.formats.monet:write", "monet", "MONET's layout: COCO JSON per sequence with telemetry",
         frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
     ),
+    Writer(
+        "voc", "infrablend.formats.voc:write", "voc", "Pascal VOC, one XML file per picture",
+        frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
+        takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
+    ),
 )  # fmt: skip
 """In the order in which they are listed."""
 
