@@ -11,20 +11,20 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
 
 from infrablend.assets import catalogue
 from infrablend.config import loading
 from infrablend.core.dataset import Dataset
-from infrablend.core.tasks import OnProgress
-from infrablend.errors import OutputError
-from infrablend.fetching import fetch as fetching
-from infrablend.fetching.fetch import FetchReport, OnFetch
+from infrablend.core.files import write_json
+from infrablend.core.tasks import OnProgress, Progress
+from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.formats import detection
 from infrablend.pipeline import world
 from infrablend.pipeline.models import ready_model, run_once
@@ -32,17 +32,20 @@ from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 
+if TYPE_CHECKING:
+    from infrablend.pipeline.split import SplitReport
+    from infrablend.report.checking import CheckReport
+    from infrablend.report.inspection import Inspection
+
 __all__ = [
-    "FetchReport",
     "PlanReport",
     "RunReport",
-    "describe_source",
+    "check",
     "diagnose",
-    "fetch",
     "generate",
+    "inspect",
     "list_models",
     "list_recipes",
-    "list_sources",
     "make_world",
     "plan",
     "preview",
@@ -50,6 +53,7 @@ __all__ = [
     "rerender",
     "show_model",
     "show_recipe",
+    "split",
     "write_infrared_effect",
 ]
 
@@ -229,58 +233,155 @@ def read_dataset(
     return detection.read(Path(data), format=format, form=form, splits=splits, metadata=table, options=options)
 
 
-def fetch(
-    name: str,
-    out: str | Path,
+def inspect(
+    data: str | Path,
+    out: str | Path | None = None,
     *,
-    parts: Sequence[str] | None = None,
-    url: str | None = None,
-    sha256: str | None = None,
-    archive: str | Path | None = None,
-    keep_archive: bool = False,
-    on_progress: OnFetch | None = None,
-) -> FetchReport:
-    """Fetch a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
-
-    The same call goes on with what an interrupted one left.
+    splits: Sequence[str] | None = None,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+    decode: bool = False,
+) -> Inspection:
+    """What a dataset holds: splits, classes, sizes, coverage, sequences, leakage, problems.
 
     Args:
-        name: See `list_sources`.
-        out: Folder to write; new, empty, or of an earlier fetch of the same dataset.
-        parts: Some of its files; all by default.
-        url: Where to fetch the file instead.
-        sha256: What the file's SHA-256 must be.
-        archive: Unpack this file, fetched by hand, instead.
-        keep_archive: Leave the archive in `out` too.
-        on_progress: Called while bytes arrive and files are unpacked.
+        data: The folder.
+        out: Folder for `inspect.png` (charts) and `inspect.json`; nothing is written if None.
+        splits: As in `read_dataset`, and so are `form`, `metadata`, `format`, `options`.
+        form: See `read_dataset`.
+        metadata: See `read_dataset`.
+        format: See `read_dataset`.
+        options: See `read_dataset`.
+        decode: Decode every picture: bit depth, channels, grey levels, broken files.
 
     Raises:
-        DatasetError: One that no program can fetch (the message says where it is), or an archive that is damaged,
-            hostile or not the dataset.
-        FetchError, OutputError, Interrupted: The network; the folder or the disk; Ctrl-C.
+        DatasetError: It cannot be read.
+        OutputError: `out` cannot be written.
     """
-    file = None if archive is None else Path(archive)
-    return fetching.fetch(
-        name,
-        Path(out),
-        parts=parts,
-        url=url,
-        sha256=sha256,
-        archive=file,
-        keep_archive=keep_archive,
-        on_progress=on_progress,
-    )
+    from infrablend.report.inspection import inspect_dataset, write_charts
+
+    root = Path(data)
+    if out is not None:
+        _require_apart(root, Path(out))
+    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, format=format, options=options)
+    reason = "as asked for" if format else detection.detect(root).reasons[dataset.format]
+    facts = inspect_dataset(dataset, reason, decode=decode)
+    if out is not None:
+        write_json(Path(out) / "inspect.json", facts.to_json())
+        write_charts(facts, Path(out) / "inspect.png")
+    return facts
 
 
-def list_sources() -> list[dict[str, Any]]:
-    """The public datasets that `fetch` knows: name, title, page, licence, parts, whether a program can fetch them."""
-    return fetching.list_sources()
+def check(
+    data: str | Path,
+    *,
+    splits: Sequence[str] | None = None,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+    decode: bool = True,
+    on_progress: OnProgress | None = None,
+) -> CheckReport:
+    """Every problem of labels and pictures at once; `report.ok(strict)` judges.
+
+    A dataset whose reader gives up is a report, too, with errors.
+
+    Args:
+        data: The folder.
+        splits: As in `read_dataset`, and so are `form`, `metadata`, `format`, `options`.
+        form: See `read_dataset`.
+        metadata: See `read_dataset`.
+        format: See `read_dataset`.
+        options: See `read_dataset`.
+        decode: Decode the pictures; else only their headers are read.
+        on_progress: Called after each picture.
+
+    Raises:
+        UnknownFormatError: No format fits.
+        DatasetError: There is no such folder, or an option that the format does not have.
+    """
+    from infrablend.report.checking import check_dataset, unreadable
+
+    root = Path(data)
+    try:
+        dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, format=format, options=options)
+    except UnknownFormatError:
+        raise
+    except DatasetError as error:
+        if not error.problems or any(p.code in _USAGE for p in error.problems):
+            raise
+        return unreadable(root, error)
+    return check_dataset(dataset, decode=decode, on_image=_paced(on_progress))
 
 
-def describe_source(name: str, *, licence_only: bool = False) -> str:
-    """Where a public dataset is, its licence, and how to get it."""
-    source = fetching.require_source(name)
-    return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
+# Problems of the command, not of the data.
+_USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
+
+
+def _paced(on_progress: OnProgress | None) -> Callable[[int, int], None] | None:
+    """`on_progress` for a plain loop that knows how many of how many are done."""
+    if on_progress is None:
+        return None
+    started = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        rate = done / max(time.monotonic() - started, 1e-9)
+        on_progress(Progress(done, total, rate, (total - done) / rate))
+
+    return tell
+
+
+def split(
+    data: str | Path,
+    out: str | Path,
+    *,
+    by: str,
+    gap: int | None = None,
+    shares: Sequence[float] = (0.7, 0.1, 0.2),
+    seed: int = 0,
+    to: str | None = None,
+    lists: bool = False,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+) -> SplitReport:
+    """Write a dataset with new splits that share no neighbours; see `infrablend.pipeline.split.split_dataset`.
+
+    Args:
+        data: The folder.
+        out: Folder to write, new or empty.
+        by: `sequence`, `date` or `gap`: what stays together.
+        gap: For `by="gap"`: a run of frames ends where the next frame number is more than so many away; 5 if None.
+        shares: Of train, val and test.
+        seed: For the order in which groups are dealt out.
+        to: A format to write; its own by default.
+        lists: Write three lists of pictures and `split.json` alone.
+        form: See `read_dataset`.
+        metadata: See `read_dataset`.
+        format: See `read_dataset`.
+        options: See `read_dataset`.
+
+    Raises:
+        DatasetError: It cannot be read, or does not say what shall stay together.
+        OutputError: `out` is not empty or cannot be written.
+    """
+    from infrablend.pipeline.split import split_dataset
+    from infrablend.report.groups import BYS, NEAR
+
+    root, target = Path(data), Path(out)
+    _require_apart(root, target)
+    kind = next((b for b in BYS if b == by), None)
+    if kind is None:
+        raise DatasetError(f"by: found {by!r}, expected one of {', '.join(BYS)}")
+    dataset = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
+    return split_dataset(
+        dataset, target, by=kind, gap=NEAR if gap is None else gap, shares=shares, seed=seed, to=to or "native",
+        lists=lists,
+    )  # fmt: skip
 
 
 def default_workers() -> int:

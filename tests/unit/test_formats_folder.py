@@ -142,7 +142,7 @@ def test_a_box_over_the_edge_is_clipped_and_said(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("0 0 0.5 0.2 0.25\n0 0 0.5 0.2 0.25\n")
     d = folder.read(tmp_path)
     assert [o.box_xyxy.tolist() for o in d.images[0].instances] == [[0, 30, 10, 50]] * 2
-    assert sorted(codes(d, "warning")) == ["annotation-duplicate", "box-clipped", "box-clipped", "names-missing"]
+    assert sorted(codes(d, "warning")) == ["box-clipped", "box-clipped", "names-missing", "object-duplicate"]
 
 
 def test_data_yaml_stays_inside_the_folder(tmp_path: Path) -> None:

@@ -9,12 +9,25 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from infrablend.cli import asset, doctor, exits, fetch, generate, models, preview, recipes, rerender, world
+from infrablend.cli import (
+    asset,
+    check,
+    doctor,
+    exits,
+    generate,
+    inspect,
+    models,
+    preview,
+    recipes,
+    rerender,
+    split,
+    world,
+)
 from infrablend.cli.session import open_session
 
 _EPILOG = (
     "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
-    "or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
+    "or data; 3 the environment (libraries, devices, disk); 130 stopped. 70 is a bug."
 )
 
 
@@ -83,8 +96,10 @@ def build_app() -> typer.Typer:
     app.command("generate")(generate.generate)
     app.command("preview")(preview.preview)
     app.command("rerender")(rerender.rerender)
+    app.command("inspect")(inspect.inspect)
+    app.command("check")(check.check)
+    app.command("split")(split.split)
     app.command("world")(world.world)
-    app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
         ("models", {"list": models.list_models, "show": models.show_model}, "Object models that can be inserted."),

@@ -16,6 +16,7 @@ from infrablend.cli.options import (
     WorkersOption,
     comma_list,
     key_values,
+    split_list,
 )
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def generate(
     session.json = as_json
     if resume and overwrite:
         raise typer.BadParameter("--resume and --overwrite exclude each other; give one of them")
-    splits = _splits(split)
+    splits = split_list(split)
     format_names = comma_list(formats, "--format")
 
     from infrablend import api
@@ -113,18 +114,6 @@ def generate(
 
 
 SHOWN_WARNINGS = 5
-
-
-def _splits(text: str | None) -> tuple[str, ...] | None:
-    from infrablend.core.dataset import SPLITS
-
-    splits = comma_list(text, "--split")
-    unknown = [s for s in splits or () if s not in SPLITS]
-    if unknown:
-        raise typer.BadParameter(
-            f"{', '.join(unknown)}: no such split; choose from {','.join(SPLITS)}", param_hint="--split"
-        )
-    return splits
 
 
 def _show(report: RunReport, session: Session) -> None:

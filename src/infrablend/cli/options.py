@@ -29,6 +29,19 @@ ReadingOption = Annotated[
     list[str] | None,
     typer.Option("--read", metavar="KEY=VALUE", help="Option of the dataset's reader (docs/formats); repeatable."),
 ]
+DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="The dataset's folder.")]
+FormatOption = Annotated[
+    str | None, typer.Option("--format", metavar="NAME", help="Read it as this format [default: detected].")
+]
+FormOption = Annotated[
+    str | None, typer.Option(help="Read only this form of the dataset, e.g. rotate_json [default: all].")
+]
+MetadataOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude, for a folder of images.")
+]
+SplitsOption = Annotated[
+    str | None, typer.Option("--split", metavar="LIST", help="Some of train,val,test [default: all].")
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that `generate` wrote.")]
 
 
@@ -44,6 +57,23 @@ def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
     if not all(items):
         raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c", param_hint=option)
     return items
+
+
+def split_list(text: str | None) -> tuple[str, ...] | None:
+    """The splits that `--split` names; None for None.
+
+    Raises:
+        typer.BadParameter: For a name that is no split.
+    """
+    from infrablend.core.dataset import SPLITS
+
+    splits = comma_list(text, "--split")
+    unknown = [s for s in splits or () if s not in SPLITS]
+    if unknown:
+        raise typer.BadParameter(
+            f"{', '.join(unknown)}: no such split; choose from {','.join(SPLITS)}", param_hint="--split"
+        )
+    return splits
 
 
 def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
@@ -23,6 +23,18 @@ def table(rows: Mapping[str, str]) -> str:
     """Lines of two aligned columns; empty for no rows."""
     width = max((len(k) for k in rows), default=0)
     return "\n".join(f"{k:<{width}}  {v}".rstrip() for k, v in rows.items())
+
+
+def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lines of aligned columns under a header: the first to the left, the others to the right."""
+    lines = [[str(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
 
 
 def facts(data: Mapping[str, Any]) -> dict[str, str]:

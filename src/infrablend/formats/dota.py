@@ -308,7 +308,7 @@ def _read_file(
             continue
         if " ".join(words) in seen:
             found = "the same line again, kept"
-            problems.append(Problem(here, "annotation-duplicate", found, "each object once", severity="warning"))
+            problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
         seen.add(" ".join(words))
         instance = _object(words, size_wh, here, problems)
         if instance is not None:

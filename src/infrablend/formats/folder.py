@@ -26,6 +26,7 @@ from infrablend.formats.yolo import (
     class_names,
     find_label,
     find_yaml,
+    orphan_labels,
     read_yaml,
 )
 
@@ -136,7 +137,7 @@ def read(
     names = _find_names(root, pictures) if labelled else None
     captures = Captures(table, problems)
     records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += check_table(table, pictures, root)
+    problems += orphan_labels(root, pictures) + check_table(table, pictures, root)
     if not records:
         raise DatasetError(f"{root}: no picture can be read", few(problems))
     notes = {

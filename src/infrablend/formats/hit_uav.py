@@ -16,6 +16,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 from xml.sax.saxutils import escape, quoteattr
@@ -71,7 +72,6 @@ CATEGORIES: tuple[Category, ...] = (
 # Digits written for an oriented box: coordinates and angles come back within 1e-6 px (corner at 1000 px).
 _COORDINATE_DIGITS = 8
 _ANGLE_DIGITS = 10
-_DATABASE = "The pegasus Database"
 _INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
 
 
@@ -182,26 +182,18 @@ def _own_form(folder: Path) -> Form | None:
             return "rotate_json"
     if named and named.endswith("_json") and _has_layout(folder, named):
         return named
-    # XML: the first file says whether it is HIT-UAV's at all, the first with an object which of the two.
-    ours = named is not None
-    for path in _xml_files(folder):
-        tree, _ = read_xml(path, path.name)  # a broken file is reported when it is read
-        if tree is None:
-            continue
-        if not ours and not _is_ours(tree, path):
-            return None
-        ours = True
-        if tree.find("object/robndbox") is not None:
-            return "rotate_xml"
-        if tree.find("object/bndbox") is not None:
-            return "normal_xml"
-    return named if named and named.endswith("_xml") and (folder / "Annotations").is_dir() else None
-
-
-def _is_ours(tree: Any, path: Path) -> bool:
-    """Whether an XML file is HIT-UAV's and not any VOC file: by the database it names, or by the file's name."""
-    database = (tree.findtext("source/database") or "").strip()
-    return database == _DATABASE or (database == "Unknown" and facts_from_name(path.name) is not None)
+    # XML: one with an object decides; empty ones say nothing.
+    if (folder / "Annotations").is_dir():
+        for path in _xml_files(folder):
+            tree, _ = read_xml(path, path.name)  # a broken file is reported when it is read
+            if tree is None:
+                continue
+            if tree.find("object/robndbox") is not None:
+                return "rotate_xml"
+            if tree.find("object/bndbox") is not None:
+                return "normal_xml"
+        return named if named and named.endswith("_xml") else "normal_xml"
+    return None
 
 
 def _xml_files(folder: Path) -> list[Path]:
@@ -769,7 +761,28 @@ def _unite_picture(
         source_id=source_id,
         extra=extra,
         file_name=file.name,
+        sequence=_sequence(extra.get("date"), capture),
+        captured=_iso_date(extra.get("date")),
     )
+
+
+def _iso_date(date: object) -> str | None:
+    """`2021-01-16` of HIT-UAV's `20210116`, or None."""
+    try:
+        return datetime.strptime(str(date), "%Y%m%d").date().isoformat()
+    except ValueError:
+        return None
+
+
+def _sequence(date: object, capture: Capture) -> str | None:
+    """What was flown in one go as far as the files tell: one date, time of day, altitude and perspective."""
+    parts = [
+        str(date) if date else "",
+        capture.time_of_day or "",
+        "" if capture.altitude_m is None else f"{capture.altitude_m:g}m",
+        "" if capture.pitch_deg is None else f"{capture.pitch_deg:g}deg",
+    ]
+    return "-".join(p for p in parts if p) or None
 
 
 def _same_place(a: _Object, b: _Object) -> bool:
@@ -870,6 +883,52 @@ def _instance(o: _Object, size_wh: tuple[int, int] | None, counts: Counter[str])
         # The five numbers of the file, so that writing gives them back to the last digit.
         o.extra["obb"] = o.obb
     return Instance(o.category, box, o.corners, None, None, o.truncated, o.difficult, o.inserted, o.source_id, o.extra)
+
+
+# -- what is known of the published data set ----------------------------------------------------------------------
+
+_DATES = (
+    "20201217", "20210114", "20210115", "20210116", "20210118", "20210119", "20210120", "20210121", "20210123",
+)  # fmt: skip
+# On a basketball court; looked at one by one. The frames just before name the same players Person.
+_PEOPLE_CALLED_CAR = (4053, 4054, 4057, 4062, 4063, 4064, 4073, 4077)
+
+
+def remarks(dataset: Dataset) -> tuple[str, ...]:
+    """What one should know of HIT-UAV itself (not of other data in its layout, such as the virtual world).
+
+    The figures are of the published data set, all 2,898 images and 24,899 objects.
+    """
+    info = dataset.extra.get("info")
+    authors = isinstance(info, dict) and info.get("description") == "PegasusDrone"
+    if dataset.format != NAME or not (authors or any(i.extra.get("date") in _DATES for i in dataset.images)):
+        return ()
+    frames = {facts.frame: i for i in dataset.images if (facts := facts_from_name(i.name)) is not None}
+    found: list[str] = []
+    splits = {i.split for i in frames.values()}
+    if {"train", "test"} <= splits:
+        found.append(
+            "HIT-UAV's published split is random over frames, not over scenes: train and test share near-identical "
+            "neighbours. In the full data set 525 of the 579 test images have a training image at most 5 frame numbers "
+            "away. It stays the default; `infrablend split` makes one without neighbours"
+        )
+    wrong = [i for n in _PEOPLE_CALLED_CAR if (i := frames.get(n)) and i.name.startswith("1_130_90_0_")]
+    boxes = sum(o.category == "Car" and not o.inserted for i in wrong for o in i.instances)
+    if boxes:
+        found.append(
+            f"{boxes} boxes labelled Car in {len(wrong)} picture(s) are people on a basketball court, who are not all "
+            f"labelled either: {', '.join(i.name for i in wrong)}. They distort the sizes of Car at 130 m"
+        )
+    if any(o.category == "DontCare" for i in frames.values() for o in i.instances):
+        found.append(
+            "DontCare marks what cannot be told apart (groups of people, rows of bicycles): regions to ignore, no "
+            "objects. Conversions found elsewhere treat it in at least four ways"
+        )
+    found.append(
+        "altitude alone does not give the scale: pixels per metre differ by a factor of about 1.5 at the same nominal "
+        "altitude. Calibrate on objects of known size"
+    )
+    return tuple(found)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -1115,7 +1174,7 @@ def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[st
         f"  <folder>{escape(folder)}</folder>",
         f"  <filename>{escape(name)}</filename>",
         "  <source>",
-        f"    <database>{'Unknown' if rotated else _DATABASE}</database>",
+        f"    <database>{'Unknown' if rotated else 'The pegasus Database'}</database>",
         "  </source>",
         "  <size>",
         f"    <width>{w}</width>",

@@ -119,15 +119,6 @@ WRITERS: tuple[Writer, ...] = (
         "masks", "infrablend.formats.masks:write", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
         frozenset(), takes=frozenset({"pictures"}), layout="stems",
     ),
-    Writer(
-        "monet", "infrablend.formats.monet:write", "monet", "MONET's layout: COCO JSON per sequence with telemetry",
-        frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
-    ),
-    Writer(
-        "voc", "infrablend.formats.voc:write", "voc", "Pascal VOC, one XML file per picture",
-        frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
-        takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
-    ),
 )  # fmt: skip
 """In the order in which they are listed."""
 
@@ -279,11 +270,15 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 def _further_losses(images: Sequence[ImageRecord], writer: Writer, written: Written) -> dict[str, int]:
     """What formats lose alike, counted here unless the writer did: upright boxes, tracks, telemetry, sequence."""
     counted = {kind.rpartition(".")[2] for kind in written.losses}
+    # HIT-UAV's reader makes sequence and date of what its own files say.
+    dated = writer.reader == "hit-uav"
     found = {
         "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
         "tracks": sum(o.track_id is not None for i in images for o in i.instances),
         "telemetry": sum(_unsaid(i) is not None for i in images),
-        "sequence": sum(i.sequence is not None or i.captured is not None for i in images),
+        "sequence": sum(
+            (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images
+        ),
     }
     return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks and FIELDS[k][1] not in counted}
 

@@ -306,7 +306,7 @@ def parse_labels(text: str, where: str) -> LabelLines:
             continue
         if (int(numbers[0]), values) in seen:
             found = "the same line again, kept"
-            problems.append(Problem(here, "annotation-duplicate", found, "each object once", severity="warning"))
+            problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
         seen.add((int(numbers[0]), values))
         rows.append((n, int(numbers[0]), values))
     return LabelLines(tuple(rows), tuple(problems))
@@ -369,6 +369,24 @@ def find_label(path: Path, root: Path) -> Path | None:
             break
     candidates.append((root / "labels" / relative).with_suffix(".txt"))
     return next((c for c in candidates if c.is_file() and c.name not in ("classes.txt",)), None)
+
+
+def orphan_labels(root: Path, pictures: Sequence[FoundPicture]) -> list[Problem]:
+    """A warning for every label file that has no picture, in the folders where labels of the pictures lie."""
+    used = {p.label for p in pictures if p.label is not None}
+    problems: list[Problem] = []
+    for path in sorted(f for folder in {u.parent for u in used} for f in folder.glob("*.txt")):
+        if path in used or path.name == "classes.txt" or path.name.startswith("."):
+            continue
+        where = path.relative_to(root).as_posix()
+        text, fault = read_text(path, where, "a YOLO label file")
+        labels = parse_labels(text, where)
+        if fault is None and labels.rows and not labels.problems:  # else it is a note, a list, a count
+            found = f"{len(labels.rows)} label(s) without a picture, left out"
+            problems.append(
+                Problem(where, "label-without-picture", found, "a picture of that name", severity="warning")
+            )
+    return problems
 
 
 def build_records(
@@ -599,7 +617,7 @@ def read(
     table = read_table(table_path) if table_path else None
     captures = Captures(table, problems)
     records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += check_table(table, pictures, root)
+    problems += orphan_labels(root, pictures) + check_table(table, pictures, root)
     if not records:
         raise DatasetError(f"{root}: no picture to read", few(problems))
     notes = {"labels": "yolo", "table": table_path.name if table_path else None, "pitch": captures.note()}

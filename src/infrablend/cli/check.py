@@ -1,0 +1,86 @@
+"""`infrablend check`: is everything right with a dataset?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.options import (
+    DatasetArgument,
+    FormatOption,
+    FormOption,
+    JsonOption,
+    MetadataOption,
+    ReadingOption,
+    SplitsOption,
+    key_values,
+    split_list,
+)
+
+if TYPE_CHECKING:
+    from infrablend.report.checking import CheckReport
+
+SHOWN_EACH = 3
+
+
+def check(
+    ctx: typer.Context,
+    data: DatasetArgument,
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings fail, too.")] = False,
+    no_decode: Annotated[bool, typer.Option("--no-decode", help="Read only the headers of the pictures.")] = False,
+    split: SplitsOption = None,
+    form: FormOption = None,
+    format: FormatOption = None,
+    metadata: MetadataOption = None,
+    reading: ReadingOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List every problem of a dataset's labels and pictures; exit code 1 if there are errors."""
+    from infrablend import api
+    from infrablend.cli.exits import PARTIAL
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import say, say_json
+
+    session = ctx.obj
+    session.json = as_json
+    splits = split_list(split)
+    options = key_values(reading, "--read")
+    with shown_progress(session, "checking") as on_progress:
+        report = api.check(
+            data,
+            splits=splits,
+            form=form,
+            metadata=metadata,
+            format=format,
+            options=options,
+            decode=not no_decode,
+            on_progress=on_progress,
+        )
+    if as_json:
+        say_json(report.to_json())
+    else:
+        say("\n".join(_lines(report)))
+    if not report.ok(strict):
+        raise typer.Exit(PARTIAL)
+
+
+def _lines(report: CheckReport) -> list[str]:
+    """Problems grouped by code, the first few of each, and the sum."""
+    lines: list[str] = []
+    for title, problems in (("errors", report.errors), ("warnings", report.warnings)):
+        if problems:
+            lines += [f"{len(problems)} {title if len(problems) > 1 else title[:-1]}"]
+        for code in dict.fromkeys(p.code for p in problems):
+            same = [p for p in problems if p.code == code]
+            lines.append(f"  {code}: {len(same)}")
+            lines += [f"    {p}" for p in same[:SHOWN_EACH]]
+            if len(same) > SHOWN_EACH:
+                lines.append(f"    ... and {len(same) - SHOWN_EACH} more; --json lists all")
+    how = "pictures decoded" if report.decoded else "pictures not decoded"
+    what = f"{report.format or 'unreadable'}, {report.images} images, {report.objects} objects, {how}"
+    return [*lines, f"{report.root}: {what}: {'clean' if not report.problems else _sum(report)}"]
+
+
+def _sum(report: CheckReport) -> str:
+    return f"{len(report.errors)} error(s), {len(report.warnings)} warning(s)"

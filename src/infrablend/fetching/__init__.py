@@ -1,1 +1,0 @@
-"""Getting public datasets: resumable downloads, archives unpacked safely, their content checked."""

@@ -1,0 +1,254 @@
+"""Everything wrong with a dataset: what its reader found, and what only the whole and the pictures show."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import check_box
+from infrablend.formats.images import Background, load_background
+from infrablend.formats.pictures import read_size
+
+# HIT-UAV truncates its boxes: they are less than a pixel off the oriented ones.
+AGREE_PX = 1.0
+# A picture whose grey levels vary by less (standard deviation, of 255) shows nothing.
+CONSTANT_LEVELS = 1.0
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """The problems of a dataset, sorted: errors first, then by code and place.
+
+    Attributes:
+        root: The folder.
+        format: The reader's name; None if the dataset could not be read at all.
+        images: How many were read.
+        objects: How many labels were read.
+        decoded: Whether the pictures were decoded.
+        problems: Everything found.
+    """
+
+    root: Path
+    format: str | None
+    images: int
+    objects: int
+    decoded: bool
+    problems: tuple[Problem, ...]
+
+    @property
+    def errors(self) -> tuple[Problem, ...]:
+        """Those that are errors: an item was skipped or is wrong."""
+        return tuple(p for p in self.problems if p.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """The others."""
+        return tuple(p for p in self.problems if p.severity != "error")
+
+    def ok(self, strict: bool = False) -> bool:
+        """True without errors; if `strict`, without warnings too."""
+        return not (self.problems if strict else self.errors)
+
+    def by_code(self) -> dict[str, int]:
+        """How many problems of each code, errors first."""
+        return dict(Counter(p.code for p in self.problems))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "root": str(self.root),
+            "format": self.format,
+            "images": self.images,
+            "objects": self.objects,
+            "decoded": self.decoded,
+            "errors": len(self.errors),
+            "warnings": len(self.warnings),
+            "by_code": self.by_code(),
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def check_dataset(
+    dataset: Dataset, *, decode: bool = True, on_image: Callable[[int, int], None] | None = None
+) -> CheckReport:
+    """Check every label and every picture; one picture is in memory at a time.
+
+    Args:
+        dataset: As read; its problems are part of the report.
+        decode: Decode every picture; else only its header is read.
+        on_image: Called with how many of how many images are done.
+    """
+    problems = list(dataset.problems)
+    # A reader that compares lines names them; saying it again without a line helps nobody.
+    compares = any(p.code == "object-duplicate" for p in problems)
+    prints: dict[bytes, list[ImageRecord]] = defaultdict(list)
+    for n, image in enumerate(dataset.images, 1):
+        where = f"{image.split}/{image.name}"
+        size_wh, more, print_ = _check_picture(image, where, decode)
+        problems += more
+        if print_ is not None:
+            prints[print_].append(image)
+        problems += check_objects(image, where, size_wh, duplicates=not compares)
+        if on_image is not None:
+            on_image(n, len(dataset.images))
+    groups = prints.values() if decode else _same_files(dataset.images)
+    for group in groups:
+        problems += _check_copies(group)
+    objects = sum(len(i.instances) for i in dataset.images)
+    return CheckReport(dataset.root, dataset.format, len(dataset.images), objects, decode, _sorted(problems))
+
+
+def unreadable(root: Path, error: DatasetError) -> CheckReport:
+    """The report on a dataset whose reader gave up."""
+    problems = error.problems or (Problem(root.name, "dataset-unreadable", error.message),)
+    return CheckReport(root, None, 0, 0, False, _sorted(problems))
+
+
+def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
+    return tuple(sorted(set(problems), key=lambda p: (p.severity, p.code, p.where, p)))
+
+
+def _check_picture(
+    image: ImageRecord, where: str, decode: bool
+) -> tuple[tuple[int, int] | None, list[Problem], bytes | None]:
+    """The picture's true size, what is wrong with it, and a digest of its pixels."""
+    if not decode:
+        size_wh, problem = read_size(image.path, where)
+        if problem is not None:
+            return None, [problem], None
+        if image.size_wh is not None and size_wh != image.size_wh:
+            return size_wh, [_wrong_size(where, size_wh, image.size_wh)], None
+        return size_wh, [], None
+    try:
+        picture = load_background(image.path)
+    except DatasetError as error:
+        return None, [_placed(p, where) for p in error.problems], None
+    problems = [_placed(p, where) for p in picture.problems]
+    if image.size_wh is not None and picture.size_wh != image.size_wh:
+        problems.append(_wrong_size(where, picture.size_wh, image.size_wh))
+    if is_constant(picture):
+        found = f"grey levels {picture.pixels.min()} to {picture.pixels.max()}, hardly any difference"
+        problems.append(Problem(where, "image-constant", found, "a picture of something", severity="warning"))
+    pixels = picture.pixels
+    digest = hashlib.blake2b(repr((pixels.shape, pixels.dtype.str)).encode(), digest_size=16)
+    digest.update(np.ascontiguousarray(pixels).data)
+    return picture.size_wh, problems, digest.digest()
+
+
+def _placed(problem: Problem, where: str) -> Problem:
+    return Problem(where, problem.code, problem.found, problem.expected, problem.todo, problem.severity)
+
+
+def is_constant(picture: Background) -> bool:
+    """True for a picture that shows nothing: 8 bits that hardly vary, 16 bits that use three levels at most."""
+    if picture.bit_depth == 16:  # radiometric pictures use few of the 65,536 levels
+        return int(picture.pixels.max()) - int(picture.pixels.min()) < 3
+    return float(picture.pixels.std()) < CONSTANT_LEVELS
+
+
+def _wrong_size(where: str, found: tuple[int, int] | None, annotated: tuple[int, int]) -> Problem:
+    said = f"{annotated[0]}x{annotated[1]} px as annotated"
+    text = "no size" if found is None else f"{found[0]}x{found[1]} px"
+    return Problem(where, "image-size", text, said, "correct the annotation or replace the picture")
+
+
+def check_objects(
+    image: ImageRecord, where: str, size_wh: tuple[int, int] | None, *, duplicates: bool = True
+) -> list[Problem]:
+    """What is wrong with the labels of one image as read.
+
+    Args:
+        image: The image.
+        where: Its name in messages.
+        size_wh: The picture's true size, None if unknown.
+        duplicates: Look for objects that are given twice.
+    """
+    problems: list[Problem] = []
+    seen: Counter[tuple[Any, ...]] = Counter()
+    for k, o in enumerate(image.instances):
+        number = k if o.source_id is None else o.source_id
+        here = f"{where}: {'object' if o.source_id is None else 'annotation'} {number}"
+        # What the reader clipped to the annotated size is inside it: only another true size shows anything here.
+        _, problem = check_box(o.box_xyxy.tolist(), size_wh or image.size_wh, here)
+        if problem is not None:
+            problems.append(problem)
+        low = float((o.box_xyxy[2:] - o.box_xyxy[:2]).min())
+        if 0 < low < 1:
+            found = f"a box {low:.3g} px across"
+            problems.append(Problem(here, "box-tiny", found, "at least 1 px", severity="warning"))
+        apart = _apart(o, image.size_wh or size_wh)
+        if apart > AGREE_PX:
+            found = f"oriented and axis-aligned box are {apart:.3g} px apart"
+            expected = f"the bounds of the oriented box, within {AGREE_PX:g} px"
+            problems.append(Problem(here, "obb-disagrees", found, expected, "correct one of them", severity="warning"))
+        seen[_key(o)] += 1
+        if duplicates and seen[_key(o)] == 2:
+            box = ", ".join(f"{v:g}" for v in o.box_xyxy)
+            found = f"{o.category} [{box}] is there {sum(_key(p) == _key(o) for p in image.instances)} times"
+            problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
+    return problems
+
+
+def _key(o: Instance) -> tuple[Any, ...]:
+    corners = None if o.corners_xy is None else o.corners_xy.tobytes()
+    return o.category, o.box_xyxy.tobytes(), corners, o.mask, o.track_id
+
+
+def _apart(o: Instance, size_wh: tuple[int, int] | None) -> float:
+    """By how many px the box differs from the oriented box's bounds inside the frame; 0 where they may differ."""
+    if o.corners_xy is None or o.inserted or o.extra.get("tight_box"):
+        return 0.0
+    bounds = np.concatenate([o.corners_xy.min(axis=0), o.corners_xy.max(axis=0)])
+    if size_wh is not None:
+        bounds = np.clip(bounds, 0.0, np.array([*size_wh, *size_wh], np.float64))
+    return float(np.abs(bounds - o.box_xyxy).max())
+
+
+def _same_files(images: Iterable[ImageRecord]) -> list[list[ImageRecord]]:
+    """Images whose files hold the same bytes; only files of equal length are read."""
+    by_length: dict[int, list[ImageRecord]] = defaultdict(list)
+    for image in images:
+        try:
+            by_length[image.path.stat().st_size].append(image)
+        except OSError:
+            continue  # reported where the picture was opened
+    groups: dict[tuple[int, bytes], list[ImageRecord]] = defaultdict(list)
+    for length, alike in sorted(by_length.items()):
+        for image in alike if len(alike) > 1 else ():
+            digest = _file_digest(image.path)
+            if digest is not None:
+                groups[length, digest].append(image)
+    return list(groups.values())
+
+
+def _file_digest(path: Path) -> bytes | None:
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_BLOCK_BYTES):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.digest()
+
+
+def _check_copies(same: list[ImageRecord]) -> list[Problem]:
+    """Problems of images that are the same picture."""
+    if len(same) < 2:
+        return []
+    names = [f"{i.split}/{i.name}" for i in same]
+    splits = sorted({i.split for i in same})
+    if len(splits) > 1:
+        found = f"the same picture in {' and '.join(splits)}: {', '.join(names[:4])}"
+        return [Problem(names[0], "image-leak", found, "each picture in one split", "remove it from the others")]
+    found = f"{len(same)} times the same picture: {', '.join(names[:4])}"
+    return [Problem(names[0], "image-repeated", found, "each picture once", severity="warning")]

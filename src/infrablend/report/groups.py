@@ -1,0 +1,139 @@
+"""Which images of a dataset belong together: the flight, the day, the run of frames; and what that means for splits.
+
+Neighbouring frames of a video are nearly the same picture. Where they stand in different splits, a test measures
+memory, not detection.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any, Literal
+
+from infrablend.core.dataset import SPLITS, ImageRecord, Split
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.capture import facts_from_name
+
+By = Literal["sequence", "date", "gap"]
+BYS: tuple[By, ...] = ("sequence", "date", "gap")
+
+# Frames at most this far apart are called neighbours.
+NEAR = 5
+_LAST_NUMBER = re.compile(r"^(.*?)(\d{1,12})(\D*)$", re.ASCII)
+
+
+def frame_place(image: ImageRecord) -> tuple[str, int] | None:
+    """(numbering, frame number) of an image; frames of different numberings are never neighbours. None if unknown.
+
+    Names in HIT-UAV's grammar carry a number that is unique in the whole dataset; otherwise the sequence, or else
+    folder and name up to the last number, has its own numbering.
+    """
+    facts = facts_from_name(image.name)
+    if facts is not None:
+        return "", facts.frame
+    name = PurePosixPath(image.name)
+    match = _LAST_NUMBER.match(name.stem)
+    own = image.extra.get("frame")
+    if type(own) is int and image.sequence is not None:
+        return image.sequence, own
+    if match is None:
+        return None
+    clip = image.sequence if image.sequence is not None else f"{name.parent}/{match[1]}*{match[3]}"
+    return clip, int(match[2])
+
+
+@dataclass(frozen=True)
+class Leakage:
+    """How many images of one split have neighbours in another one.
+
+    Attributes:
+        split: The split that is looked at.
+        other: The split of the neighbours.
+        images: Images of `split` whose frame number is known.
+        near: Those with an image of `other` at most `distance` frames away.
+        distance: In frame numbers.
+    """
+
+    split: Split
+    other: Split
+    images: int
+    near: int
+    distance: int = NEAR
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "split": self.split,
+            "other": self.other,
+            "images": self.images,
+            "near": self.near,
+            "distance": self.distance,
+        }
+
+
+def leakage(images: Iterable[ImageRecord], distance: int = NEAR) -> tuple[Leakage, ...]:
+    """Neighbours across splits: test and val against train, test against val; pairs without numbers are left out."""
+    frames: dict[Split, dict[str, list[int]]] = {s: {} for s in SPLITS}
+    for image in images:
+        place = frame_place(image)
+        if place is not None:
+            frames[image.split].setdefault(place[0], []).append(place[1])
+    found: list[Leakage] = []
+    pairs: tuple[tuple[Split, Split], ...] = (("test", "train"), ("val", "train"), ("test", "val"))
+    for split, other in pairs:
+        known = {clip: sorted(numbers) for clip, numbers in frames[other].items()}
+        own = [(clip, n) for clip, numbers in sorted(frames[split].items()) for n in numbers]
+        if own and known:
+            near = sum(_has_near(known.get(clip, ()), n, distance) for clip, n in own)
+            found.append(Leakage(split, other, len(own), near, distance))
+    return tuple(found)
+
+
+def _has_near(numbers: Sequence[int], number: int, distance: int) -> bool:
+    k = bisect_left(numbers, number - distance)
+    return k < len(numbers) and numbers[k] <= number + distance
+
+
+def group_images(images: Sequence[ImageRecord], by: By, gap: int = NEAR) -> dict[str, tuple[ImageRecord, ...]]:
+    """Images by name of their group, sorted: one sequence, one day of capture, or one run of frame numbers.
+
+    A run ends where the next frame number is more than `gap` away.
+
+    Raises:
+        DatasetError: The dataset does not say what is asked for; the problem counts the images without it.
+    """
+    keys: Mapping[str, str | None]
+    if by == "gap":
+        keys = _runs(images, gap)
+        lacks, todo = "a frame number in their name", "take --by sequence or --by date"
+    elif by == "date":
+        keys = {i.id: None if i.captured is None else i.captured[:10] for i in images}
+        lacks, todo = "a date of capture", "take --by sequence or --by gap"
+    else:
+        keys = {i.id: i.sequence for i in images}
+        lacks, todo = "a sequence", "take --by gap, which needs numbers in the file names"
+    without = [i.name for i in images if keys[i.id] is None]
+    if without:
+        found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
+        problem = Problem(f"--by {by}", "group-unknown", found, "one for every image", todo)
+        raise DatasetError(f"cannot group by {by}", [problem])
+    groups: dict[str, list[ImageRecord]] = {}
+    for image in images:
+        groups.setdefault(str(keys[image.id]), []).append(image)
+    return {name: tuple(groups[name]) for name in sorted(groups)}
+
+
+def _runs(images: Sequence[ImageRecord], gap: int) -> dict[str, str | None]:
+    places = {i.id: frame_place(i) for i in images}
+    found: dict[str, str | None] = {i.id: None for i in images}
+    ordered = sorted((place, id_) for id_, place in places.items() if place is not None)
+    name, before = "", None
+    for (clip, number), id_ in ordered:
+        if before is None or before[0] != clip or number - before[1] > gap:
+            name = f"{clip} {number:06}".strip()
+        found[id_] = name
+        before = (clip, number)
+    return found

@@ -1,0 +1,320 @@
+"""What a dataset holds: splits, classes, sizes, coverage, sequences, leakage, problems; as facts and as charts."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.files import write_bytes
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats import detection
+from infrablend.formats.images import load_background
+from infrablend.formats.pictures import read_size
+from infrablend.report.groups import Leakage, leakage
+
+QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+# More distinct values than this are put into bins.
+MAX_DISTINCT = 12
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """The facts of one dataset; everything counted, nothing judged.
+
+    Attributes:
+        root: The folder.
+        format: The reader's name; `reason` says why it was taken.
+        reason: Why.
+        splits: By split: `images`, `objects`, `ignore_regions`, `without_objects`.
+        classes: By class: objects by split, and `ignore` for regions to ignore.
+        sizes_px: By class: square roots of box areas in px, ascending.
+        coverage: Images by (pitch, altitude), each as a text; `unknown` where it is not known.
+        pitches: Pitches or their bins in order, `unknown` last.
+        altitudes: Altitudes in order, alike.
+        time_of_day: By split: images by day, night, unknown.
+        labels: How many objects have an oriented box, a mask, a track, a flag.
+        sequences: Images by sequence.
+        dates: Images by date of capture.
+        tracks: Objects by track, over all sequences.
+        picture_sizes: Images by size as annotated, else as the file's header says.
+        decoded: With decoding: images by bit depth and mode, grey levels; empty without.
+        leakage: Neighbours across splits.
+        remarks: What is known of this dataset beyond what its files say.
+        problems: What is wrong with it.
+        notes: What the reader noted.
+    """
+
+    root: Path
+    format: str
+    reason: str
+    splits: Mapping[str, Mapping[str, int]]
+    classes: Mapping[str, Mapping[str, int]]
+    ignored: tuple[str, ...]
+    sizes_px: Mapping[str, NDArray[np.float64]]
+    coverage: Mapping[tuple[str, str], int]
+    pitches: tuple[str, ...]
+    altitudes: tuple[str, ...]
+    time_of_day: Mapping[str, Mapping[str, int]]
+    labels: Mapping[str, int]
+    sequences: Mapping[str, int]
+    dates: Mapping[str, int]
+    tracks: Mapping[str, int]
+    picture_sizes: Mapping[str, int]
+    decoded: Mapping[str, Any]
+    leakage: tuple[Leakage, ...]
+    remarks: tuple[str, ...]
+    problems: tuple[Problem, ...]
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "root": str(self.root),
+            "format": self.format,
+            "reason": self.reason,
+            "splits": {k: dict(v) for k, v in self.splits.items()},
+            "classes": {
+                name: {"objects": dict(of), "ignore": name in self.ignored, "sqrt_area_px": self.quantiles(name)}
+                for name, of in self.classes.items()
+            },
+            "coverage": [
+                {"pitch": p, "altitude": a, "images": self.coverage[p, a]}
+                for p in self.pitches
+                for a in self.altitudes
+                if (p, a) in self.coverage
+            ],
+            "time_of_day": {k: dict(v) for k, v in self.time_of_day.items()},
+            "labels": dict(self.labels),
+            "sequences": dict(self.sequences),
+            "dates": dict(self.dates),
+            "tracks": {"count": len(self.tracks), "objects": sum(self.tracks.values())},
+            "picture_sizes": dict(self.picture_sizes),
+            "decoded": dict(self.decoded),
+            "leakage": [one.to_json() for one in self.leakage],
+            "remarks": list(self.remarks),
+            "problems": [p.to_json() for p in self.problems],
+            "notes": dict(self.notes),
+        }
+
+    def quantiles(self, name: str) -> dict[str, float]:
+        """Quantiles of the square roots of a class's box areas in px, by `QUANTILES` as texts; empty without boxes."""
+        values = self.sizes_px[name]
+        if not len(values):
+            return {}
+        return {f"{q:g}": round(float(v), 2) for q, v in zip(QUANTILES, np.quantile(values, QUANTILES), strict=True)}
+
+
+def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False) -> Inspection:
+    """Count what there is to know.
+
+    Args:
+        dataset: As read.
+        reason: Why its format was taken.
+        decode: Decode every picture, one after the other: bit depth, channels, grey levels, broken files.
+    """
+    images = dataset.images
+    present = [s for s in SPLITS if any(i.split == s for i in images)]
+    ignored = {c.name for c in dataset.categories if c.ignore}
+    names = [c.name for c in dataset.categories]
+    names += sorted({o.category for i in images for o in i.instances} - set(names))
+    objects: Counter[tuple[str, str]] = Counter((o.category, i.split) for i in images for o in i.instances)
+    sizes: dict[str, list[float]] = {n: [] for n in names}
+    for image in images:
+        for o in image.instances:
+            x0, y0, x1, y1 = o.box_xyxy
+            sizes[o.category].append(float(np.sqrt((x1 - x0) * (y1 - y0))))
+    problems = list(dataset.problems)
+    pitch_of, pitches = _binned([i.pitch_deg for i in images], "°", 10)
+    altitude_of, altitudes = _binned([i.altitude_m for i in images], " m", 10)
+    decoded, more = _decode(images) if decode else ({}, [])
+    problems += more
+    sizes_known = [_size(i, problems) for i in images]
+    return Inspection(
+        root=dataset.root,
+        format=dataset.format,
+        reason=reason,
+        splits={
+            s: {
+                "images": sum(i.split == s for i in images),
+                "objects": sum(n for (name, of), n in objects.items() if of == s and name not in ignored),
+                "ignore_regions": sum(n for (name, of), n in objects.items() if of == s and name in ignored),
+                "without_objects": sum(i.split == s and not i.instances for i in images),
+            }
+            for s in present
+        },
+        classes={n: {s: objects[n, s] for s in present} for n in names},
+        ignored=tuple(n for n in names if n in ignored),
+        sizes_px={n: np.sort(np.array(v, np.float64)) for n, v in sizes.items()},
+        coverage=Counter(zip(pitch_of, altitude_of, strict=True)),
+        pitches=pitches,
+        altitudes=altitudes,
+        time_of_day={
+            s: _counted((i.time_of_day or UNKNOWN for i in images if i.split == s), ("day", "night", UNKNOWN))
+            for s in present
+        },
+        labels=_label_kinds(images),
+        sequences=_counted(i.sequence for i in images if i.sequence is not None),
+        dates=_counted(i.captured[:10] for i in images if i.captured is not None),
+        tracks=_counted(
+            f"{i.sequence or ''}/{o.track_id}" for i in images for o in i.instances if o.track_id is not None
+        ),
+        picture_sizes=_counted(f"{s[0]}x{s[1]}" if s else UNKNOWN for s in sizes_known),
+        decoded=decoded,
+        leakage=leakage(images),
+        remarks=_remarks(dataset),
+        problems=tuple(sorted(problems, key=lambda p: (p.severity, p.code, p.where))),
+        notes=dataset.notes,
+    )
+
+
+def _counted(items: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
+    counts = Counter(items)
+    return {k: counts[k] for k in (*order, *sorted(set(counts) - set(order))) if counts[k]}
+
+
+def _binned(values: Sequence[float | None], unit: str, width: float) -> tuple[list[str], tuple[str, ...]]:
+    """The value of each item as a text, and all texts in order: as it is where there are few, else in bins."""
+    known = sorted({v for v in values if v is not None})
+    few = len(known) <= MAX_DISTINCT
+    while not few and len({v // width for v in known}) > MAX_DISTINCT:
+        width *= 2
+
+    def text(v: float) -> str:
+        return f"{v:g}{unit}" if few else f"{v // width * width:g} to {(v // width + 1) * width:g}{unit}"
+
+    order = list(dict.fromkeys(text(v) for v in known))
+    if any(v is None for v in values):
+        order.append(UNKNOWN)
+    return [UNKNOWN if v is None else text(v) for v in values], tuple(order)
+
+
+def _label_kinds(images: Sequence[ImageRecord]) -> dict[str, int]:
+    objects = [o for i in images for o in i.instances]
+    kinds: dict[str, Callable[[Any], bool]] = {
+        "boxes": lambda o: True,
+        "oriented_boxes": lambda o: o.corners_xy is not None,
+        "masks": lambda o: o.mask is not None,
+        "truncated": lambda o: o.truncated is True,
+        "difficult": lambda o: o.difficult is True,
+        "visibility": lambda o: o.visibility is not None,
+        "tracked": lambda o: o.track_id is not None,
+        "inserted": lambda o: o.inserted,
+    }
+    return {name: n for name, test in kinds.items() if (n := sum(test(o) for o in objects)) or name == "boxes"}
+
+
+def _size(image: ImageRecord, problems: list[Problem]) -> tuple[int, int] | None:
+    if image.size_wh is not None:
+        return image.size_wh
+    size_wh, problem = read_size(image.path, f"{image.split}/{image.name}")
+    problems += [problem] if problem is not None else []
+    return size_wh
+
+
+def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem]]:
+    """Facts of the pixels; one picture is in memory at a time."""
+    kinds: Counter[str] = Counter()
+    lowest, highest, sums, pixels = None, None, 0.0, 0
+    problems: list[Problem] = []
+    for image in images:
+        try:
+            picture = load_background(image.path, image.size_wh)
+        except DatasetError as error:
+            problems += error.problems
+            continue
+        problems += picture.problems
+        channels = 3 if picture.mode == "RGB" else 1
+        kinds[f"{picture.file_type}, {picture.bit_depth} bit, {channels} channel{'s' if channels > 1 else ''}"] += 1
+        low, high = int(picture.pixels.min()), int(picture.pixels.max())
+        lowest, highest = min(low, low if lowest is None else lowest), max(high, high if highest is None else highest)
+        sums += float(picture.pixels.sum(dtype=np.float64))
+        pixels += picture.pixels.size
+    levels = {"lowest": lowest, "mean": round(sums / pixels, 2), "highest": highest} if pixels else {}
+    return {"pictures": dict(sorted(kinds.items())), "grey_levels": levels}, problems
+
+
+def _remarks(dataset: Dataset) -> tuple[str, ...]:
+    """What the modules of formats know of the datasets that come in them."""
+    found: list[str] = []
+    for known in detection.FORMATS:
+        remarks = known.attribute("remarks", None)
+        if remarks is not None:
+            found += remarks(dataset)
+    return tuple(found)
+
+
+# -- charts ----------------------------------------------------------------------------------------------------
+
+
+def write_charts(facts: Inspection, path: Path) -> Path:
+    """Draw counts per class, sizes per class, pitch over altitude, day and night as one PNG; same facts, same bytes.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 9), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    counts, sizes, coverage, times = figure.subplots(2, 2).ravel()
+    names = list(facts.classes)
+    splits = list(facts.splits)
+    colours: dict[str, str] = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
+
+    left = np.zeros(len(names))
+    for split in splits:
+        values = np.array([facts.classes[n][split] for n in names], np.float64)
+        counts.barh(range(len(names)), values, left=left, label=split, color=colours[split])
+        left = left + values
+    counts.set_yticks(range(len(names)), _plain(names))
+    counts.invert_yaxis()
+    counts.set(title="Objects by class", xlabel="objects")
+    if splits and names:
+        counts.legend()
+
+    with_boxes = [n for n in names if len(facts.sizes_px[n])]
+    if with_boxes:
+        sizes.boxplot([facts.sizes_px[n] for n in with_boxes], whis=(5, 95), showfliers=False, widths=0.6)
+        sizes.set_xticks(range(1, len(with_boxes) + 1), _plain(with_boxes), rotation=45, ha="right")
+        sizes.set_yscale("log")
+    sizes.set(title="Box size by class (5, 25, 50, 75, 95 %)", ylabel="square root of area, px")
+
+    grid = np.array([[facts.coverage.get((p, a), 0) for a in facts.altitudes] for p in facts.pitches], np.float64)
+    if grid.size:
+        coverage.imshow(np.where(grid > 0, grid, np.nan), cmap="viridis", aspect="auto")
+        coverage.set_xticks(range(len(facts.altitudes)), facts.altitudes, rotation=45, ha="right")
+        coverage.set_yticks(range(len(facts.pitches)), facts.pitches)
+        middle = grid.max() / 2
+        for y, x in np.argwhere(grid > 0):
+            colour = "white" if grid[y, x] < middle else "black"
+            coverage.text(x, y, f"{grid[y, x]:.0f}", ha="center", va="center", fontsize=8, color=colour)
+    coverage.set(title="Images by pitch and altitude", xlabel="altitude", ylabel="pitch below the horizon")
+
+    kinds = [k for k in ("day", "night", UNKNOWN) if any(k in of for of in facts.time_of_day.values())]
+    left = np.zeros(len(kinds))
+    for split in splits:
+        values = np.array([facts.time_of_day[split].get(k, 0) for k in kinds], np.float64)
+        times.barh(range(len(kinds)), values, left=left, label=split, color=colours[split])
+        left = left + values
+    times.set_yticks(range(len(kinds)), kinds)
+    times.invert_yaxis()
+    times.set(title="Images by time of day", xlabel="images")
+
+    out = io.BytesIO()
+    figure.savefig(out, format="png", metadata={"Software": None})
+    return write_bytes(path, out.getvalue())
+
+
+def _plain(names: Sequence[str]) -> list[str]:
+    """Class names as matplotlib shows them unchanged: its formulas stand between dollars."""
+    return [n.replace("$", r"\$")[:40] for n in names]

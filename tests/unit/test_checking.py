@@ -1,0 +1,186 @@
+"""What `check` finds, what it says, how it ends."""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.samples import SAMPLES
+from typer.testing import CliRunner, Result
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.report.checking import check_objects
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(build_app(), ["check", *map(str, words)])
+
+
+def codes(root: Path, **options: bool) -> dict[str, int]:
+    return api.check(root, **options).by_code()
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLES))
+def test_samples_have_no_errors(name: str, tmp_path: Path) -> None:
+    root = SAMPLES[name](tmp_path / "data")
+    for decode in (True, False):
+        report = api.check(root, decode=decode)
+        assert [str(p) for p in report.errors] == []
+        assert report.images == len(api.read_dataset(root).images)
+    assert run(root).exit_code == 0
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return SAMPLES["hit-uav:json"](tmp_path / "data")
+
+
+def pictures(root: Path, name: str) -> list[Path]:
+    return sorted(root.rglob(name))
+
+
+def edit(path: Path, change) -> None:
+    top = json.loads(path.read_text())
+    change(top)
+    path.write_text(json.dumps(top))
+
+
+def test_a_broken_picture_and_one_of_another_size(data: Path) -> None:
+    for path in pictures(data, "1_90_90_0_00034.jpg"):
+        path.write_bytes(path.read_bytes()[:-60])
+    for path in pictures(data, "1_90_60_0_00023.jpg"):
+        path.unlink()
+        Image.fromarray(np.arange(40 * 40, dtype=np.uint8).reshape(40, 40)).save(path)
+    # The person's box 40..50 lies outside the true size.
+    assert codes(data) == {"box-outside": 1, "image-size": 1, "image-truncated": 1}
+    assert codes(data, decode=False) == {"box-outside": 1, "image-size": 1}
+    ended = run(data)
+    assert ended.exit_code == 1
+    assert "test/1_90_90_0_00034.jpg" in ended.stdout and "3 error(s)" in ended.stdout
+
+
+def test_copies_across_splits_are_errors_and_within_one_warnings(data: Path) -> None:
+    source = pictures(data, "0_60_30_0_00001.jpg")[0]
+    for target in pictures(data, "1_90_90_0_00034.jpg") + pictures(data, "1_90_60_0_00012.jpg"):
+        target.unlink()
+        shutil.copy(source, target)
+    for decode in (True, False):
+        report = api.check(data, decode=decode)
+        assert report.by_code() == {"image-leak": 1}
+        assert "train/0_60_30_0_00001.jpg" in report.errors[0].found and "test/1_90" in report.errors[0].found
+    for target in pictures(data, "1_90_90_0_00034.jpg"):
+        target.unlink()
+        Image.fromarray(np.tile(np.arange(64, dtype=np.uint8), (48, 1))).save(target)
+    assert codes(data) == {"image-repeated": 1}
+
+
+def test_a_picture_of_nothing(data: Path) -> None:
+    for path in pictures(data, "1_90_90_0_00034.jpg"):
+        path.unlink()
+        Image.fromarray(np.full((48, 64), 90, np.uint8)).save(path)
+    report = api.check(data)
+    assert report.by_code() == {"image-constant": 1} and report.ok() and not report.ok(strict=True)
+    assert (run(data).exit_code, run(data, "--strict").exit_code) == (0, 1)
+    assert codes(data, decode=False) == {}
+
+
+def test_labels_that_cannot_be(data: Path) -> None:
+    def spoil(top: dict) -> None:
+        person, bicycle = json.loads(json.dumps(top["annotation"][0])), top["annotation"][0]
+        bicycle["category_id"] = 77
+        for k, box in enumerate(([10, 20, 0, 5], [float("nan"), 0, 5, 5], [600, 5, 9, 9], [60, 40, 9, 9], "none")):
+            top["annotation"].append(person | {"id": 900 + k, "bbox": box})
+        top["images"].append({"id": 901, "filename": "../../secret.jpg", "width": 64, "height": 48})
+
+    (data / "normal_json/test/extra.jpg").write_bytes(pictures(data, "1_90_90_0_00034.jpg")[0].read_bytes())
+    edit(data / "normal_json/annotations/test.json", spoil)
+    shutil.rmtree(data / "rotate_json")
+    report = api.check(data)
+    assert report.by_code() == {
+        "box-empty": 1, "box-malformed": 1, "box-not-finite": 1, "box-outside": 1, "category-unknown": 1,
+        "name-climbs": 1, "box-clipped": 1, "image-unlisted": 1,
+    }  # fmt: skip
+    assert all("annotations/test.json" in p.where for p in report.problems)
+    ended = run(data, "--json")
+    listed = json.loads(ended.stdout)
+    assert ended.exit_code == 1 and (listed["errors"], listed["warnings"]) == (6, 2)
+    assert [p["code"] for p in listed["problems"]] == sorted(p["code"] for p in listed["problems"][:6]) + [
+        "box-clipped",
+        "image-unlisted",
+    ]
+
+
+def test_duplicates_and_boxes_that_disagree() -> None:
+    box = np.array([10.0, 10.0, 20.0, 20.0])
+    corners = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 24.0], [10.0, 24.0]])
+    labels = (
+        Instance("Car", box),
+        Instance("Car", box.copy()),
+        Instance("Person", box),
+        Instance("Car", box, corners),
+        Instance("Truck", box, corners, inserted=True),
+        Instance("Car", np.array([1.0, 1.0, 1.5, 9.0])),
+    )
+    image = ImageRecord("a", Path("a.png"), "train", (64, 48), None, None, None, labels)
+    found = {(p.where, p.code) for p in check_objects(image, "a", (64, 48))}
+    assert found == {("a: object 1", "object-duplicate"), ("a: object 3", "obb-disagrees"), ("a: object 5", "box-tiny")}
+
+
+def test_text_labels_without_a_picture_and_lines_given_twice(tmp_path: Path) -> None:
+    root = SAMPLES["yolo:detect"](tmp_path / "data")
+    (root / "labels/train/orphan.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    label = root / "labels/test/1_90_90_0_00034.txt"
+    label.write_text(label.read_text() * 2)
+    report = api.check(root)
+    assert report.by_code() == {"label-without-picture": 1, "object-duplicate": 1}
+    assert {p.where for p in report.warnings} == {"labels/train/orphan.txt", "labels/test/1_90_90_0_00034.txt: line 2"}
+
+
+def test_a_dataset_that_cannot_be_read_is_reported_and_wrong_usage_is_told_apart(data: Path, tmp_path: Path) -> None:
+    for path in data.rglob("*.json"):
+        path.write_text("{")
+    ended = run(data, "--json")
+    assert ended.exit_code == 1
+    assert set(json.loads(ended.stdout)["by_code"]) == {"annotation-not-json", "more"}
+    assert run(tmp_path / "nowhere").exit_code == 2
+    assert run(data, "--read", "colour=red").exit_code == 2
+    assert run(data, "--form", "no_form").exit_code == 2
+    assert run(data, "--split", "dev").exit_code == 2
+    (tmp_path / "empty").mkdir()
+    assert run(tmp_path / "empty").exit_code == 2
+
+
+def test_real_labels_are_clean_and_checked_within_the_bound(real_data: Path) -> None:
+    started = time.process_time()
+    report = api.check(real_data / "hit-uav", decode=False)
+    spent_s = time.process_time() - started
+    assert report.images == 1869 and report.by_code() == {"form-partial": 2}
+    # The issue asks for 5 s; measured 1.1 s.
+    assert spent_s < 5
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_pictures(real_data: Path) -> None:
+    code = (
+        "import resource, sys; from infrablend import api; from infrablend.report import checking\n"
+        "from dataclasses import replace\n"
+        "d = api.read_dataset(sys.argv[1]); d = replace(d, images=d.images[: int(sys.argv[2])])\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "checking.check_dataset(d); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    grown = [
+        int(subprocess.check_output([sys.executable, "-c", code, str(real_data / "hit-uav"), str(n)]).decode())
+        for n in (200, 1869)
+    ]
+    page_kib = resource.getpagesize() / 1024
+    assert grown[1] - grown[0] < 10_000 + page_kib, grown

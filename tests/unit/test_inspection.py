@@ -1,0 +1,118 @@
+"""What `inspect` counts and draws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.samples import SAMPLES
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.dataset import ImageRecord
+from infrablend.report.groups import frame_place, group_images, leakage
+from infrablend.report.inspection import _binned, write_charts
+
+
+def image(name: str, split: str = "train", **fields: object) -> ImageRecord:
+    known = {"pitch_deg": None, "altitude_m": None, "time_of_day": None, "size_wh": None, "instances": ()}
+    return ImageRecord(f"{split}/{name}", Path(name), split, file_name=name, **(known | fields))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLES))
+def test_every_sample_can_be_inspected(name: str, tmp_path: Path) -> None:
+    root = SAMPLES[name](tmp_path / "data")
+    facts = api.inspect(root, tmp_path / "out", decode=True)
+    dataset = api.read_dataset(root)
+    assert facts.format == name.partition(":")[0] and facts.reason
+    assert sum(of["images"] for of in facts.splits.values()) == len(dataset.images)
+    objects = sum(len(i.instances) for i in dataset.images)
+    assert sum(of["objects"] + of["ignore_regions"] for of in facts.splits.values()) == objects
+    assert sum(n for of in facts.classes.values() for n in of.values()) == objects == facts.labels["boxes"]
+    assert sum(facts.coverage.values()) == len(dataset.images) == sum(facts.decoded["pictures"].values())
+    written = json.loads((tmp_path / "out" / "inspect.json").read_text())
+    assert written == json.loads(json.dumps(facts.to_json()))
+    with Image.open(tmp_path / "out" / "inspect.png") as chart:
+        assert chart.size == (1300, 900)
+    once = (tmp_path / "out" / "inspect.png").read_bytes()
+    assert write_charts(facts, tmp_path / "again.png").read_bytes() == once
+
+
+def test_numbers_of_the_tiny_hit_uav(tmp_path: Path, write_tiny_hit_uav) -> None:
+    facts = api.inspect(write_tiny_hit_uav(tmp_path / "data"))
+    assert facts.splits["train"] == {"images": 2, "objects": 2, "ignore_regions": 0, "without_objects": 1}
+    assert facts.splits["val"] == {"images": 1, "objects": 1, "ignore_regions": 1, "without_objects": 0}
+    assert facts.ignored == ("DontCare",)
+    assert facts.quantiles("Bicycle")["0.5"] == pytest.approx(np.sqrt(24 * 12), abs=0.01)
+    assert facts.quantiles("DontCare")["1"] == pytest.approx(np.sqrt(80 * 40), abs=0.01)
+    assert facts.coverage["30°", "60 m"] == 1
+    assert (facts.pitches, facts.altitudes) == (("30°", "50°", "60°", "90°"), ("60 m", "90 m", "100 m", "130 m"))
+    assert facts.time_of_day == {"train": {"day": 1, "night": 1}, "val": {"night": 1}, "test": {"day": 1}}
+    assert facts.dates == {"2021-01-01": 4}
+    assert set(facts.sequences) == {
+        "20210101-day-60m-30deg", "20210101-night-90m-60deg", "20210101-night-100m-50deg", "20210101-day-130m-90deg",
+    }  # fmt: skip
+    assert facts.remarks == ()  # HIT-UAV's layout, not HIT-UAV
+
+
+def test_text_for_people_and_json_for_programs(tmp_path: Path, write_tiny_hit_uav) -> None:
+    root = write_tiny_hit_uav(tmp_path / "data")
+    (root / "normal_json" / "val" / "1_100_50_0_00003.jpg").unlink()
+    (root / "rotate_json" / "val" / "1_100_50_0_00003.jpg").unlink()
+    made = CliRunner().invoke(build_app(), ["inspect", str(root), "--decode"])
+    assert made.exit_code == 0, made.output
+    for text in ("objects by class", "DontCare (ignored)", "130 m", "JPEG, 8 bit, 1 channel 3", "annotations/val.json"):
+        assert text in made.stdout, text
+    data = json.loads(CliRunner().invoke(build_app(), ["inspect", str(root), "--json"]).stdout)
+    assert [p["code"] for p in data["problems"]] == ["image-missing"]
+    assert data["leakage"][0] == {"split": "test", "other": "train", "images": 1, "near": 1, "distance": 5}
+
+
+def test_bins_hold_what_they_say() -> None:
+    assert _binned([30.0, None, -5.0], "°", 10) == (["30°", "unknown", "-5°"], ("-5°", "30°", "unknown"))
+    of, order = _binned([float(v) for v in range(0, 100, 3)], " m", 10)
+    assert order[0] == "0 to 10 m" and order[-1] == "90 to 100 m" and len(order) == 10
+    assert of[4] == "10 to 20 m"
+    assert len(_binned([float(v) for v in range(1000)], " m", 10)[1]) <= 12
+
+
+def test_frames_are_counted_within_their_own_numbering() -> None:
+    assert frame_place(image("1_130_90_0_04077_c2.jpg")) == ("", 4077)
+    assert frame_place(image("clip a/x 12.jpg")) == ("clip a/x *", 12)
+    assert frame_place(image("clip a/x 12.jpg", sequence="7")) == ("7", 12)
+    assert frame_place(image("a.jpg", sequence="7", extra={"frame": 3})) == ("7", 3)
+    assert frame_place(image("a.jpg")) is None
+    near = [image("a/1.jpg"), image("a/6.jpg", "test"), image("b/2.jpg", "test"), image("a/12.jpg", "test")]
+    (one,) = leakage(near)
+    assert (one.split, one.other, one.images, one.near) == ("test", "train", 3, 1)
+    assert leakage(near, 11)[0].near == 2
+    assert leakage([image("a/1.jpg")]) == ()
+
+
+def test_groups_are_runs_days_or_flights() -> None:
+    images = [image(f"a/{n}.jpg", captured=f"2021-01-0{n % 2 + 1}T10:00", sequence=f"s{n % 3}") for n in (1, 2, 7, 13)]
+    plain = [replace(i, sequence=None) for i in images]
+    names = {by: [[i.name for i in g] for g in group_images(images, by).values()] for by in ("date", "sequence")}
+    names["gap"] = [[i.name for i in g] for g in group_images(plain, "gap", 5).values()]
+    assert names["gap"] == [["a/1.jpg", "a/2.jpg", "a/7.jpg"], ["a/13.jpg"]]
+    assert names["date"] == [["a/2.jpg"], ["a/1.jpg", "a/7.jpg", "a/13.jpg"]]
+    assert names["sequence"] == [["a/1.jpg", "a/7.jpg", "a/13.jpg"], ["a/2.jpg"]]
+    with pytest.raises(api.DatasetError, match="1 of 4 images without a date of capture"):
+        group_images([replace(images[0], captured=None), *images[1:]], "date")
+
+
+def test_real_data_leaks_and_says_so(real_data: Path) -> None:
+    facts = api.inspect(real_data / "hit-uav", form="rotate_json")
+    test = facts.leakage[0]
+    assert (test.split, test.other, test.images) == ("test", "train", 579)
+    # 525 with all 2,029 training images; 1,000 of them are here.
+    assert test.near == 403
+    text = "\n".join(facts.remarks)
+    assert "525 of the 579" in text and "24 boxes labelled Car in 4 picture(s) are people" in text
+    assert len(facts.dates) == 9 and facts.quantiles("Person")["0.5"] == pytest.approx(15, abs=0.5)
+    assert sum(facts.coverage.values()) == 1869

@@ -1,0 +1,156 @@
+"""New splits: whole groups, shares as wanted, no neighbours left, the same bytes each time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.samples import SAMPLES, picture
+from typer.testing import CliRunner, Result
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.errors import DatasetError, OutputError
+from infrablend.pipeline.split import check_shares, deal_out
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(build_app(), ["split", *map(str, words)])
+
+
+def tree(folder: Path) -> dict[str, str]:
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def clips(root: Path) -> Path:
+    """Six clips of ten frames in steps of two; the splits as they are tear them apart."""
+    for clip in range(6):
+        for n in range(10):
+            split = ("train", "train", "val", "test")[(clip + n) % 4]
+            path = picture(root / "images" / split / f"clip{clip}_{2 * n:05}.png", 10 * clip + n)
+            label = root / "labels" / split / f"{path.stem}.txt"
+            label.parent.mkdir(parents=True, exist_ok=True)
+            label.write_text(f"{clip % 2} 0.5 0.5 0.1 0.1\n" * (clip + 1))
+    (root / "data.yaml").write_text("train: images/train\nval: images/val\ntest: images/test\nnames: [fox, hare]\n")
+    return root
+
+
+def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
+    root = clips(tmp_path / "data")
+    before = tree(root)
+    report = api.split(root, tmp_path / "out", by="gap", shares=(0.5, 0.2, 0.3))
+    assert len(report.groups) == 6 and len(set(report.groups.values())) == 3
+    assert report.before[0].near > 0 and [one.near for one in report.after] == [0, 0, 0]
+    assert sum(report.images.values()) == 60 and set(report.images.values()) <= {10, 20, 30, 40}
+    again = api.read_dataset(tmp_path / "out")
+    assert (again.format, len(again.images)) == ("yolo", 60)
+    held = {i.name: i.split for i in again.images}
+    assert all(len({held[f"clip{c}_{2 * n:05}.png"] for n in range(10)}) == 1 for c in range(6))
+    counts = {s: sum(i.split == s for i in again.images) for s in report.images}
+    assert counts == report.images
+    assert tree(root) == before
+    one = next(i for i in again.images)
+    assert one.path.stat().st_nlink > 1  # a hard link
+    record = json.loads((tmp_path / "out" / "split.json").read_text())
+    assert record["groups"] == report.groups and record["image_shares"] == report.shares(report.images)
+    api.split(root, tmp_path / "second", by="gap", shares=(5, 2, 3))
+    assert tree(tmp_path / "out") == tree(tmp_path / "second")
+
+
+def test_lists_alone(tmp_path: Path) -> None:
+    root = clips(tmp_path / "data")
+    ended = run(root, tmp_path / "out", "--by", "gap", "--list", "--json")
+    assert ended.exit_code == 0, ended.output
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["split.json", "test.txt", "train.txt", "val.txt"]
+    lines = [p for s in ("train", "val", "test") for p in (tmp_path / "out" / f"{s}.txt").read_text().split()]
+    assert len(set(lines)) == 60 and all((root / line).is_file() for line in lines)
+    assert json.loads(ended.stdout)["format"] == "list"
+
+
+@pytest.mark.parametrize("name", sorted(n for n in SAMPLES if n != "folder:plain"))
+def test_every_sample_is_written_back_in_its_own_format(name: str, tmp_path: Path) -> None:
+    root = SAMPLES[name](tmp_path / "data")
+    source = api.read_dataset(root)
+    try:
+        report = api.split(root, tmp_path / "out", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+    except DatasetError as error:  # a format that is read alone
+        assert "written" in error.message or "group" in error.message
+        return
+    again = api.read_dataset(tmp_path / "out")
+    assert {i.split for i in again.images} == {s for s, n in report.images.items() if n}
+    assert len(again.images) == len(source.images)
+    assert sum(len(i.instances) for i in again.images) == sum(len(i.instances) for i in source.images)
+    assert [str(p) for p in again.problems if p.severity == "error"] == []
+
+
+def test_pictures_of_like_name_do_not_meet(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    for k, split in enumerate(("train", "val", "test")):
+        picture(root / split / "1.png", k).with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.1\n")
+        picture(root / split / "50.png", k + 3).with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    api.split(root, tmp_path / "out", by="gap", shares=(1, 0, 1))
+    again = api.read_dataset(tmp_path / "out")
+    assert len({i.path for i in again.images}) == 6 == sum(len(i.instances) for i in again.images)
+
+
+def test_what_cannot_be_done_is_said_before_anything_is_written(tmp_path: Path) -> None:
+    root = clips(tmp_path / "data")
+    assert run(root, tmp_path / "out", "--by", "date").exit_code == 2
+    assert "without a date" in run(root, tmp_path / "out", "--by", "date").stderr
+    for words in (
+        ("--by", "gap", "--shares", "1,2"),
+        ("--by", "gap", "--shares", "1,0,0"),
+        ("--by", "gap", "--shares", "a,b,c"),
+        ("--by", "date", "--gap", "3"),
+        ("--by", "gap", "--to", "xyz"),
+        ("--by", "gap", "--to", "coco", "--list"),
+        ("--by", "weather"),
+    ):
+        assert run(root, tmp_path / "out", *words).exit_code == 2, words
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(OutputError, match="inside the data folder"):
+        api.split(root, root / "out", by="gap")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("x")
+    with pytest.raises(OutputError, match="not empty"):
+        api.split(root, tmp_path / "full", by="gap")
+    plain = SAMPLES["folder:plain"](tmp_path / "plain")
+    shutil.move(plain / "a.jpg", plain / "a1.jpg")
+    with pytest.raises(DatasetError, match="own format"):
+        api.split(plain, tmp_path / "out", by="gap")
+
+
+@given(st.integers(3, 40), st.integers(1, 5), st.integers(0, 3))
+def test_shares_are_met_within_the_largest_group(groups: int, classes: int, seed: int) -> None:
+    rng = np.random.default_rng(groups * 100 + classes)
+    counts = rng.integers(0, 30, (groups, 1 + classes)).astype(np.float64)
+    counts[:, 0] += 1
+    chosen = deal_out(counts, (0.7, 0.1, 0.2), seed)
+    assert len(chosen) == groups and set(chosen) <= {0, 1, 2}
+    assert deal_out(counts, (0.7, 0.1, 0.2), seed) == chosen
+    # With one column every split is within one group of its share.
+    of_images = deal_out(counts[:, :1], (0.7, 0.1, 0.2), seed)
+    for k, share in enumerate((0.7, 0.1, 0.2)):
+        held = counts[np.array(of_images) == k, 0].sum()
+        assert abs(held - share * counts[:, 0].sum()) <= counts[:, 0].max()
+
+
+def test_a_share_of_nothing_gets_nothing() -> None:
+    assert set(deal_out(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
+    assert check_shares((8, 0, 2)) == (0.8, 0.0, 0.2)
+
+
+def test_hit_uav_without_neighbours(real_data: Path, tmp_path: Path) -> None:
+    report = api.split(real_data / "hit-uav", tmp_path / "out", by="gap", form="rotate_json", lists=True)
+    assert report.before[0].near == 403
+    assert [one.near for one in report.after] == [0, 0, 0]
+    for counts in (report.images, *report.objects.values()):
+        for share, wanted in zip(report.shares(counts).values(), (0.7, 0.1, 0.2), strict=True):
+            assert abs(share - wanted) < 0.02
