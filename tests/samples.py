@@ -149,6 +149,25 @@ def _dota_annfiles(folder: Path) -> Path:
     return folder
 
 
+@sample("dut-anti-uav")
+def _dut_anti_uav(folder: Path) -> Path:
+    """Colour pictures with the same names in two splits; the second of train shows no drone."""
+    boxes = "".join(
+        f"<object><name>UAV</name><truncated>0</truncated><difficult>0</difficult><bndbox><xmin>{x}</xmin>"
+        f"<ymin>4</ymin><xmax>{x + 9}</xmax><ymax>12</ymax></bndbox></object>"
+        for x in (3, 40)
+    )
+    for k, (split, name) in enumerate((("train", "00001"), ("train", "00002"), ("test/test", "00001"))):
+        path = picture(folder / split / "img" / f"{name}.jpg", k)
+        grey = np.array(Image.open(path))
+        Image.fromarray(np.stack([grey, grey // 2, 255 - grey], axis=-1)).save(path)
+        size = "<size><width>64</width><height>48</height><depth>3</depth></size>"
+        text = f"<annotation><filename>{name}.jpg</filename>{size}{boxes if k == 0 else ''}</annotation>"
+        (folder / split / "xml").mkdir(exist_ok=True)
+        (folder / split / "xml" / f"{name}.xml").write_text(text)
+    return folder
+
+
 @sample("folder:plain")
 def _folder_plain(folder: Path) -> Path:
     """Pictures of several types, no labels, a table as JSON."""

@@ -35,6 +35,7 @@ class Format:
 FORMATS: tuple[Format, ...] = (
     Format("hit-uav", "infrablend.formats.hit_uav", True, "HIT-UAV in any of its four annotation forms"),
     Format("masks", "infrablend.formats.masks", True, "instance masks as 16-bit PNG with tables, of InfraBlend's own"),
+    Format("dut-anti-uav", "infrablend.formats.dut_anti_uav", False, "DUT-Anti-UAV: drones in visible light, VOC"),
     Format("dota", "infrablend.formats.dota", True, "DOTA text files: four corners in pixels"),
     Format("coco", "infrablend.formats.coco", True, "COCO JSON, one file per split"),
     Format("yolo", "infrablend.formats.yolo", True, "YOLO with a data.yaml: detect, OBB or seg"),

@@ -1,0 +1,61 @@
+"""DUT-Anti-UAV, detection (Zhao et al. 2022): drones in visible light, VOC files.
+
+    {train,val,test}/img/NNNNN.jpg   {train,val,test}/xml/NNNNN.xml     perhaps doubled: train/train/img
+
+The pictures are daylight and in colour: sizes, shapes and counts of drones, never a thermal background. Every record
+says so (`modality` is `visible` in its `extra`), and a run leaves such pictures out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from infrablend.core.dataset import Category, Dataset
+from infrablend.errors import Problem
+from infrablend.formats import voc
+from infrablend.formats.base import Match, check_splits, require_options
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset
+
+NAME = "dut-anti-uav"
+OPTIONS = voc.OPTIONS
+CATEGORIES = (Category(0, "UAV"),)
+
+
+def _split_folders(root: Path) -> list[Path]:
+    """Folders of splits, or the folder of the same name in them, that hold `img` and `xml`."""
+    folders = [f for s in ("train", "val", "test") for f in (root / s, root / s / s)]
+    return [f for f in folders if (f / "img").is_dir() and (f / "xml").is_dir()]
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds `img` and `xml` folders in the folders of splits."""
+    folders = _split_folders(root)
+    if not folders:
+        return Match(NAME, False, "no train, val or test with folders img and xml in it")
+    found = ", ".join(f.relative_to(root).as_posix() for f in folders)
+    return Match(NAME, True, f"img and xml in {found}")
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    origin: str = "0",
+    unlabelled: str = "keep",
+) -> Dataset:
+    """Read the pictures' labels; see `voc.read` for the arguments and what is raised."""
+    require_options(root, origin=(origin, ("0", "1")), unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    found = voc.read_folder(root, wanted, "1" if origin == "1" else "0", unlabelled)
+    problems = list(found.problems)
+    others = [n for n in found.names if n != "UAV"]
+    if others:
+        text = f"{', '.join(others)}, taken as new categories"
+        problems.append(Problem(root.name, "category-unknown", text, "UAV alone", severity="warning"))
+    categories = [*CATEGORIES, *(Category(k, n) for k, n in enumerate(others, 1))]
+    records = [replace(r, extra={**r.extra, "modality": "visible"}) for r in found.records]
+    notes = {"labels": NAME, "origin": int(origin), "modality": "visible", "rows": found.counts}
+    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
