@@ -25,7 +25,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, dota, hit_uav, masks, yolo
+from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -205,6 +205,50 @@ def _hit_uav_xml(folder: Path) -> Path:
 @sample("masks")
 def _masks(folder: Path) -> Path:
     return _written(folder, lambda images, names: masks.write(folder, images, names))
+
+
+@sample("monet")
+def _monet(folder: Path) -> Path:
+    """Two good sequences, one without telemetry, a file for each; pitch as MONET's gimbal gives it."""
+    for n, (split, sequence, pitches) in enumerate(
+        (("train", "runway_01", (None,)), ("train", "runway_04", (-35.5, -60.0)), ("test", "dirtroad_03", (-90.0, 4.5)))
+    ):
+        images, annotations = [], []
+        for k, pitch in enumerate(pitches):
+            path = picture(folder / split / sequence / "lwir" / f"image{k:05d}.png", 10 * n + k)
+            telemetry = {"g_pitch": pitch, "alt": 51.5, "timestamp": f"2022-07-01T10:00:0{k}+02:00", "speed_x": 1.5}
+            images.append(
+                {"id": k + 1, "file_name": f"lwir/{path.name}", "width": 64, "height": 48,
+                 "metadata": {} if pitch is None else telemetry}
+            )  # fmt: skip
+        for k in range(2):
+            annotations.append(
+                {"id": k + 1, "image_id": 1, "category_id": k + 1, "bbox": [5 + 20 * k, 6, 9, 8], "area": 72,
+                 "iscrowd": 0}
+            )  # fmt: skip
+        categories = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
+        top = {"images": images, "annotations": annotations, "categories": categories}
+        (folder / split / f"{sequence}.json").write_text(json.dumps(top))
+    return folder
+
+
+@sample("voc")
+def _voc(folder: Path) -> Path:
+    return _written(folder, lambda images, names: voc.write(folder, images, names))
+
+
+@sample("voc:flat")
+def _voc_flat(folder: Path) -> Path:
+    """XML beside the pictures in folders of splits, in LabelImg's manner and roLabelImg's, one without objects."""
+    turned = "<robndbox><cx>30</cx><cy>20</cy><w>12.5</w><h>6</h><angle>0.4</angle></robndbox>"
+    upright = "<bndbox><xmin>1</xmin><ymin>2</ymin><xmax>64</xmax><ymax>30.5</ymax></bndbox>"
+    objects = "".join(f"<object><name>fox</name><difficult>0</difficult>{box}</object>" for box in (turned, upright))
+    size = "<size><width>64</width><height>48</height><depth>1</depth></size>"
+    for k, split in enumerate(("train", "train", "valid")):
+        path = picture(folder / split / f"c {k}.jpg", k)
+        text = f"<annotation><filename>{path.name}</filename>{size}{objects if k == 0 else ''}</annotation>"
+        path.with_suffix(".xml").write_text(text)
+    return folder
 
 
 @sample("yolo:detect")

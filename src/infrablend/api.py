@@ -25,6 +25,8 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.files import write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
+from infrablend.fetching import fetch as fetching
+from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
 from infrablend.pipeline import world
 from infrablend.pipeline.models import ready_model, run_once
@@ -38,14 +40,18 @@ if TYPE_CHECKING:
     from infrablend.report.inspection import Inspection
 
 __all__ = [
+    "FetchReport",
     "PlanReport",
     "RunReport",
     "check",
+    "describe_source",
     "diagnose",
+    "fetch",
     "generate",
     "inspect",
     "list_models",
     "list_recipes",
+    "list_sources",
     "make_world",
     "plan",
     "preview",
@@ -231,6 +237,60 @@ def read_dataset(
     """
     table = None if metadata is None else Path(metadata)
     return detection.read(Path(data), format=format, form=form, splits=splits, metadata=table, options=options)
+
+
+def fetch(
+    name: str,
+    out: str | Path,
+    *,
+    parts: Sequence[str] | None = None,
+    url: str | None = None,
+    sha256: str | None = None,
+    archive: str | Path | None = None,
+    keep_archive: bool = False,
+    on_progress: OnFetch | None = None,
+) -> FetchReport:
+    """Fetch a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
+
+    The same call goes on with what an interrupted one left.
+
+    Args:
+        name: See `list_sources`.
+        out: Folder to write; new, empty, or of an earlier fetch of the same dataset.
+        parts: Some of its files; all by default.
+        url: Where to fetch the file instead.
+        sha256: What the file's SHA-256 must be.
+        archive: Unpack this file, fetched by hand, instead.
+        keep_archive: Leave the archive in `out` too.
+        on_progress: Called while bytes arrive and files are unpacked.
+
+    Raises:
+        DatasetError: One that no program can fetch (the message says where it is), or an archive that is damaged,
+            hostile or not the dataset.
+        FetchError, OutputError, Interrupted: The network; the folder or the disk; Ctrl-C.
+    """
+    file = None if archive is None else Path(archive)
+    return fetching.fetch(
+        name,
+        Path(out),
+        parts=parts,
+        url=url,
+        sha256=sha256,
+        archive=file,
+        keep_archive=keep_archive,
+        on_progress=on_progress,
+    )
+
+
+def list_sources() -> list[dict[str, Any]]:
+    """The public datasets that `fetch` knows: name, title, page, licence, parts, whether a program can fetch them."""
+    return fetching.list_sources()
+
+
+def describe_source(name: str, *, licence_only: bool = False) -> str:
+    """Where a public dataset is, its licence, and how to get it."""
+    source = fetching.require_source(name)
+    return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
 
 
 def inspect(

@@ -6,6 +6,7 @@ InfraBlendError
  │   └─ UnknownFormatError            no reader recognises the folder
  ├─ ModelError (ValueError)           an object model that cannot be found or used
  ├─ OutputError (OSError)             the output folder cannot be used, or the disk is full
+ ├─ FetchError (OSError)              a download failed: the network, the server, its certificate
  ├─ RenderError (RuntimeError)        Blender failed on a frame
  │   └─ WorkerDiedError               a worker process crashed or hung
  ├─ MissingDependencyError (ImportError)   a library or system package is missing
@@ -88,6 +89,10 @@ class ModelError(InfraBlendError, ValueError):
 
 class OutputError(InfraBlendError, OSError):
     """The output folder cannot be used, or writing failed."""
+
+
+class FetchError(InfraBlendError, OSError):
+    """A download failed: the network, the server or its certificate."""
 
 
 class RenderError(InfraBlendError, RuntimeError):

@@ -16,7 +16,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, detection, hit_uav, yolo
+from infrablend.formats import coco, detection, hit_uav, voc, yolo
 from infrablend.formats.base import LOSSES, Written
 
 CATEGORIES = (*hit_uav.CATEGORIES, Category(5, "drone"))
@@ -123,6 +123,11 @@ def native_kept(form: str) -> Callable[[Instance], Instance]:
     return keep
 
 
+def voc_kept(i: Instance) -> Instance:
+    flags = {"truncated": bool(i.truncated), "difficult": bool(i.difficult), "inserted": i.inserted}
+    return bare(i, corners_xy=None, **flags)
+
+
 def without_ids(dataset: Dataset) -> Dataset:
     images = [replace(i, instances=tuple(replace(o, source_id=None) for o in i.instances)) for i in dataset.images]
     return replace(dataset, images=tuple(images))
@@ -154,6 +159,7 @@ CASES = (
         lambda i: None if i.mask is None else bare(i, corners_xy=None, mask=i.mask),
         0.03,
     ),
+    Case("voc", lambda o, i: voc.write(o, i, CATEGORIES), voc.read, "voc", voc_kept, 1e-6),
     Case(
         "coco",
         lambda o, i: coco.write(o, i, CATEGORIES, pictures=True),
@@ -177,7 +183,7 @@ def test_what_is_written_is_detected(case: Case, tmp_path: Path) -> None:
     case.write(tmp_path / "out", golden_images(tmp_path / "in"))
     found = detection.detect(tmp_path / "out")
     assert found.format == case.format
-    assert set(found.reasons) == {f.name for f in detection.FORMATS}
+    assert list(found.reasons) == [f.name for f in detection.FORMATS]
     assert all(found.reasons.values())
 
 

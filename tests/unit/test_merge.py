@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infrablend.annotation.merge import MergeSettings, covered_share, merge
+from infrablend.annotation.merge import MergeSettings, cover_of, covered_share, merge, partly_covered
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Instance
 from infrablend.core.masks import Mask
@@ -140,3 +140,32 @@ def test_removal_can_be_turned_off() -> None:
 def test_a_new_label_without_mask_is_refused() -> None:
     with pytest.raises(ValueError, match="needs a mask"):
         merge([], [original((1, 1, 2, 2), "drone")])
+
+
+def test_the_mask_decides_where_it_is_known_and_removals_list_it() -> None:
+    pixels = np.zeros(HW, np.bool_)
+    pixels[10:20, 10:12] = True
+    corners = np.array([[10.0, 10], [20, 10], [20, 20], [10, 20]])
+    car = original((10, 10, 20, 20), mask=Mask.from_array(pixels), corners_xy=corners)
+    kept, removed = merge([car], [drone(9, 9, 12, 21)])
+    assert [i.category for i in kept] == ["drone"]
+    listed = removed[0].to_json()
+    assert (listed["corners_xy"], listed["mask"]) == (corners.tolist(), Mask.from_array(pixels).to_coco())
+    assert merge([original((10, 10, 20, 20))], [drone(9, 9, 12, 21)])[1] == ()
+
+
+def test_partly_covered_originals_are_less_visible() -> None:
+    pixels = np.zeros(HW, np.bool_)
+    pixels[10:20, 10:20] = True
+    labels = [
+        original((10, 10, 20, 20)),
+        original((10, 10, 20, 20), visibility=0.5),
+        original((10, 10, 20, 20), mask=Mask.from_array(pixels)),
+        original((40, 40, 50, 45), visibility=0.5),
+    ]
+    covered = partly_covered(labels, cover_of([drone(0, 0, 13, 48)]))
+    assert {n: i.visibility for n, i in covered.items()} == {0: 0.7, 1: 0.35, 2: 0.7}
+    assert covered[2].mask is not None and covered[2].mask.area_px == 70
+    assert not covered[2].mask.to_array()[:, :13].any()
+    assert all((i.box_xyxy == labels[n].box_xyxy).all() for n, i in covered.items())
+    assert partly_covered(labels, cover_of([])) == {}

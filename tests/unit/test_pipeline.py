@@ -450,3 +450,74 @@ def test_a_renderer_that_cannot_start_leaves_no_run_behind(dataset, tmp_path, mo
         generate(dataset, tmp_path / "run")
     monkeypatch.undo()
     assert generate(dataset, tmp_path / "run", limit=1).ok
+
+
+def coco_of(run: Path, split: str = "train") -> dict:
+    return json.loads((run / "coco" / f"{split}.json").read_text())
+
+
+def test_classes_are_renamed_joined_and_shared_with_new_objects(dataset, tmp_path):
+    objects = [{"model": m, "category": c} for m, c in (("drone", "thing"), ("deer", "deer"), ("person", "human"))]
+    settings = {
+        "labels.rename": {"Person": "thing", "Car": "vehicle", "OtherVehicle": "vehicle"}, "labels.keep_categories":
+        ["thing"], "objects": objects, "output.formats": ["coco", "yolo"], "configurations": 1,
+    }  # fmt: skip
+    run = generate(dataset, tmp_path / "run", settings=settings).out
+    top = coco_of(run)
+    assert [(c["id"], c["name"]) for c in top["categories"]] == [
+        (0, "thing"), (1, "vehicle"), (2, "Bicycle"), (4, "DontCare"), (5, "deer"), (6, "human"),
+    ]  # fmt: skip
+    of_name = {c["id"]: c["name"] for c in top["categories"]}
+    kinds = {(of_name[a["category_id"]], a["inserted"]) for a in top["annotations"]}
+    assert kinds >= {("thing", False), ("thing", True), ("deer", True), ("human", True)}
+    record = json.loads((run / "run.json").read_text())
+    assert [c["name"] for c in record["categories"] if c["new"]] == ["deer", "human"]
+    assert record["recipe"]["labels"]["rename"]["Car"] == "vehicle"
+
+
+def test_renaming_what_is_not_there_is_refused(dataset, tmp_path):
+    with pytest.raises(RecipeError, match=r"labels.rename: found car; expected categories .*Car"):
+        generate(dataset, tmp_path / "run", settings={"labels.rename": {"car": "x"}})
+
+
+def test_the_sources_ids_can_be_kept(dataset, tmp_path):
+    settings = {"output.ids": "source", "configurations": 1, "output.formats": ["coco", "native"]}
+    run = generate(dataset, tmp_path / "run", settings=settings).out
+    source = json.loads((dataset / "normal_json/annotations/train.json").read_text())
+    for top, key in ((coco_of(run), "file_name"), (json.loads((run / "native/normal_json/annotations/train.json")
+                      .read_text()), "filename")):  # fmt: skip
+        names = {i["id"]: i[key].rpartition("_c0")[0] for i in top["images"]}
+        assert names == {i["id"]: i["filename"].removesuffix(".jpg") for i in source["images"]}
+    objects = coco_of(run)["annotations"]
+    old = {a["id"]: a["image_id"] for a in objects if not a["inserted"]}
+    assert old == {a["id"]: a["image_id"] for a in source["annotation"]}
+    new = [a["id"] for split in ("train", "val", "test") for a in coco_of(run, split)["annotations"] if a["inserted"]]
+    assert new and min(new) > 7 and len(set(new)) == len(new)
+
+
+def test_source_ids_that_would_repeat_are_refused_before_the_first_frame(dataset, tmp_path):
+    with pytest.raises(RecipeError, match=r"source with 2 configuration\(s\)"):
+        generate(dataset, tmp_path / "run", settings={"output.ids": "source"})
+    assert not (tmp_path / "run").exists()
+
+
+def test_partly_covered_originals_say_how_much_is_seen(dataset, tmp_path):
+    file = dataset / "normal_json/annotations/train.json"
+    top = json.loads(file.read_text())
+    for a in top["annotation"]:
+        if a["category_id"] == 0:
+            a["bbox"], a["segmentation"] = [0, 0, 640, 512], [[0, 0, 640, 0, 640, 512, 0, 512]]
+    file.write_text(json.dumps(top))
+    report = generate(dataset, tmp_path / "run", splits=["train"], settings={"output.formats": ["coco", "yolo"]})
+    assert report.counts["labels_partly_covered"] >= 4
+    by_image: dict[int, list[dict]] = {}
+    for a in coco_of(report.out)["annotations"]:
+        by_image.setdefault(a["image_id"], []).append(a)
+    for found in by_image.values():
+        person = next(a for a in found if a["category_id"] == 0)
+        hidden = sum(a["area"] for a in found if a["inserted"])
+        assert hidden > 0
+        assert person["visibility"] == pytest.approx(1 - hidden / (640 * 512), abs=1e-6)
+        assert person["bbox"] == [0, 0, 640, 512]
+    again = generate(dataset, tmp_path / "run", splits=["train"], resume=True, settings={"output.formats": ["coco"]})
+    assert again.counts["labels_partly_covered"] == report.counts["labels_partly_covered"]

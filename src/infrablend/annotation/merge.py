@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,8 +25,8 @@ class MergeSettings:
     Attributes:
         labels: Original and new ones, or one of the two.
         keep_categories: Names of the original categories that stay, None for all. New labels always stay.
-        cover_share: An original object loses its label when at least this share of its box's pixels lies
-            under the new masks, in (0, 1]; None never removes one.
+        cover_share: An original object loses its label when at least this share of its pixels (see
+            `covered_share`) lies under the new masks, in (0, 1]; None never removes one.
         dont_care: Whether regions of a category that is to be ignored stay.
     """
 
@@ -36,7 +36,7 @@ class MergeSettings:
     dont_care: Literal["drop", "keep"] = "keep"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Removal:
     """A label that the output does not carry.
 
@@ -47,8 +47,10 @@ class Removal:
         category: Of the object.
         source_id: Of the annotation in its source.
         box_xyxy: Of the object.
-        covered_share: Share of its box's pixels under the new masks, in [0, 1].
+        covered_share: Share of its pixels under the new masks, in [0, 1].
         inserted: True for a new object (only `labels: original` leaves one out).
+        corners_xy: (4, 2) of its oriented box, None if unknown.
+        mask: Its own, None if unknown.
     """
 
     reason: RemovalReason
@@ -57,9 +59,13 @@ class Removal:
     box_xyxy: tuple[float, float, float, float]
     covered_share: float
     inserted: bool = False
+    corners_xy: NDArray[np.float64] | None = None
+    mask: Mask | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Plain JSON values; `corners_xy` and `mask` where they are known."""
+        corners = {} if self.corners_xy is None else {"corners_xy": self.corners_xy.tolist()}
+        mask = {} if self.mask is None else {"mask": self.mask.to_coco()}
         return {
             "reason": self.reason,
             "category": self.category,
@@ -67,6 +73,8 @@ class Removal:
             "box_xyxy": list(self.box_xyxy),
             "covered_share": self.covered_share,
             "inserted": self.inserted,
+            **corners,
+            **mask,
         }
 
 
@@ -95,10 +103,7 @@ def merge(
         ValueError: If a new instance has no mask.
     """
     settings = settings if settings is not None else MergeSettings()
-    masks = [*(_require_mask(i) for i in new), *unlabelled_masks]
-    cover: NDArray[np.bool_] | None = None
-    for mask in masks:
-        cover = mask.to_array() if cover is None else cover | mask.to_array()
+    cover = cover_of(new, unlabelled_masks)
     kept: list[Instance] = []
     removed: list[Removal] = []
     for instance in original:
@@ -123,13 +128,47 @@ def merge(
     return tuple(kept), tuple(removed)
 
 
-def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
-    """Share in [0, 1] of the pixels of an object's box that `cover` (h, w) holds.
+def cover_of(new: Sequence[Instance], unlabelled_masks: Sequence[Mask] = ()) -> NDArray[np.bool_] | None:
+    """(h, w) which pixels the new objects hide; None without any.
 
-    The box is the oriented one where it is known. A pixel belongs to it if its centre lies inside; a box so
-    small that it holds no centre has the pixel that its own centre lies in. Only pixels of the frame count; a
-    box without any, outside the frame, has share 0.
+    Raises:
+        ValueError: If a new instance has no mask.
     """
+    cover: NDArray[np.bool_] | None = None
+    for mask in [*(_require_mask(i) for i in new), *unlabelled_masks]:
+        cover = mask.to_array() if cover is None else cover | mask.to_array()
+    return cover
+
+
+def partly_covered(original: Sequence[Instance], cover: NDArray[np.bool_] | None) -> dict[int, Instance]:
+    """The originals of which new objects hide a part, by index, with what can still be seen of them.
+
+    `visibility` is multiplied by the share that is not covered (unknown counts as 1 before); a mask, which means
+    visible pixels, loses the covered ones. Boxes stay.
+    """
+    found: dict[int, Instance] = {}
+    for n, instance in enumerate(original if cover is not None else ()):
+        assert cover is not None
+        share = covered_share(instance, cover)
+        if share > 0:
+            mask = instance.mask
+            if mask is not None and mask.size_hw == cover.shape:
+                mask = Mask.from_array(mask.to_array() & ~cover)
+            before = 1.0 if instance.visibility is None else instance.visibility
+            found[n] = replace(instance, mask=mask, visibility=round(before * (1 - share), 6))
+    return found
+
+
+def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
+    """Share in [0, 1] of an object's pixels that `cover` (h, w) holds.
+
+    Its pixels are its mask, else those of its box, the oriented one where it is known. A pixel belongs to a box if its
+    centre lies inside; a box so small that it holds no centre has the pixel that its own centre lies in. Only pixels
+    of the frame count; a box without any, outside the frame, has share 0.
+    """
+    mask = instance.mask
+    if mask is not None and mask.size_hw == cover.shape and mask.area_px:
+        return float((mask.to_array() & cover).sum() / mask.area_px)
     pixels = box_pixels(instance, (cover.shape[0], cover.shape[1]))
     if pixels is None:
         return 0.0
@@ -172,4 +211,6 @@ def _require_mask(instance: Instance) -> Mask:
 
 def _removal(instance: Instance, reason: RemovalReason, share: float) -> Removal:
     x0, y0, x1, y1 = (float(v) for v in instance.box_xyxy)
-    return Removal(reason, instance.category, instance.source_id, (x0, y0, x1, y1), share, instance.inserted)
+    box = (x0, y0, x1, y1)
+    i = instance
+    return Removal(reason, i.category, i.source_id, box, share, i.inserted, i.corners_xy, i.mask)

@@ -14,6 +14,7 @@ from infrablend.cli import (
     check,
     doctor,
     exits,
+    fetch,
     generate,
     inspect,
     models,
@@ -27,7 +28,7 @@ from infrablend.cli.session import open_session
 
 _EPILOG = (
     "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
-    "or data; 3 the environment (libraries, devices, disk); 130 stopped. 70 is a bug."
+    "or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
 
 
@@ -100,6 +101,7 @@ def build_app() -> typer.Typer:
     app.command("check")(check.check)
     app.command("split")(split.split)
     app.command("world")(world.world)
+    app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
         ("models", {"list": models.list_models, "show": models.show_model}, "Object models that can be inserted."),

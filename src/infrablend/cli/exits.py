@@ -3,7 +3,7 @@
 0    done
 1    done, but some backgrounds or frames were skipped or failed; they are listed
 2    the command, the recipe or the data are wrong; nothing was made
-3    the environment is: a library, a device, the disk, or Blender itself
+3    the environment is: a library, a device, the disk, the network, or Blender itself
 70   a bug in InfraBlend; the log file has the details
 130  stopped by Ctrl-C or SIGTERM
 """
@@ -18,6 +18,7 @@ from pathlib import Path
 import typer
 
 from infrablend.errors import (
+    FetchError,
     InfraBlendError,
     Interrupted,
     MissingDependencyError,
@@ -45,7 +46,7 @@ def exit_code(error: BaseException) -> int:
     match error:
         case KeyboardInterrupt() | Interrupted():
             return INTERRUPTED
-        case MissingDependencyError() | RenderError():
+        case MissingDependencyError() | RenderError() | FetchError():
             return ENVIRONMENT
         case OutputError():
             # A folder that is not empty is the user's choice, a full disk is not.

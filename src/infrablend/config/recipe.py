@@ -88,12 +88,15 @@ class PartOverride(Strict):
     """Emissivity at normal incidence; uniform."""
 
 
+ClassName = Annotated[str, Field(pattern=r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$")]
+
+
 class Object(Strict):
     """A kind of object to insert."""
 
     model: str = Field(min_length=1)
     """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe)."""
-    category: Annotated[str, Field(pattern=r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$")] | None = None
+    category: ClassName | None = None
     """Class of its labels; the model's own by default. The name of a class of the dataset adds no new class."""
     count: Annotated[int, Field(ge=0, le=64)] | Count = 1
     """How many per frame: a number, or `{values: [0, 1, 2], weights: [...]}`."""
@@ -244,8 +247,11 @@ class Labels(Strict):
 
     mode: Literal["merged", "new", "original"] = "merged"
     """Original and new labels, the new ones alone, or the original ones alone."""
+    rename: dict[str, ClassName] = Field(default_factory=dict)
+    """Other names for original categories, e.g. `{Car: vehicle, OtherVehicle: vehicle}`; several may become one, and a
+    new object may have such a name, too."""
     keep_categories: tuple[str, ...] | None = None
-    """Original categories whose labels are kept; all by default."""
+    """Original categories whose labels are kept, by the name after `rename`; all by default."""
     obb: Literal["min_area", "heading"] = "min_area"
     """Oriented boxes: of smallest area, or aligned with the object's heading."""
     dont_care: Literal["drop", "keep"] = "drop"
@@ -257,7 +263,7 @@ class Labels(Strict):
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
-Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "native"]
+Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "voc", "native"]
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 

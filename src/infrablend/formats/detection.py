@@ -37,8 +37,10 @@ FORMATS: tuple[Format, ...] = (
     Format("masks", "infrablend.formats.masks", True, "instance masks as 16-bit PNG with tables, of InfraBlend's own"),
     Format("dut-anti-uav", "infrablend.formats.dut_anti_uav", False, "DUT-Anti-UAV: drones in visible light, VOC"),
     Format("dota", "infrablend.formats.dota", True, "DOTA text files: four corners in pixels"),
+    Format("monet", "infrablend.formats.monet", True, "MONET: COCO JSON with the drone's telemetry in it"),
     Format("coco", "infrablend.formats.coco", True, "COCO JSON, one file per split"),
     Format("yolo", "infrablend.formats.yolo", True, "YOLO with a data.yaml: detect, OBB or seg"),
+    Format("voc", "infrablend.formats.voc", True, "Pascal VOC: an XML file for each picture"),
     Format("folder", "infrablend.formats.folder", False, "a plain folder of pictures, labels optional"),
 )
 """In the order of detection: the most particular first."""

@@ -72,6 +72,7 @@ CATEGORIES: tuple[Category, ...] = (
 # Digits written for an oriented box: coordinates and angles come back within 1e-6 px (corner at 1000 px).
 _COORDINATE_DIGITS = 8
 _ANGLE_DIGITS = 10
+_DATABASE = "The pegasus Database"
 _INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
 
 
@@ -182,18 +183,26 @@ def _own_form(folder: Path) -> Form | None:
             return "rotate_json"
     if named and named.endswith("_json") and _has_layout(folder, named):
         return named
-    # XML: one with an object decides; empty ones say nothing.
-    if (folder / "Annotations").is_dir():
-        for path in _xml_files(folder):
-            tree, _ = read_xml(path, path.name)  # a broken file is reported when it is read
-            if tree is None:
-                continue
-            if tree.find("object/robndbox") is not None:
-                return "rotate_xml"
-            if tree.find("object/bndbox") is not None:
-                return "normal_xml"
-        return named if named and named.endswith("_xml") else "normal_xml"
-    return None
+    # XML: the first file says whether it is HIT-UAV's at all, the first with an object which of the two.
+    ours = named is not None
+    for path in _xml_files(folder):
+        tree, _ = read_xml(path, path.name)  # a broken file is reported when it is read
+        if tree is None:
+            continue
+        if not ours and not _is_ours(tree, path):
+            return None
+        ours = True
+        if tree.find("object/robndbox") is not None:
+            return "rotate_xml"
+        if tree.find("object/bndbox") is not None:
+            return "normal_xml"
+    return named if named and named.endswith("_xml") and (folder / "Annotations").is_dir() else None
+
+
+def _is_ours(tree: Any, path: Path) -> bool:
+    """Whether an XML file is HIT-UAV's and not any VOC file: by the database it names, or by the file's name."""
+    database = (tree.findtext("source/database") or "").strip()
+    return database == _DATABASE or (database == "Unknown" and facts_from_name(path.name) is not None)
 
 
 def _xml_files(folder: Path) -> list[Path]:
@@ -1174,7 +1183,7 @@ def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[st
         f"  <folder>{escape(folder)}</folder>",
         f"  <filename>{escape(name)}</filename>",
         "  <source>",
-        f"    <database>{'Unknown' if rotated else 'The pegasus Database'}</database>",
+        f"    <database>{'Unknown' if rotated else _DATABASE}</database>",
         "  </source>",
         "  <size>",
         f"    <width>{w}</width>",

@@ -77,7 +77,7 @@ def make_dataset(
     return Dataset(root, format, tuple(categories), sort_images(complete), tuple(found), {**notes, **more})
 
 
-def unlabelled(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:
+def unlabelled_problems(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:
     """The warning for pictures without labels: nobody looked at them, so they may show objects."""
     if not count:
         return []

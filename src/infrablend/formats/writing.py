@@ -119,6 +119,15 @@ WRITERS: tuple[Writer, ...] = (
         "masks", "infrablend.formats.masks:write", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
         frozenset(), takes=frozenset({"pictures"}), layout="stems",
     ),
+    Writer(
+        "monet", "infrablend.formats.monet:write", "monet", "MONET's layout: COCO JSON per sequence with telemetry",
+        frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
+    ),
+    Writer(
+        "voc", "infrablend.formats.voc:write", "voc", "Pascal VOC, one XML file per picture",
+        frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
+        takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
+    ),
 )  # fmt: skip
 """In the order in which they are listed."""
 

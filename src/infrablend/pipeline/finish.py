@@ -67,7 +67,7 @@ def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:
     """A finished frame as an image of a dataset: the background's metadata, the frame's picture and labels."""
     source = frame.background
-    kept = tuple(source.instances[n] for n in record.kept)
+    kept = record.originals(source.instances)
     width, height = record.background["size_wh"]
     return replace(
         source,
@@ -118,6 +118,7 @@ def summarize(
         "labels_per_split": {s: dict(sorted(c.items())) for s, c in sorted(per_split.items())},
         "labels_inserted": dict(sorted(Counter(i.category for _, r in records for i in r.inserted).items())),
         "labels_removed": dict(sorted(reasons.items())),
+        "labels_partly_covered": sum(len(r.covered) for _, r in records),
         "objects_without_label": dict(sorted(drops.items())),
         "masks_of_one_pixel": fallbacks,
         "frames_without_object": sum(not r.inserted for _, r in records),

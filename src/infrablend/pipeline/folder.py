@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
-import logging
 import os
 import shutil
 from collections.abc import Iterator
@@ -13,11 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import write_json
+from infrablend.core.files import claimed_folder, write_json
 from infrablend.errors import OutputError
 from infrablend.formats import writing
-
-log = logging.getLogger(__name__)
 
 # What `--overwrite` may delete: these names and nothing else.
 OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "log")
@@ -83,32 +79,8 @@ class RunFolder:
         Raises:
             OutputError: If another run is at work here, or the folder cannot be made.
         """
-        try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            # The lock is on the folder itself, so that it leaves no file behind.
-            handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
-        except FileExistsError as error:
-            raise OutputError(
-                f"{self.root}: is {'a link that leads nowhere' if self.root.is_symlink() else 'a file'}; "
-                "expected a folder, or a name that does not exist yet"
-            ) from error
-        except (OSError, ValueError) as error:
-            raise OutputError(
-                f"{self.root}: cannot be written ({getattr(error, 'strerror', None) or error}); "
-                "expected a folder you may write to"
-            ) from error
-        try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise OutputError(
-                    f"{self.root}: another run is writing here; wait for it to end, or give another --out"
-                ) from error
-            except OSError as error:  # file systems without locks
-                log.warning("%s: cannot be locked (%s); do not start two runs in it", self.root, error)
+        with claimed_folder(self.root, "another run is writing here; wait for it to end, or give another --out"):
             yield
-        finally:
-            os.close(handle)
 
     def forget_start(self) -> None:
         """Remove what a run leaves that could not make its first frame, so that the same command can be given again."""

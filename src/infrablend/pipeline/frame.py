@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.annotation.labels import LabelSettings, annotate
-from infrablend.annotation.merge import MergeSettings, merge
+from infrablend.annotation.merge import MergeSettings, cover_of, merge, partly_covered
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.local import GainPrior, local_mapping
@@ -117,13 +117,10 @@ class FrameMaker:
             cover_share=self._recipe.labels.remove_covered,
             dont_care="keep",
         )
-        together, removed = merge(
-            source.instances,
-            labels,
-            choice,
-            unlabelled_masks=[d.mask for d in label_report.drops if d.mask is not None],
-        )
+        unlabelled = [d.mask for d in label_report.drops if d.mask is not None]
+        together, removed = merge(source.instances, labels, choice, unlabelled_masks=unlabelled)
         kept_ids = {id(i) for i in together}
+        covered = partly_covered(source.instances, cover_of(labels, unlabelled))
 
         kind = self._recipe.output.image
         relative = frame.image_path(self._recipe.output.group_by, output_suffix(source.path, kind))
@@ -145,6 +142,11 @@ class FrameMaker:
                 **({} if sensor is None else {"sensor": sensor.to_json()}),
             },
             warnings=tuple(p.to_json() for p in background.problems),
+            covered={
+                n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
+                for n, i in covered.items()
+                if id(source.instances[n]) in kept_ids
+            },
         )
         write_json(self._folder.record(frame.frame_id), record.to_json())
         return FrameDone(len(labels), sampled.spec.draws["wanted"], dict(picture.result.seconds))

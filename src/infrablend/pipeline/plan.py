@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.annotation.classes import rename_classes, unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import Recipe
@@ -124,7 +125,9 @@ def make_plan(
     models = {o.model: ready_model(o.model) for o in recipe.objects}
     require_parts(recipe, models)
     _require_options(recipe, models)
-    _require_categories(recipe, dataset)
+    _require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
+    dataset = rename_classes(dataset, recipe.labels.rename)
+    _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
     problems = list(dataset.problems)
     usable = []
@@ -221,16 +224,12 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not take", problems)
 
 
-def _require_categories(recipe: Recipe, dataset: Dataset) -> None:
-    names = [c.name for c in dataset.categories]
-    unknown = sorted(set(recipe.labels.keep_categories or ()) - set(names))
+def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset: Dataset) -> None:
+    unknown = unknown_classes(dataset, names)
     if unknown:
-        problem = Problem(
-            "labels.keep_categories",
-            "recipe-value",
-            f"found {', '.join(unknown)}",
-            f"categories of the dataset ({', '.join(names) or 'it has none'})",
-        )
+        known = ", ".join(c.name for c in dataset.categories) or "it has none"
+        found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
+        problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Instance
+from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
 
 VERSION = 1
@@ -27,6 +28,7 @@ class FrameRecord:
         scene: The SceneSpec; None for an unchanged original.
         mapping: The grey-level mapping used (`dark`, `bright`, perhaps `limits`); None for an unchanged original.
         kept: Indices of the background's labels that the image keeps, in order.
+        covered: Of those that new objects cover in part, by index: `visibility`, and `mask` where one is known.
         inserted: Labels of the new objects that the image carries.
         removed: Labels it does not carry, each with the reason.
         facts: What happened while labelling (see `annotation.labels.LabelReport`), and what was estimated of the
@@ -45,6 +47,7 @@ class FrameRecord:
     removed: tuple[Mapping[str, Any], ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[Mapping[str, Any], ...] = ()
+    covered: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -57,11 +60,27 @@ class FrameRecord:
             "scene": None if self.scene is None else self.scene.to_json(),
             "mapping": None if self.mapping is None else dict(self.mapping),
             "kept": list(self.kept),
+            **({"covered": {str(n): dict(c) for n, c in self.covered.items()}} if self.covered else {}),
             "inserted": [i.to_json() for i in self.inserted],
             "removed": [dict(r) for r in self.removed],
             "facts": dict(self.facts),
             "warnings": [dict(w) for w in self.warnings],
         }
+
+    def originals(self, background: Sequence[Instance]) -> tuple[Instance, ...]:
+        """The background's labels that the image keeps, as they look in it."""
+        found = []
+        for n in self.kept:
+            seen = self.covered.get(n)
+            if seen is None:
+                found.append(background[n])
+                continue
+            mask = background[n].mask
+            if "mask" in seen:
+                height, width = seen["mask"]["size"]
+                mask = Mask(seen["mask"]["counts"], (height, width))
+            found.append(replace(background[n], visibility=seen["visibility"], mask=mask))
+        return tuple(found)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> FrameRecord:
@@ -80,6 +99,7 @@ class FrameRecord:
             removed=tuple(data["removed"]),
             facts=data["facts"],
             warnings=tuple(data["warnings"]),
+            covered={int(n): c for n, c in data.get("covered", {}).items()},
         )
 
 

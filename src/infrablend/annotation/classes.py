@@ -1,0 +1,64 @@
+"""Other names for the classes of a dataset, and datasets without some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from infrablend.core.dataset import Category, Dataset
+
+
+def unknown_classes(dataset: Dataset, names: Collection[str]) -> list[str]:
+    """Those of `names` that are no class of the dataset, sorted."""
+    return sorted(set(names) - {c.name for c in dataset.categories})
+
+
+def rename_classes(dataset: Dataset, names: Mapping[str, str]) -> Dataset:
+    """The dataset with classes renamed, all at once; several may become one.
+
+    A class that becomes the same as one that keeps its name joins it and takes its id; else the renamed class keeps
+    the id of the first that becomes it, and is one to ignore if all that became it were.
+
+    Raises:
+        ValueError: `names` has a class that the dataset has not.
+    """
+    if unknown := unknown_classes(dataset, names):
+        raise ValueError(f"no such class: {', '.join(unknown)}")
+    if not names:
+        return dataset
+    stay = {c.name: c for c in dataset.categories if names.get(c.name, c.name) == c.name}
+    categories: dict[str, Category] = {}
+    for c in dataset.categories:
+        new = names.get(c.name, c.name)
+        if new in stay:
+            categories[new] = stay[new]
+        elif new in categories:
+            categories[new] = replace(categories[new], ignore=categories[new].ignore and c.ignore)
+        else:
+            categories[new] = replace(c, name=new)
+    images = tuple(
+        replace(
+            image,
+            instances=tuple(
+                replace(i, category=names[i.category]) if names.get(i.category, i.category) != i.category else i
+                for i in image.instances
+            ),
+        )
+        for image in dataset.images
+    )
+    return replace(dataset, categories=tuple(categories.values()), images=images)
+
+
+def drop_classes(dataset: Dataset, names: Collection[str]) -> Dataset:
+    """The dataset without some classes and their objects; ids of the others stay.
+
+    Raises:
+        ValueError: `names` has a class that the dataset has not.
+    """
+    if unknown := unknown_classes(dataset, names):
+        raise ValueError(f"no such class: {', '.join(unknown)}")
+    images = tuple(
+        replace(image, instances=tuple(i for i in image.instances if i.category not in names))
+        for image in dataset.images
+    )
+    return replace(dataset, categories=tuple(c for c in dataset.categories if c.name not in names), images=images)

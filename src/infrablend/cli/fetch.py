@@ -1,0 +1,85 @@
+"""`infrablend fetch`: public datasets, downloaded where licence and address allow it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.options import JsonOption, comma_list
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+
+def fetch(
+    ctx: typer.Context,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of a dataset, see --list.")] = None,
+    out: Annotated[Path | None, typer.Argument(metavar="DST", help="The folder to write; new or empty.")] = None,
+    part: Annotated[
+        str | None, typer.Option("--part", metavar="LIST", help="Some of its parts, see --list [default: all].")
+    ] = None,
+    url: Annotated[str | None, typer.Option("--url", metavar="URL", help="Fetch the file from here instead.")] = None,
+    sha256: Annotated[str | None, typer.Option("--sha256", metavar="HEX", help="What its SHA-256 must be.")] = None,
+    archive: Annotated[
+        Path | None, typer.Option("--archive", metavar="FILE", help="Unpack this file, fetched by hand.")
+    ] = None,
+    keep_archive: Annotated[bool, typer.Option("--keep-archive", help="Leave the archive in DST too.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List the datasets and their licences.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Fetch a public dataset; without DST, say where it is and under which licence.
+
+    An interrupted fetch goes on with the same command.
+    """
+    session: Session = ctx.obj
+    session.json = as_json
+    parts = comma_list(part, "--part")
+
+    from infrablend import api
+    from infrablend.cli.exits import problem_lines
+    from infrablend.cli.progress import shown_fetch
+    from infrablend.cli.results import facts, say, say_json, table
+
+    if listing:
+        sources = api.list_sources()
+        if as_json:
+            say_json(sources)
+        else:
+            say(table({s["name"]: _line(s) for s in sources}))
+        return
+    if name is None:
+        raise typer.BadParameter("give the NAME of a dataset, or --list", param_hint="NAME")
+    if out is None:
+        say(api.describe_source(name))
+        return
+    typer.echo(api.describe_source(name, licence_only=True), err=True)
+    with shown_fetch(session) as on_progress:
+        report = api.fetch(
+            name,
+            out,
+            parts=parts,
+            url=url,
+            sha256=sha256,
+            archive=archive,
+            keep_archive=keep_archive,
+            on_progress=on_progress,
+        )
+    if report.problems:
+        lines = problem_lines(report.problems, session.log_path)
+        typer.echo("\n".join([f"{len(report.problems)} warning(s):", *lines]), err=True)
+    if as_json:
+        say_json(report.to_json())
+    else:
+        wanted = ("fetched", "present", "files", "size_bytes")
+        say(table(facts({k: v for k, v in report.to_json().items() if k in wanted})))
+        say(str(report.out))
+
+
+def _line(source: dict[str, object]) -> str:
+    parts = source["parts"]
+    assert isinstance(parts, list)
+    how = "fetched" if source["fetched"] else "by hand"
+    several = f", parts {','.join(parts)}" if len(parts) > 1 else ""
+    return f"{how}, licence {source['licence']}{several}  {source['page']}"

@@ -1,0 +1,1 @@
+"""Getting public datasets: resumable downloads, archives unpacked safely, their content checked."""

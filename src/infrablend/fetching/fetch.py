@@ -1,0 +1,460 @@
+"""A public dataset into a folder: download, checks, unpacking, and a record of where it came from.
+
+While it works, everything lies in `DST/.fetch`; what is finished is moved to its place in one go per entry. The same
+command goes on where an earlier one stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from infrablend import __version__
+from infrablend.core.files import claimed_folder, output_error, write_json
+from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
+from infrablend.fetching.download import Patience, download, require_url
+from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
+from infrablend.formats.base import read_json
+from infrablend.formats.sources import SOURCES, Archive, Source, find_source
+
+WORK_FOLDER = ".fetch"
+SOURCE_FILE = "SOURCE.json"
+_JSON_BYTES = 100_000_000  # of a JSON file that is counted
+
+
+@dataclass(frozen=True)
+class FetchProgress:
+    """How far a step is: bytes of a download, files of an archive; `total` None if nobody says it."""
+
+    step: Literal["download", "unpack"]
+    file: str
+    done: int
+    total: int | None
+
+
+OnFetch = Callable[[FetchProgress], None]
+
+
+@dataclass(frozen=True)
+class FetchReport:
+    """What was fetched.
+
+    Attributes:
+        out: The dataset's folder.
+        name: Of the dataset.
+        fetched: Parts that are new.
+        present: Parts that were there already.
+        files: Files unpacked now.
+        size_bytes: Their size.
+        problems: Warnings: what differs from what others report of the dataset.
+    """
+
+    out: Path
+    name: str
+    fetched: tuple[str, ...]
+    present: tuple[str, ...]
+    files: int = 0
+    size_bytes: int = 0
+    problems: tuple[Problem, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            **{k: getattr(self, k) for k in ("name", "files", "size_bytes")},
+            "out": str(self.out),
+            "fetched": list(self.fetched),
+            "present": list(self.present),
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What to fetch and how."""
+
+    source: Source
+    out: Path
+    url: str | None
+    sha256: str | None
+    archive: Path | None
+    keep_archive: bool
+    limits: Limits | None
+    patience: Patience | None
+    on_progress: OnFetch
+
+    @property
+    def work(self) -> Path:
+        return self.out / WORK_FOLDER
+
+    @property
+    def own_file(self) -> bool:
+        """True if the user named the file: it may rightly differ from the one we know."""
+        return self.url is not None or self.archive is not None
+
+
+def require_source(name: str) -> Source:
+    """The dataset of that name.
+
+    Raises:
+        DatasetError: There is none.
+    """
+    source = find_source(name)
+    if source is None:
+        raise DatasetError(f"dataset {name!r}: expected one of {', '.join(s.name for s in SOURCES)}")
+    return source
+
+
+def how_to_get(source: Source) -> str:
+    """For people: licence, address, and what to do."""
+    parts = [a.part for a in source.archives]
+    lines = [source.title, f"Page: {source.page}", *licence_lines(source)]
+    if all(a.url for a in source.archives):
+        lines.append(f"Fetched by: infrablend fetch {source.name} DST")
+    else:
+        of_part = " --part " + "|".join(parts) if len(parts) > 1 else ""
+        lines += [
+            "It cannot be fetched by a program.",
+            source.by_hand,
+            f"Then: infrablend fetch {source.name} DST{of_part} --archive FILE.zip (or unpack it yourself), "
+            "and infrablend check DST",
+        ]
+    return "\n".join(lines)
+
+
+def licence_lines(source: Source) -> list[str]:
+    """The licence, and what to know about it."""
+    licence = source.licence
+    lines = [f"Licence: {licence.name}" + (f", {licence.url}" if licence.url else "")]
+    return lines + ([source.licence_note] if source.licence_note else [])
+
+
+def fetch(
+    name: str,
+    out: Path,
+    *,
+    parts: Sequence[str] | None = None,
+    url: str | None = None,
+    sha256: str | None = None,
+    archive: Path | None = None,
+    keep_archive: bool = False,
+    limits: Limits | None = None,
+    patience: Patience | None = None,
+    on_progress: OnFetch | None = None,
+) -> FetchReport:
+    """Fetch a dataset into `out`; see `infrablend.api.fetch`.
+
+    Raises:
+        DatasetError: No such dataset or part, one that no program can fetch, or an archive that is damaged, hostile,
+            or not the dataset.
+        FetchError: The network.
+        OutputError: The folder cannot be used, or the disk is full.
+        Interrupted: Ctrl-C; the same call goes on.
+    """
+    source = require_source(name)
+    wanted = _wanted(source, parts, single=bool(url or sha256 or archive))
+    if url is not None and archive is not None:
+        raise DatasetError("--url and --archive exclude each other: give one of them")
+    if url is not None:
+        require_url(url)
+    if archive is not None and not archive.is_file():
+        raise DatasetError(f"--archive {archive}: no such file")
+    if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
+        raise DatasetError(f"--sha256 {sha256}: expected 64 hexadecimal digits")
+    show = on_progress or (lambda progress: None)
+    order = _Order(source, out, url, sha256, archive, keep_archive, limits, patience, show)
+    if not order.own_file and any(not a.url for a in wanted):
+        raise DatasetError(f"{name}: nothing was fetched\n{how_to_get(source)}")
+    new = not out.exists()
+    try:
+        with claimed_folder(out, "another fetch is writing here; wait for it to end, or give another folder"):
+            known = _require_own(order, wanted)
+            todo = [a for a in wanted if a.part not in known or _ready(order, a).exists()]
+            for a in (a for a in wanted if a not in todo):
+                _sweep(order, a)  # a call that was killed at its very end
+            done = [_fetch_part(order, a) for a in todo]
+    except KeyboardInterrupt as stop:
+        raise Interrupted("interrupted; what has arrived is kept. Give the same command again to go on.") from stop
+    finally:
+        with contextlib.suppress(OSError):  # folders go only if nothing came into them
+            order.work.rmdir()
+            if new:
+                out.rmdir()
+    return FetchReport(
+        out,
+        name,
+        tuple(a.part for a in todo),
+        tuple(a.part for a in wanted if a not in todo),
+        sum(d["files"] for d, _ in done),
+        sum(d["unpacked_bytes"] for d, _ in done),
+        tuple(p for _, problems in done for p in problems),
+    )
+
+
+def _wanted(source: Source, parts: Sequence[str] | None, *, single: bool) -> list[Archive]:
+    names = [a.part for a in source.archives]
+    unknown = sorted(set(parts or ()) - set(names))
+    if unknown:
+        raise DatasetError(f"{source.name}: no part {', '.join(unknown)}; expected some of {', '.join(names)}")
+    wanted = [a for a in source.archives if (a.wanted if parts is None else a.part in parts)]
+    if single and len(wanted) > 1:
+        raise DatasetError(f"{source.name}: several files; say with --part which one this is: {', '.join(names)}")
+    return wanted
+
+
+def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
+    """The parts that are there already; refuses a folder that holds anything else than this dataset."""
+    record = order.out / SOURCE_FILE
+    names = {p.name for p in sorted(order.out.iterdir())}
+    known: dict[str, Any] = {}
+    if SOURCE_FILE in names:
+        data = _record(record)
+        if data.get("name") != order.source.name:
+            raise OutputError(
+                f"{order.out}: holds {data.get('name') or 'something else'} (says its {SOURCE_FILE}), not "
+                f"{order.source.name}; give another folder"
+            )
+        known = data["archives"]
+    elif names - {WORK_FOLDER} and WORK_FOLDER not in names:
+        raise OutputError(
+            f"{order.out}: not empty (found {', '.join(sorted(names)[:4])}{' ...' if len(names) > 4 else ''}); "
+            "expected an empty or new folder. Nothing was touched"
+        )
+    for a in wanted:
+        ready = _ready(order, a).exists()
+        taken = (order.out / a.into).exists() if a.into else bool(names - {WORK_FOLDER, SOURCE_FILE})
+        if a.part not in known and taken and not ready:
+            where = order.out / a.into
+            raise OutputError(f"{where}: is there already, and not from `fetch`; move it away or give another folder")
+    return known
+
+
+def _ready(order: _Order, a: Archive) -> Path:
+    """Stands there while a part, checked and unpacked, is being moved to its place."""
+    return order.work / f"{a.part}.ready.json"
+
+
+def _record(path: Path) -> dict[str, Any]:
+    data = read_json(path)
+    if not isinstance(data, dict) or not isinstance(data.get("archives"), dict):
+        raise OutputError(f"{path}: not written by `infrablend fetch`; give another folder")
+    return data
+
+
+def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem]]:
+    """Fetch, check, unpack and place one archive; its facts, and warnings."""
+    ready = _ready(order, a)
+    stage = order.work / f"{a.part}.unpacked"
+    try:
+        order.work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise output_error(order.work, error) from error
+    if ready.exists():  # an earlier call was stopped while it moved files to their place
+        kept = read_json(ready)
+        facts, problems = kept["facts"], [Problem(**p) for p in kept["problems"]]
+        content = stage / kept["content"]
+    else:
+        shutil.rmtree(stage, ignore_errors=True)
+        file, served = _archive_file(order, a)
+        try:
+            problems = _check_file(order, a, file, digest := _digest(file))
+            unpacked = unpack(
+                file, stage, order.limits, lambda n, of: order.on_progress(FetchProgress("unpack", a.file, n, of))
+            )
+            content = without_wrapper(stage)
+            problems += _check_content(order, a, content, unpacked.commit)
+        except DatasetError as error:
+            shutil.rmtree(stage, ignore_errors=True)
+            if order.archive is None:
+                _forget(file)
+                todo = "The file was deleted; the same command fetches it anew."
+                raise type(error)(f"{error.message}. {todo}", error.problems) from error
+            raise
+        facts = {
+            **served,
+            "file": file.name,
+            "size_bytes": file.stat().st_size,
+            "sha256": digest,
+            "files": unpacked.files,
+            "unpacked_bytes": unpacked.size_bytes,
+            "commit": unpacked.commit,
+            "differs": [str(p) for p in problems],
+            # A record of when, not an output that must repeat.
+            "fetched": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        }
+        # With its place: once entries have been moved, what is left may look like a wrapper.
+        inside = content.relative_to(stage).as_posix()
+        write_json(ready, {"facts": facts, "problems": [p.to_json() for p in problems], "content": inside})
+    _place(content, order.out / a.into)
+    _write_source(order, a, facts)
+    packed = order.work / a.file
+    if order.keep_archive and packed.exists():
+        packed.replace(order.out / a.file)
+    ready.unlink()
+    _sweep(order, a)
+    return facts, problems
+
+
+def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
+    """The whole archive on this machine, and what the server said of it."""
+    if order.archive is not None:
+        return order.archive, {"url": None}
+    file = order.work / a.file
+    served_file = order.work / f"{a.file}.served.json"
+    if file.exists() and served_file.exists():
+        served: dict[str, Any] = read_json(served_file)
+        if served.get("asked") == (order.url or a.url):
+            return file, {k: v for k, v in served.items() if k != "asked"}
+        file.unlink()
+    part = order.work / f"{a.file}.part"
+    url = order.url or a.url
+    served = download(
+        url,
+        part,
+        size_bytes=None if order.own_file else a.size_bytes or a.unpacked_bytes or None,
+        room=lambda missing: require_room(order.out, missing + a.unpacked_bytes),
+        on_bytes=lambda n, of: order.on_progress(FetchProgress("download", a.file, n, of)),
+        patience=order.patience,
+    )
+    write_json(served_file, {**served, "asked": url})
+    part.replace(file)
+    return file, served
+
+
+def _forget(file: Path) -> None:
+    """Delete a downloaded file and all notes on it."""
+    for end in ("", ".part", ".part.json", ".served.json"):
+        file.with_name(file.name + end).unlink(missing_ok=True)
+
+
+def _sweep(order: _Order, a: Archive) -> None:
+    """Delete what is left of a part that is in its place."""
+    shutil.rmtree(order.work / f"{a.part}.unpacked", ignore_errors=True)
+    _forget(order.work / a.file)
+
+
+def _digest(file: Path) -> str:
+    try:
+        with file.open("rb") as f:
+            return hashlib.file_digest(f, "sha256").hexdigest()
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be read ({error.strerror or error})") from error
+
+
+def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Problem]:
+    """Size and checksum. Raises for what the user asked for; for what others report, a warning.
+
+    Raises:
+        DatasetError: Another checksum than asked for, or than the one we know for certain.
+    """
+    size = file.stat().st_size
+    problems = []
+    wanted = (order.sha256 or "").lower() or a.sha256
+    if wanted and digest != wanted:
+        problems.append(Problem(file.name, "checksum", f"sha256 {digest}", wanted, "fetch it anew, or ask its authors"))
+        if order.sha256 or (a.checked and not order.own_file):
+            raise DatasetError(f"{file.name}: another file than expected", problems)
+    if a.size_bytes is not None and size != a.size_bytes and not order.sha256:
+        problems.append(Problem(file.name, "size", f"{size} bytes", f"{a.size_bytes} bytes"))
+    return [_as_warning(p) for p in problems]
+
+
+def _check_content(order: _Order, a: Archive, content: Path, commit: str | None) -> list[Problem]:
+    """Whether the archive holds the dataset: numbers of files and of annotations, and the commit.
+
+    GitHub's archives have no lasting checksum, so this is what stands for one.
+
+    Raises:
+        DatasetError: It does not, and we know the numbers for certain; all that differs.
+    """
+    problems = []
+    for reserved in (WORK_FOLDER, SOURCE_FILE):
+        if not a.into and (content / reserved).exists():
+            raise DatasetError(f"{a.file}: holds a {reserved}, a name that `fetch` needs; unpack it by hand")
+    if commit is not None and a.commit is not None and commit != a.commit:
+        problems.append(Problem(a.file, "commit", f"made from commit {commit}", a.commit))
+    for pattern, wanted in a.counts.items():
+        found = sum(1 for _ in content.glob(pattern))
+        if found != wanted:
+            problems.append(Problem(pattern, "content-files", f"{found} file(s)", str(wanted)))
+    for name, lists in a.lists.items():
+        path = content / name
+        try:
+            if path.stat().st_size > _JSON_BYTES:
+                problems.append(Problem(name, "content-json", f"{path.stat().st_size} bytes", f"under {_JSON_BYTES}"))
+                continue
+            data = read_json(path)
+        except (OSError, DatasetError) as error:
+            problems.append(Problem(name, "content-json", f"cannot be read ({error.__class__.__name__})", "JSON"))
+            continue
+        for key, wanted in lists.items():
+            value = data.get(key) if isinstance(data, Mapping) else None
+            found_text = f"{len(value)} items in {key!r}" if isinstance(value, list) else f"no list {key!r}"
+            if not isinstance(value, list) or len(value) != wanted:
+                problems.append(Problem(name, "content-json", found_text, str(wanted)))
+    if problems and a.checked and not order.own_file:
+        raise DatasetError(f"{a.file}: does not hold {order.source.name} as it is known", problems)
+    return [_as_warning(p) for p in problems]
+
+
+def _as_warning(p: Problem) -> Problem:
+    return Problem(p.where, p.code, p.found, p.expected, p.todo, "warning")
+
+
+def _place(content: Path, target: Path) -> None:
+    """Move every entry of `content` into `target`; nothing that is there is overwritten."""
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for entry in sorted(os.scandir(content), key=lambda e: e.name):
+            place = target / entry.name
+            if place.exists() or place.is_symlink():
+                raise OutputError(f"{place}: is there already; move it away and give the same command again")
+            Path(entry).rename(place)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise output_error(target, error) from error
+
+
+def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:
+    """`SOURCE.json`: where the data came from, for people and for the cards of what is made from them."""
+    source, path = order.source, order.out / SOURCE_FILE
+    archives = _record(path)["archives"] if path.exists() else {}
+    write_json(
+        path,
+        {
+            "name": source.name,
+            "title": source.title,
+            "page": source.page,
+            "licence": asdict(source.licence),
+            "licence_note": source.licence_note,
+            "attribution": source.attribution,
+            "citation": source.citation,
+            "archives": {**archives, a.part: dict(facts)},
+            "infrablend": __version__,
+        },
+        indent=2,
+    )
+
+
+def list_sources() -> list[dict[str, Any]]:
+    """All datasets: name, title, page, licence, parts, and whether a program can fetch them."""
+    return [
+        {
+            "name": s.name,
+            "title": s.title,
+            "page": s.page,
+            "licence": s.licence.name,
+            "licence_note": s.licence_note,
+            "parts": [a.part for a in s.archives],
+            "fetched": all(a.url for a in s.archives),
+        }
+        for s in SOURCES
+    ]

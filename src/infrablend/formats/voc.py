@@ -1,0 +1,455 @@
+"""Pascal VOC: one XML file per picture, in VOC's own folders, beside the pictures, or in folders of splits.
+
+    Annotations/<stem>.xml   JPEGImages/<stem>.jpg   ImageSets/Main/{train,val,test}.txt   [labelmap.txt]
+    [train|val|test/]<stem>.xml beside <stem>.jpg, or in annotations/ and images/, xml/ and img/
+
+Boxes are `xmin, ymin, xmax, ymax` in pixels. With `origin=0` they are edges as HIT-UAV, LabelImg and most tools write
+them: half-open, counted from 0. With `origin=1` they are pixels counted from 1, both inclusive, as in the original
+VOC challenge: the edges are `xmin - 1, ymin - 1, xmax, ymax`. roLabelImg's `robndbox` (`cx, cy, w, h, angle`, radians,
+clockwise on screen) is read as well.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from infrablend.core.boxes import box_of_points, corners_of_cxcywha
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, write_text
+from infrablend.errors import Problem
+from infrablend.formats.base import (
+    OVERHANG_PX,
+    Match,
+    Written,
+    category_ids,
+    check_box,
+    check_splits,
+    is_ignored_name,
+    overhang_px,
+    read_text,
+    read_xml,
+    require_options,
+    require_size,
+    snap,
+    sort_images,
+    to_bool,
+    to_floats,
+    to_size,
+)
+from infrablend.formats.pictures import is_hidden, list_pictures, read_size
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+
+NAME = "voc"
+OPTIONS = {
+    "origin": "0: edges counted from 0, the default; 1: pixels counted from 1, both inclusive, as in the VOC challenge",
+    "unlabelled": "keep or drop pictures without an XML file; keep is the default",
+}
+DATABASE = "InfraBlend VOC"
+"""What our files say in `source/database`: HIT-UAV's reader leaves them alone."""
+
+SPLIT_FOLDERS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+}  # fmt: skip
+# Folders that only sort files by kind: a picture and its XML agree in the rest of their paths.
+_KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
+_LABELMAP = "labelmap.txt"
+
+
+# -- finding ---------------------------------------------------------------------------------------------------
+
+Key = tuple[str, ...]
+
+
+def key_of(name: str) -> Key:
+    """What a picture's path and its annotation's have in common: folders other than those of kinds, and the stem."""
+    path = PurePosixPath(name)
+    return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
+
+
+def list_xml(root: Path) -> Iterable[str]:
+    """XML files below a folder by relative path; sorted within each folder; hidden ones and linked folders are not."""
+    for base, folders, names in os.walk(root):
+        folders[:] = sorted(d for d in folders if not is_hidden(d))
+        prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
+        yield from (prefix + n for n in sorted(names) if n.lower().endswith(".xml") and not is_hidden(n))
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds VOC files: XML with the root `annotation`, and a picture to one of the first."""
+    names = list(islice(list_xml(root), 20))
+    if not names:
+        return Match(NAME, False, "no XML file in it or below")
+    pictures = {key_of(n) for n in list_pictures(root)}
+    reason = f"no picture belongs to {names[0]} or the XML files after it"
+    for name in names:
+        top, problem = read_xml(root / name, name)
+        if problem is not None or top.tag != "annotation":
+            reason = f"{name}: {problem.found if problem else f'root element <{top.tag}>, not <annotation>'}"
+        elif key_of(name) in pictures or _named(name, top) in pictures:
+            return Match(NAME, True, f"VOC files such as {name}")
+    return Match(NAME, False, reason)
+
+
+def _named(name: str, top: Any) -> Key:
+    """The key of the picture that the XML file itself names; only the last part of that counts."""
+    said = re.split(r"[\\/]", _text(top, "filename") or "")[-1]
+    folder = key_of(name)[:-1]
+    return (*folder, PurePosixPath(said).stem if re.search(r"\.\w{2,5}$", said) else said)
+
+
+def _text(element: Any, key: str) -> str | None:
+    value = element.findtext(key)
+    return value.strip() if value is not None else None
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Read:
+    """What the XML files of a folder say.
+
+    Attributes:
+        records: Of the pictures, without ids; those without an XML file have `labelled` False in `extra`.
+        names: Categories in order of their names.
+        problems: What is wrong.
+        counts: `files`, `objects` as they stand in the files, `read`, `unlabelled`.
+    """
+
+    records: tuple[ImageRecord, ...]
+    names: tuple[str, ...]
+    problems: tuple[Problem, ...]
+    counts: Mapping[str, int]
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    origin: str = "0",
+    unlabelled: str = "keep",
+) -> Dataset:
+    """Read VOC files and the pictures they belong to.
+
+    Args:
+        root: The folder, or one that holds it alone (`VOCdevkit/VOC2012`).
+        splits: The splits wanted; None reads all there are.
+        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        origin: What the numbers of a box are, see the head of this module.
+        unlabelled: What happens to pictures without an XML file.
+
+    Raises:
+        DatasetError: An option is unknown, or no picture can be read.
+    """
+    require_options(root, origin=(origin, ("0", "1")), unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    found = read_folder(root, wanted, "1" if origin == "1" else "0", unlabelled)
+    order, problems = _labelmap(root)
+    names = [*order, *(n for n in found.names if n not in order)]
+    categories = tuple(Category(k, n, "", is_ignored_name(n)) for k, n in enumerate(names))
+    notes = {"labels": NAME, "origin": int(origin), "rows": found.counts}
+    return make_dataset(
+        root, NAME, found.records, categories, [*problems, *found.problems], notes, metadata=metadata, splits=wanted
+    )
+
+
+def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], unlabelled: str) -> Read:
+    """Every XML file below a folder with its picture, and the pictures that have none."""
+    problems: list[Problem] = []
+    counts: Counter[str] = Counter()
+    pictures: dict[Key, list[str]] = {}
+    for name in (paths := list_pictures(root)):
+        pictures.setdefault(key_of(name), []).append(name)
+    split_of = _splits(root, {key[-1] for key in pictures}, problems)
+    records: dict[str, ImageRecord] = {}
+    categories: set[str] = set()
+    unlisted: list[str] = []
+    skipped: set[str] = set()
+    for name in list_xml(root):
+        split = split_of.get(key_of(name)[-1]) if split_of else _folder_split(name)
+        if split is None:
+            unlisted.append(name)
+            split = "train"
+        if split not in splits:
+            skipped.update(pictures.get(key_of(name), ()))
+            continue
+        top, problem = read_xml(root / name, name)
+        if problem is None and top.tag != "annotation":
+            found = f"root element <{top.tag}>"
+            problem = Problem(name, "annotation-layout", found, "<annotation>", "use VOC or roLabelImg files")
+        picture: str | None = None
+        if problem is None:
+            picture, problem = _find_picture(name, top, pictures, records, problems)
+        if picture is None:
+            problems += [problem] if problem else []
+            skipped.update(pictures.get(key_of(name), ()))
+            continue
+        counts["files"] += 1
+        size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
+        if size_wh is None:
+            found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}, taken from the picture"
+            problems.append(Problem(name, "image-size-unknown", found, "width and height in px", severity="warning"))
+            size_wh, problem = read_size(paths[picture], picture)
+            problems += [problem] if problem else []
+        instances = _objects(top, name, size_wh, origin, problems, counts)
+        categories |= {i.category for i in instances}
+        record = ImageRecord("", paths[picture], split, size_wh, None, None, None, instances)
+        records[picture] = replace(record, file_name=_file_name(picture))
+    left = [n for n in paths if n not in records and n not in skipped]
+    left = [n for n in left if (split_of.get(key_of(n)[-1], "train") if split_of else _folder_split(n)) in splits]
+    problems += unlabelled_problems(root.name, len(left), unlabelled, "no XML file")
+    counts["unlabelled"] = len(left)
+    for name in left if unlabelled == "keep" else ():
+        split = split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
+        record = ImageRecord("", paths[name], split, None, None, None, None, (), extra={"labelled": False})
+        records[name] = replace(record, file_name=_file_name(name))
+    if unlisted:
+        found = f"{len(unlisted)} file(s) in no list of ImageSets/Main, taken as train: {', '.join(unlisted[:3])}"
+        problems.append(Problem(root.name, "split-unknown", found, "every stem in one list", severity="warning"))
+    if counts["parts"]:
+        found = f"{counts['parts']} part(s) of objects, not read"
+        problems.append(Problem(root.name, "part-unread", found, "objects alone", severity="warning"))
+    counted = {k: counts[k] for k in ("files", "objects", "read", "parts", "unlabelled")}
+    return Read(tuple(records.values()), tuple(sorted(categories)), tuple(problems), counted)
+
+
+def _file_name(name: str) -> str:
+    """The path below the split's folder of pictures: without folders of kinds and splits."""
+    parts = PurePosixPath(name).parts
+    return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
+
+
+def _folder_split(name: str) -> Split:
+    """The split that the folders of a path name; train if none does."""
+    parts = PurePosixPath(name).parts[:-1]
+    return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
+
+
+def _find_picture(
+    name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord], problems: list[Problem]
+) -> tuple[str | None, Problem | None]:
+    """The picture of an XML file: that of its own name, else the one it names; or None and why."""
+    own, named = key_of(name), _named(name, top)
+    said = _text(top, "filename") or ""
+    choices = pictures.get(own) or pictures.get(named) or []
+    if not choices:
+        found, todo = f"no picture {said or own[-1]!r}", "restore it"
+        return None, Problem(name, "image-missing", found, "a picture of the same name", todo)
+    if named != own and own in pictures and named in pictures:
+        found = f"filename {said!r}, and a picture of that name; {choices[0]!r} counts"
+        problems.append(Problem(name, "name-disagrees", found, "the name of the XML file", severity="warning"))
+    picture = next((c for c in choices if PurePosixPath(c).name == said), choices[0])
+    if picture in taken:
+        found = f"a second file for {picture!r}"
+        return None, Problem(name, "image-duplicate", found, "each picture once", "leave out one of them")
+    return picture, None
+
+
+def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict[str, Split]:
+    """Split by stem as the lists in `ImageSets/Main` say; empty if there are none."""
+    folders = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
+    split_of: dict[str, Split] = {}
+    for folder in folders[:1]:
+        files: list[tuple[str, Split]] = [(s, s) for s in SPLITS]
+        if not (folder / "train.txt").is_file():
+            files.append(("trainval", "train"))
+        for stem, split in files:
+            path = folder / f"{stem}.txt"
+            if not path.is_file():
+                continue
+            where = path.relative_to(root).as_posix()
+            text, problem = read_text(path, where, "a list of stems")
+            problems += [problem] if problem else []
+            for line in text.splitlines():
+                # The lists of single classes mark each stem with 1, 0 or -1; some tools do so in all lists.
+                listed = line.strip()
+                listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
+                if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
+                    found = f"{listed!r} is also in {split_of[listed]}, which counts"
+                    problems.append(Problem(where, "split-twice", found, "each stem in one list", severity="warning"))
+    return split_of
+
+
+def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
+    """Category names in the order of `labelmap.txt` (`name:colour:parts:actions`), none if there is no such file."""
+    path = root / _LABELMAP
+    if not path.is_file():
+        return [], []
+    text, problem = read_text(path, path.name, "a line for each class")
+    lines = [s.partition(":")[0].strip() for s in text.splitlines() if not s.lstrip().startswith("#")]
+    return list(dict.fromkeys(s for s in lines if s and s != "background")), [problem] if problem else []
+
+
+def _objects(
+    top: Any,
+    where: str,
+    size_wh: tuple[int, int] | None,
+    origin: Literal["0", "1"],
+    problems: list[Problem],
+    counts: Counter[str],
+) -> tuple[Instance, ...]:
+    instances = []
+    for k, element in enumerate(top.findall("object")):
+        counts["objects"] += 1
+        counts["parts"] += len(element.findall("part"))
+        here = f"{where}: object {k}"
+        name = _text(element, "name")
+        if not name:
+            problems.append(Problem(here, "category-unknown", "no name", "a category's name", "correct the annotation"))
+            continue
+        instance = _geometry(element, here, name, size_wh, origin, problems)
+        if instance is None:
+            continue
+        flags: dict[str, bool | None] = {}
+        for flag in ("truncated", "difficult", "occluded"):
+            value = _text(element, flag)
+            flags[flag] = None if value is None else to_bool(value)
+            if value and flags[flag] is None:
+                found = f"{flag} {value[:40]!r}, ignored"
+                problems.append(Problem(here, "flag-value", found, "0 or 1", severity="warning"))
+        extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
+        pose = _text(element, "pose")
+        if pose and pose != "Unspecified":
+            extra["pose"] = pose
+        inserted = to_bool(_text(element, "inserted")) is True
+        more = {**instance.extra, **extra}
+        instances.append(
+            replace(instance, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=more)
+        )
+    counts["read"] += len(instances)
+    return tuple(instances)
+
+
+def _geometry(
+    element: Any,
+    where: str,
+    name: str,
+    size_wh: tuple[int, int] | None,
+    origin: Literal["0", "1"],
+    problems: list[Problem],
+) -> Instance | None:
+    """The object with its box, and its oriented box if it has one; None, noted, if it has to be left out."""
+    turned = element.find("robndbox")
+    keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
+    base = turned if turned is not None else element.find("bndbox")
+    said = None if base is None else [_text(base, k) for k in keys]
+    values = to_floats(said, len(keys))
+    if values is None:
+        found = "no bndbox" if said is None else f"box {said}"[:120]
+        problems.append(Problem(where, "box-malformed", found, ", ".join(keys), "correct the annotation"))
+        return None
+    corners = None
+    if turned is not None:
+        if not all(math.isfinite(v) and abs(v) < 1e9 for v in values) or values[2] <= 0 or values[3] <= 0:
+            code = "box-empty" if all(math.isfinite(v) for v in values) else "box-not-finite"
+            expected = "finite numbers, a width and height above 0"
+            problems.append(Problem(where, code, f"box {said}"[:120], expected, "correct the annotation"))
+            return None
+        corners = corners_of_cxcywha(np.array([values], np.float64))[0]
+        raw = tuple(float(v) for v in box_of_points(corners))
+        over = overhang_px(corners, size_wh) if size_wh else 0.0
+        if 0 < over <= OVERHANG_PX and size_wh is not None:
+            raw = tuple(min(max(v, 0.0), float(size_wh[i % 2])) for i, v in enumerate(raw))
+    else:
+        first = 1.0 if origin == "1" else 0.0
+        raw = (values[0] - first, values[1] - first, values[2], values[3])
+        if size_wh is not None:
+            raw = tuple(snap(v, size_wh[i % 2]) for i, v in enumerate(raw))
+    box, problem = check_box(raw, size_wh, where)
+    problems += [problem] if problem else []
+    return None if box is None else Instance(name, box, corners)
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    pictures: bool = True,
+) -> Written:
+    """Write `Annotations/<stem>.xml`, `ImageSets/Main/*.txt`, `labelmap.txt`, and link the pictures to `JPEGImages/`.
+
+    Boxes are edges counted from 0 (`origin=0`); whole numbers stand as such, others with up to eight decimals. The
+    order of the categories is that of `labelmap.txt`; their ids are not kept. Objects that InfraBlend put in carry
+    `inserted`, which other tools pass over. Flags that are not known are written as 0.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size is missing, a category is not in the list, or two pictures have the same stem.
+    """
+    ordered = sort_images(images)
+    known = category_ids(categories)
+    losses: Counter[str] = Counter()
+    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    stems: dict[str, Split] = {}
+    files: list[Path] = []
+    for image in ordered:
+        stem = image.name.rpartition(".")[0] or image.name
+        if "/" in image.name or stem in stems:
+            raise ValueError(f"{image.id}: VOC has one folder of pictures, {image.name!r} does not fit in")
+        stems[stem] = image.split
+        files.append(write_text(out / "Annotations" / f"{stem}.xml", _xml(image, known, losses)))
+        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        if pictures:
+            files.append(link_or_copy(image.path, out / "JPEGImages" / image.name))
+    lists: dict[str, list[str]] = {s: [n for n, split in stems.items() if split == s] for s in SPLITS}
+    lists["trainval"] = lists["train"] + lists["val"]
+    for name, listed in lists.items():
+        files.append(write_text(out / "ImageSets" / "Main" / f"{name}.txt", "".join(f"{n}\n" for n in listed)))
+    text = "# label:color_rgb:parts:actions\n" + "".join(f"{n}:::\n" for n in known)
+    files.append(write_text(out / _LABELMAP, text))
+    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+
+
+def _number(value: float) -> str:
+    text = f"{value:.8f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> str:
+    w, h = require_size(image)
+    lines = [
+        "<annotation>",
+        "  <folder>JPEGImages</folder>",
+        f"  <filename>{escape(image.name)}</filename>",
+        f"  <source><database>{DATABASE}</database></source>",
+        f"  <size><width>{w}</width><height>{h}</height><depth>{image.extra.get('depth', 1)}</depth></size>",
+        "  <segmented>0</segmented>",
+    ]
+    for i in image.instances:
+        if i.category not in known:
+            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
+        losses["obb_dropped"] += i.corners_xy is not None
+        losses["mask_dropped"] += i.mask is not None
+        losses["visibility_dropped"] += i.visibility is not None
+        box = "".join(
+            f"<{k}>{_number(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
+        )
+        lines += [
+            "  <object>",
+            f"    <name>{escape(i.category)}</name>",
+            f"    <pose>{escape(str(i.extra.get('pose', 'Unspecified')))}</pose>",
+            f"    <truncated>{int(bool(i.truncated))}</truncated>",
+            f"    <difficult>{int(bool(i.difficult))}</difficult>",
+        ]
+        if "occluded" in i.extra:
+            lines.append(f"    <occluded>{int(bool(i.extra['occluded']))}</occluded>")
+        if i.inserted:
+            lines.append("    <inserted>1</inserted>")
+        lines += [f"    <bndbox>{box}</bndbox>", "  </object>"]
+    return "\n".join([*lines, "</annotation>", ""])
