@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import psutil
 
@@ -28,7 +28,9 @@ from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
+from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline import world
+from infrablend.pipeline.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.rerender import rerender_frame
@@ -40,10 +42,12 @@ if TYPE_CHECKING:
     from infrablend.report.inspection import Inspection
 
 __all__ = [
+    "ConvertReport",
     "FetchReport",
     "PlanReport",
     "RunReport",
     "check",
+    "convert",
     "describe_source",
     "diagnose",
     "fetch",
@@ -442,6 +446,50 @@ def split(
         dataset, target, by=kind, gap=NEAR if gap is None else gap, shares=shares, seed=seed, to=to or "native",
         lists=lists,
     )  # fmt: skip
+
+
+def convert(
+    source: str | Path,
+    out: str | Path,
+    to: str,
+    *,
+    splits: Sequence[str] | None = None,
+    format: str | None = None,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+    options: Mapping[str, str] | None = None,
+    rename: Mapping[str, str] | None = None,
+    drop: Sequence[str] = (),
+    ids: Literal["new", "source"] = "new",
+    dont_care: Literal["drop", "keep"] = "drop",
+    without_mask: Literal["omit", "obb"] = "omit",
+    overwrite: bool = False,
+) -> ConvertReport:
+    """Write a dataset in another format. Pictures are hard links (copies where links are impossible).
+
+    Args:
+        source: Folder of the dataset.
+        out: Folder to write; must be new or empty unless `overwrite`.
+        to: The format: yolo, yolo-obb, yolo-seg, coco, ... (docs/formats/index.md), or native: the source's own.
+        splits: Some of train, val, test; all by default.
+        format: Format of the source; detected by default.
+        form: Read only this form (HIT-UAV).
+        metadata: CSV or JSON table of pitch and altitude.
+        options: Further options of the source's reader.
+        rename: Other names for classes; several may become one.
+        drop: Classes to leave out, by the name after renaming.
+        ids: Image and annotation ids numbered anew, or the source's own.
+        dont_care: YOLO: regions to ignore are left out, or kept as a class.
+        without_mask: yolo-seg: objects without mask are left out, or their oriented box is written.
+        overwrite: Replace an earlier conversion in `out`.
+
+    Raises:
+        UnknownFormatError, DatasetError, OutputError: See `infrablend.errors`.
+    """
+    _require_apart(Path(source), Path(out))
+    dataset = read_dataset(source, splits=splits, form=form, metadata=metadata, format=format, options=options)
+    settings = WriteSettings(ids, dont_care, without_mask)
+    return convert_dataset(dataset, to, Path(out), rename=rename, drop=drop, settings=settings, overwrite=overwrite)
 
 
 def default_workers() -> int:

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from infrablend.cli import (
     asset,
     check,
+    convert,
     doctor,
     exits,
     fetch,
@@ -95,6 +96,7 @@ def build_app() -> typer.Typer:
     )
     app.callback()(_root)
     app.command("generate")(generate.generate)
+    app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)
     app.command("rerender")(rerender.rerender)
     app.command("inspect")(inspect.inspect)

@@ -113,28 +113,12 @@ def generate(
     _show(report, session)
 
 
-SHOWN_WARNINGS = 5
-
-
 def _show(report: RunReport, session: Session) -> None:
     """The report on stdout, its problems on stderr, and exit code 1 if something was skipped or failed."""
-    import logging
+    from infrablend.cli.exits import PARTIAL
+    from infrablend.cli.results import facts, say, say_json, table, tell_problems
 
-    from infrablend.cli.exits import PARTIAL, problem_lines
-    from infrablend.cli.results import facts, say, say_json, table
-
-    log = logging.getLogger(__name__)
-    for p in report.problems:
-        log.info("%s: %s", p.severity, p)
-    errors = [p for p in report.problems if p.severity == "error"]
-    warnings = sorted({p for p in report.problems if p.severity != "error"})
-    if errors:
-        typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, session.log_path)]), err=True)
-    if warnings:
-        lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
-        if len(warnings) > SHOWN_WARNINGS:
-            lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {report.out / 'run.json'}")
-        typer.echo("\n".join([f"{len(warnings)} warning(s):", *lines]), err=True)
+    tell_problems(report.problems, session.log_path, report.out / "run.json")
     if session.json:
         say_json(report.to_json())
     else:

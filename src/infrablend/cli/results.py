@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
+
+from infrablend.cli.exits import problem_lines
+from infrablend.errors import Problem
+
+SHOWN_WARNINGS = 5
+
+log = logging.getLogger(__name__)
 
 
 def say(text: str) -> None:
@@ -17,6 +26,22 @@ def say(text: str) -> None:
 def say_json(data: Any) -> None:
     """A result as JSON on stdout; paths become text."""
     typer.echo(json.dumps(data, indent=2, default=str, ensure_ascii=False))
+
+
+def tell_problems(problems: Iterable[Problem], log_path: Path | None, record: Path) -> None:
+    """Problems on stderr: errors first, then a few warnings; `record` is the file that holds them all."""
+    found = list(problems)
+    for p in found:
+        log.info("%s: %s", p.severity, p)
+    errors = [p for p in found if p.severity == "error"]
+    warnings = sorted({p for p in found if p.severity != "error"})
+    if errors:
+        typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, log_path)]), err=True)
+    if warnings:
+        lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
+        if len(warnings) > SHOWN_WARNINGS:
+            lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {record}")
+        typer.echo("\n".join([f"{len(warnings)} warning(s):", *lines]), err=True)
 
 
 def table(rows: Mapping[str, str]) -> str:

@@ -35,6 +35,7 @@ from infrablend.formats.base import (
     few,
     is_ignored_name,
     overhang_px,
+    read_text,
     require_size,
     sort_images,
 )
@@ -53,15 +54,15 @@ _DECIMALS = 8
 
 
 def dota_names(categories: Iterable[Category]) -> dict[str, str]:
-    """Name to write by category name: blanks become hyphens, as in DOTA's own `small-vehicle`.
-
-    Raises:
-        ValueError: Two categories would get the same name.
-    """
-    names = {c.name: "-".join(c.name.split()) for c in categories}
-    twice = sorted(n for n, k in Counter(names.values()).items() if k > 1)
-    if twice:
-        raise ValueError(f"without blanks, several categories are called {', '.join(twice)}; rename one of them")
+    """Name to write by category name: blanks become hyphens, as in DOTA's own `small-vehicle`; each once."""
+    names: dict[str, str] = {}
+    ordered = sorted(categories, key=lambda c: (any(x.isspace() for x in c.name), c.id))  # names without blanks stay
+    for c in ordered:
+        name = plain = "-".join(c.name.split())
+        k = 2
+        while name in names.values():
+            name, k = f"{plain}-{k}", k + 1
+        names[c.name] = name
     return names
 
 
@@ -164,10 +165,8 @@ def detect(root: Path) -> Match:
         return Match(NAME, False, "no folder labelTxt or annfiles, for a split or for all")
     for folder in labelled:
         for path in _label_files(folder)[:20]:
-            try:
-                lines = path.read_text(encoding="utf-8-sig").split("\n", 20)[:20]
-            except (OSError, UnicodeDecodeError):
-                continue
+            text, _ = read_text(path, path.name, "")
+            lines = text.split("\n", 20)[:20]
             if any(_HEADER.fullmatch(line.strip()) or _is_object(line.split()) for line in lines):
                 splits = ", ".join(split for split, _, _ in folders)
                 return Match(NAME, True, f"DOTA's text files in {folder.relative_to(root).as_posix()}; {splits}")
@@ -288,11 +287,9 @@ def _read_file(
     root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem]
 ) -> tuple[tuple[Instance, ...], dict[str, Any]]:
     where = path.relative_to(root).as_posix()
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        found = f"no text ({type(error).__name__})"
-        problems.append(Problem(where, "annotation-unreadable", found, "a DOTA label file", "replace or remove it"))
+    text, problem = read_text(path, where, "a DOTA label file")
+    if problem is not None:
+        problems.append(problem)
         return (), {}
     extra: dict[str, Any] = {}
     instances: list[Instance] = []

@@ -167,13 +167,17 @@ def find_writer(name: str) -> Writer:
 
 
 def native_writer(source: Dataset) -> Writer | None:
-    """The writer of a dataset's own format; None for a folder of bare pictures, or if there is no such writer."""
+    """The writer of a dataset's own format; None for a folder of bare pictures, or if there is no such writer.
+
+    WiSARD's labels are YOLO's and those of DUT-Anti-UAV VOC's: the layout is then that of YOLO or VOC.
+    """
     kind = source.notes.get("labels") if source.format == "folder" else source.format
     if kind == "hit-uav":
         forms = source.notes.get("forms") or ("normal_json",)
         return find_writer("hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml")
-    if kind == "yolo":
+    if kind in ("yolo", "wisard"):
         return find_writer(_yolo_kind(source))
+    kind = "voc" if kind == "dut-anti-uav" else kind
     return next((w for w in WRITERS if w.name == kind), None)
 
 
@@ -215,7 +219,7 @@ def write(
     if name == NATIVE:
         writer = None if source is None else native_writer(source)
         if writer is None:
-            return Written()
+            return Written() if source is None or source.notes.get("labels") == "none" else _no_native(source)
         settings = replace(settings, dont_care="keep", without_mask="obb")
     else:
         writer = find_writer(name)
@@ -228,6 +232,12 @@ def write(
     if renamed:
         parts.append(Written(losses={"name_changed": renamed}))
     return Written.together(parts)
+
+
+def _no_native(source: Dataset) -> Written:
+    found = f"{source.format} is read but not written; native was left out"
+    todo = "ask for another format"
+    return Written(problems=(Problem("native", "format-none", found, f"one of {', '.join(names())}", todo, "warning"),))
 
 
 def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:

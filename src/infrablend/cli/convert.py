@@ -1,0 +1,101 @@
+"""`infrablend convert`: a dataset in another format."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.options import JsonOption, ReadingOption, comma_list, key_values, split_list
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+
+class Ids(StrEnum):
+    """Where image and annotation ids come from."""
+
+    NEW = "new"
+    SOURCE = "source"
+
+
+class DontCare(StrEnum):
+    """What becomes of regions to ignore."""
+
+    DROP = "drop"
+    KEEP = "keep"
+
+
+class WithoutMask(StrEnum):
+    """What becomes of objects without a mask."""
+
+    OMIT = "omit"
+    OBB = "obb"
+
+
+def convert(
+    ctx: typer.Context,
+    source: Annotated[Path, typer.Argument(metavar="SRC", help="The dataset to read.")],
+    out: Annotated[Path, typer.Argument(metavar="DST", help="The folder to write.")],
+    to: Annotated[str, typer.Option(metavar="FORMAT", help="Format to write: yolo, coco, ... or native.")],
+    split: Annotated[str | None, typer.Option(metavar="LIST", help="Some of train,val,test [default: all].")] = None,
+    format_in: Annotated[str | None, typer.Option(metavar="FORMAT", help="Format of SRC [default: detected].")] = None,
+    reading: ReadingOption = None,
+    metadata: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude of the pictures.")
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD=NEW,...", help="Other names for classes; several may become one; repeatable."),
+    ] = None,
+    drop: Annotated[
+        str | None,
+        typer.Option("--drop-class", metavar="LIST", help="Classes to leave out, by their name after --rename."),
+    ] = None,
+    ids: Annotated[Ids, typer.Option(help="Ids numbered anew, or the source's, where the format has ids.")] = Ids.NEW,
+    dont_care: Annotated[DontCare, typer.Option(help="YOLO: regions to ignore are left out, or a class.")] = (
+        DontCare.DROP
+    ),
+    without_mask: Annotated[
+        WithoutMask, typer.Option(help="yolo-seg: objects without mask are left out, or their oriented box is written.")
+    ] = WithoutMask.OMIT,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier conversion in DST.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a dataset in another format; pictures are linked, every loss is counted and said."""
+    session: Session = ctx.obj
+    session.json = as_json
+
+    from infrablend import api
+    from infrablend.cli.exits import PARTIAL
+    from infrablend.cli.results import facts, say, say_json, table, tell_problems
+    from infrablend.formats.base import LOSSES
+
+    pairs = [pair for text in rename or () for pair in text.split(",")]
+    report = api.convert(
+        source,
+        out,
+        to,
+        splits=split_list(split),
+        format=format_in,
+        metadata=metadata,
+        options=key_values(reading, "--read"),
+        rename=key_values(pairs, "--rename"),
+        drop=comma_list(drop, "--drop-class") or (),
+        ids=ids.value,
+        dont_care=dont_care.value,
+        without_mask=without_mask.value,
+        overwrite=overwrite,
+    )
+    tell_problems(report.problems, session.log_path, report.out / "convert.json")
+    if as_json:
+        say_json(report.to_json())
+    else:
+        say(table(facts(report.counts)))
+        for kind, n in report.losses.items():
+            say(f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}")
+        say(str(report.out))
+    if not report.ok:
+        raise typer.Exit(PARTIAL)

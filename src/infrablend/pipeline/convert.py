@@ -1,0 +1,209 @@
+"""A dataset in one format written in another: pictures linked, labels translated, every loss counted."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend import __version__
+from infrablend.annotation.classes import drop_classes, rename_classes, unknown_classes
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import output_error, write_json
+from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.formats import writing
+from infrablend.formats.pictures import read_size
+from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline.folder import RunFolder
+
+RECORD_FILE = "convert.json"
+
+
+@dataclass(frozen=True)
+class ConvertReport:
+    """What was written, and what was lost on the way.
+
+    Attributes:
+        out: The folder.
+        format: The name of the format written.
+        counts: Images and labels read and dropped on wish, by split and class.
+        losses: What the format cannot hold, by kind; `base.LOSSES` says what each means.
+        problems: Everything wrong with the source, and warnings of the writer.
+    """
+
+    out: Path
+    format: str
+    counts: Mapping[str, Any]
+    losses: Mapping[str, int]
+    problems: tuple[Problem, ...]
+
+    @property
+    def ok(self) -> bool:
+        """False if something of the source could not be used."""
+        return not any(p.severity == "error" for p in self.problems)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "out": str(self.out),
+            "format": self.format,
+            "ok": self.ok,
+            "counts": dict(self.counts),
+            "losses": dict(self.losses),
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def convert_dataset(
+    dataset: Dataset,
+    to: str,
+    out: Path,
+    *,
+    rename: Mapping[str, str] | None = None,
+    drop: Sequence[str] = (),
+    settings: WriteSettings | None = None,
+    overwrite: bool = False,
+) -> ConvertReport:
+    """Write a dataset in the format `to`, and `convert.json` that says how.
+
+    Args:
+        dataset: As read.
+        to: A name in `writing.names()`, or `native`.
+        out: Folder; new or empty, or with `overwrite` one that an earlier call wrote.
+        rename: Other names for classes; several may become one.
+        drop: Classes to leave out, by the name after renaming.
+        settings: What the writer lets one choose.
+        overwrite: Delete what the earlier call wrote first.
+
+    Raises:
+        UnknownFormatError: No such format to write.
+        DatasetError: A class does not exist, ids cannot be kept, or no picture has a size.
+        OutputError: The folder cannot be used or written.
+    """
+    settings = settings or WriteSettings()
+    writer = writing.native_writer(dataset) if to == writing.NATIVE else writing.find_writer(to)
+    if writer is None:
+        problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
+        raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
+    _require_classes(dataset, rename or {}, "--rename")
+    renamed = rename_classes(dataset, rename or {})
+    _require_classes(renamed, drop, "--drop-class")
+    wanted = drop_classes(renamed, drop)
+    problems = list(dataset.problems)
+    images = _with_sizes(wanted, problems)
+    if not images:
+        raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
+    fault = writing.unwritable(writer.name, images, settings)
+    if fault is not None:
+        raise DatasetError(f"{dataset.root}: its ids cannot be kept", [fault])
+    counts = {
+        "images": len(images),
+        "images_per_split": dict(Counter(i.split for i in images)),
+        "labels": _per_class(images),
+        "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
+        "source_format": dataset.format,
+    }
+    folder = RunFolder(out)
+    with folder.claimed():
+        _prepare(out, overwrite)
+        header = {
+            "infrablend": __version__,
+            "source": str(dataset.root),
+            "source_format": dataset.format,
+            "format": writer.name,
+            "rename": dict(rename or {}),
+            "drop": sorted(drop),
+            "ids": settings.ids,
+            "notes": dict(dataset.notes),
+        }
+        write_json(out / RECORD_FILE, header | {"status": "running", "entries": []}, indent=2)
+        try:
+            written = writing.write(to, out, images, wanted.categories, settings=settings, source=wanted)
+        except BaseException as error:
+            # What is there was made by this call: the folder was empty before.
+            write_json(out / RECORD_FILE, header | {"status": "interrupted", "entries": _entries(out)}, indent=2)
+            if isinstance(error, ValueError):  # a label that the format does not allow
+                raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
+            raise
+        report = ConvertReport(out, writer.name, counts, written.losses, (*problems, *written.problems))
+        rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
+        write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(out)}, indent=2)
+    return report
+
+
+def _choice() -> str:
+    return ", ".join(writing.names())
+
+
+def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str], option: str) -> None:
+    unknown = unknown_classes(dataset, list(names))
+    if unknown:
+        known = ", ".join(c.name for c in dataset.categories) or "it has none"
+        problem = Problem(option, "category-unknown", ", ".join(unknown), f"classes of the dataset ({known})")
+        raise DatasetError(f"{dataset.root}: no such class", [problem])
+
+
+def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
+    return dict(sorted(Counter(i.category for image in images for i in image.instances).items()))
+
+
+def _with_sizes(dataset: Dataset, problems: list[Problem]) -> list[ImageRecord]:
+    """The images, with sizes read from the pictures where the labels do not say them; unreadable ones are left out."""
+    images = []
+    for image in dataset.images:
+        if image.size_wh is not None:
+            images.append(image)
+            continue
+        where = image.path.relative_to(dataset.root).as_posix() if image.path.is_relative_to(dataset.root) else image.id
+        size_wh, problem = read_size(image.path, where)
+        problems += [problem] if problem is not None else []
+        if size_wh is not None:
+            images.append(replace(image, size_wh=size_wh))
+    return images
+
+
+def _entries(out: Path) -> list[str]:
+    return sorted(p.name for p in out.iterdir() if p.name != RECORD_FILE)
+
+
+def _prepare(out: Path, overwrite: bool) -> None:
+    """Empty the folder of what an earlier call wrote, if that is wanted; nothing else is ever deleted."""
+    entries = [*_entries(out), *([RECORD_FILE] if (out / RECORD_FILE).exists() else [])]
+    if not entries:
+        return
+    shown = ", ".join(entries[:4]) + (" ..." if len(entries) > 4 else "")
+    if not overwrite:
+        raise OutputError(
+            f"{out}: not empty (found {shown}); expected an empty or new folder. "
+            "Use --overwrite to replace an earlier conversion, or give another folder."
+        )
+    try:
+        record = json.loads((out / RECORD_FILE).read_text("utf-8"))
+        own = [str(e) for e in record["entries"]]
+        ours = record["status"] != "running" and "infrablend" in record
+    except (OSError, ValueError, KeyError, TypeError):
+        own, ours = [], False
+    if not ours or any("/" in e or e in (".", "..") or "\\" in e for e in own):
+        raise OutputError(
+            f"{out}: not empty and not a finished conversion of InfraBlend (no such {RECORD_FILE}); nothing was "
+            "touched. Give another folder, or delete this one yourself."
+        )
+    foreign = sorted(set(entries) - set(own) - {RECORD_FILE})
+    if foreign:
+        raise OutputError(
+            f"{out}: holds what the conversion did not write ({', '.join(foreign[:4])}); nothing was touched. "
+            "Move that elsewhere, or give another folder."
+        )
+    try:
+        for name in own:
+            path = out / name
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise output_error(out, error) from error

@@ -1,0 +1,178 @@
+"""`infrablend convert`: any dataset in any format that can be written, nothing lost without a word."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.samples import SAMPLES, picture
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.errors import DatasetError, OutputError, UnknownFormatError
+from infrablend.formats import writing
+from infrablend.formats.base import LOSSES
+
+
+def run(*words: object):
+    return CliRunner().invoke(build_app(), [str(w) for w in words])
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return SAMPLES["coco"](tmp_path / "data")
+
+
+@pytest.mark.parametrize("to", writing.names())
+def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run("-q", "convert", data, out, "--to", to)
+    assert done.exit_code == 0, done.output
+    assert "Person 2" in done.stdout and done.stdout.endswith(f"{out}\n")
+    record = json.loads((out / "convert.json").read_text())
+    assert (record["status"], record["format"], record["source_format"], record["ok"]) == ("complete", to, "coco", True)
+    assert {k.rpartition(".")[2] for k in record["losses"]} <= set(LOSSES)
+    assert all(f"lost: {k} {n}: {LOSSES[k.rpartition('.')[2]]}" in done.stdout for k, n in record["losses"].items())
+    again = api.read_dataset(out)
+    assert len(again.images) == 4
+    linked = {p.stat().st_ino for p in data.rglob("*.jpg")}
+    assert {i.path.stat().st_ino for i in again.images} <= linked
+
+
+def test_json_says_the_same_as_the_record(data: Path, tmp_path: Path) -> None:
+    done = run("-q", "convert", data, tmp_path / "out", "--to", "yolo", "--split", "train,val", "--json")
+    said = json.loads(done.stdout)
+    record = json.loads((tmp_path / "out/convert.json").read_text())
+    assert {k: record[k] for k in ("ok", "counts", "losses", "problems")} == {
+        k: said[k] for k in ("ok", "counts", "losses", "problems")
+    }
+    assert said["counts"]["images_per_split"] == {"train": 2, "val": 1}
+    assert said["losses"] == {"ignore_dropped": 1, "mask_dropped": 2, "obb_dropped": 1}
+
+
+def test_classes_are_renamed_joined_and_dropped(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = ("--rename", "Car=vehicle,Bicycle=vehicle", "--drop-class", "DontCare,OtherVehicle")
+    assert run("-q", "convert", data, out, "--to", "yolo-obb", *options).exit_code == 0
+    record = json.loads((out / "convert.json").read_text())
+    assert record["counts"]["labels"] == {"Person": 2, "vehicle": 2}
+    assert record["counts"]["labels_dropped"] == {"DontCare": 1}
+    assert "ignore_dropped" not in record["losses"]
+    assert [c.name for c in api.read_dataset(out).categories] == ["Person", "vehicle"]
+
+
+def test_ids_stay_where_that_is_asked(data: Path, tmp_path: Path) -> None:
+    source = {i.name: i.source_id for i in api.read_dataset(data).images}
+    api.convert(data, tmp_path / "out", "hit-uav", ids="source")
+    assert {i.name: i.source_id for i in api.read_dataset(tmp_path / "out").images} == source
+    yolo = SAMPLES["yolo:detect"](tmp_path / "yolo")
+    with pytest.raises(DatasetError, match=r"ids cannot be kept[\s\S]*without a whole number as id"):
+        api.convert(yolo, tmp_path / "no", "coco", ids="source")
+    assert not (tmp_path / "no").exists()
+
+
+def test_native_is_the_format_of_the_source(tmp_path: Path) -> None:
+    for name, format_ in (("yolo:obb", "yolo-obb"), ("hit-uav:xml", "hit-uav-xml"), ("dota", "dota"), ("coco", "coco")):
+        report = api.convert(SAMPLES[name](tmp_path / name), tmp_path / f"{name}-out", "native")
+        assert report.format == format_
+    bare = SAMPLES["folder:plain"](tmp_path / "bare")
+    with pytest.raises(DatasetError, match="cannot be written in its own format"):
+        api.convert(bare, tmp_path / "no", "native")
+
+
+def test_telemetry_that_names_do_not_hold_goes_into_a_table(tmp_path: Path) -> None:
+    data = SAMPLES["folder:yolo"](tmp_path / "data")
+    for to in ("yolo", "dota", "masks", "coco"):
+        report = api.convert(data, tmp_path / to, to)
+        assert "telemetry_dropped" not in report.losses
+        again = {i.name: i for i in api.read_dataset(tmp_path / to).images}
+        assert (again["b 0.jpg"].pitch_deg, again["b 0.jpg"].altitude_m, again["b 0.jpg"].time_of_day) == (
+            30,
+            50,
+            "day",
+        )
+    report = api.convert(data, tmp_path / "xml", "hit-uav-xml")
+    assert report.losses["telemetry_dropped"] == 1
+
+
+def test_pictures_whose_names_clash_are_renamed_and_counted(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    for k, name in enumerate(("train/a.png", "train/a.jpg", "train/sub/b.png", "test/b.png")):
+        path = picture(data / name, k)
+        path.with_suffix(".txt").write_text("0 0.5 0.5 0.25 0.25\n")
+    (data / "classes.txt").write_text("fox\n")
+    for to, renamed in (("yolo", 2), ("dota", 3), ("hit-uav", 2), ("hit-uav-xml", 4), ("coco", 0), ("masks", 2)):
+        report = api.convert(data, tmp_path / to, to)
+        assert report.losses.get("name_changed", 0) == renamed, to
+        again = api.read_dataset(tmp_path / to)
+        assert [p for p in again.problems if p.severity == "error"] == []
+        assert sorted(i.path.read_bytes() for i in again.images) == sorted(
+            p.read_bytes() for p in data.rglob("*") if p.suffix in (".png", ".jpg")
+        ), to
+
+
+def test_what_is_wrong_with_the_source_is_told_and_exit_code_is_1(data: Path, tmp_path: Path) -> None:
+    file = data / "annotations/train.json"
+    top = json.loads(file.read_text())
+    top["annotations"][0]["bbox"] = [1, 2, -3, 4]
+    top["annotations"][1]["category_id"] = 77
+    file.write_text(json.dumps(top))
+    done = run("-q", "convert", data, tmp_path / "out", "--to", "coco")
+    assert done.exit_code == 1
+    assert "2 problem(s)" in done.stderr and "category_id 77" in done.stderr and "size -3x4" in done.stderr
+    record = json.loads((tmp_path / "out/convert.json").read_text())
+    assert [p["code"] for p in record["problems"]] == ["box-empty", "category-unknown"]
+
+
+def test_only_an_earlier_conversion_is_replaced(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    api.convert(data, out, "yolo")
+    with pytest.raises(OutputError, match="not empty"):
+        api.convert(data, out, "coco")
+    api.convert(data, out, "coco", overwrite=True)
+    assert sorted(p.name for p in out.iterdir()) == ["annotations", "convert.json", "images"]
+    (out / "mine.txt").write_text("notes")
+    with pytest.raises(OutputError, match=r"holds what the conversion did not write \(mine.txt\)"):
+        api.convert(data, out, "yolo", overwrite=True)
+    assert (out / "mine.txt").exists() and (out / "images").exists()
+    other = tmp_path / "other"
+    picture(other / "a.png", 1)
+    for text in (None, "{}", '{"infrablend": 1, "status": "complete", "entries": ["../data"]}'):
+        if text is not None:
+            (other / "convert.json").write_text(text)
+        with pytest.raises(OutputError, match="nothing was touched"):
+            api.convert(data, other, "yolo", overwrite=True)
+    assert (other / "a.png").exists() and data.is_dir()
+
+
+def test_the_same_bytes_each_time(data: Path, tmp_path: Path) -> None:
+    trees = []
+    for name in ("a", "b"):
+        api.convert(data, tmp_path / name, "hit-uav")
+        trees.append({p.relative_to(tmp_path / name): p.read_bytes() for p in (tmp_path / name).rglob("*.*")})
+    assert trees[0] == trees[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"to": "pascal"}, UnknownFormatError, "'pascal' cannot be written: expected one of yolo, yolo-obb"),
+        ({"to": "yolo", "rename": {"car": "x"}}, DatasetError, r"--rename: car; expected classes of the dataset"),
+        ({"to": "yolo", "drop": ["car"]}, DatasetError, r"--drop-class: car; expected classes of the dataset"),
+        ({"to": "yolo", "format": "dota"}, DatasetError, "labelTxt"),
+    ],
+)
+def test_wrong_wishes_make_nothing(
+    options: dict, error: type[Exception], text: str, data: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(error, match=text):
+        api.convert(data, tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_source_is_never_written_to(data: Path) -> None:
+    for out in (data, data / "out", data.parent):
+        with pytest.raises(OutputError):
+            api.convert(data, out, "yolo")
