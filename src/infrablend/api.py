@@ -546,15 +546,17 @@ def make_world(
     count: int,
     seed: int = 0,
     *,
+    layout: Literal["hit-uav", "monet"] = "hit-uav",
     workers: int | None = None,
     device: str = "cpu",
     on_progress: OnProgress | None = None,
 ) -> Path:
-    """Render a virtual thermal world: a background dataset in HIT-UAV's layout with exact labels, no download.
+    """Render a virtual thermal world: a background dataset with exact labels, no download.
 
-    It always renders on the CPU; `device` is taken for the sake of a like command line.
+    `layout` is that of HIT-UAV (640x512, a town) or of MONET (800x600, airfields and dirt roads, telemetry in the
+    JSON, some of it lost). It always renders on the CPU; `device` is taken for the sake of a like command line.
     """
-    world.make_world(Path(out), count, seed, workers or default_workers(), on_progress)
+    world.make_world(Path(out), count, seed, workers or default_workers(), on_progress, layout)
     return Path(out)
 
 

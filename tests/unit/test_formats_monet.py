@@ -171,6 +171,7 @@ def test_empty_sequences_are_left_out_and_counted(tmp_path: Path) -> None:
     assert d.notes["excluded"] == {"train/runway_01": {"why": "no telemetry in any frame", "images": 2, "labels": 2}}
     assert d.notes["frames_without_pitch"] == {"train/runway_04": 1}
     assert d.notes["gimbal_pitch"]["missing"] == 3
+    assert d.notes["pitch"] == "annotation (2 of 3), none (1 of 3)"
     assert codes(d) == ["pitch-sign", "sequence-excluded"]
     kept = detection.read(tmp_path, options={"empty": "keep"})
     assert len(kept.images) == 5 and codes(kept) == ["pitch-sign"]

@@ -468,17 +468,19 @@ def read(
         frames += _read_file(root, top, where, place, listing, chosen, wanted, seen, categories, problems)
     if not notes["annotations"]:
         raise _nothing_found(root, files, annotations, problems)
-    notes |= _leave_out(frames, chosen.exclude, "exclude", "named in exclude", problems, root)
+    notes["excluded"] = _leave_out(frames, chosen.exclude, "exclude", "named in exclude", problems, root)
     if not frames:
         raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
     notes["gimbal_pitch"] = _set_pitches(root, frames, chosen, problems)
-    notes |= _apply_table(root, metadata, frames, problems)
+    captures, notes["table"] = _apply_table(root, metadata, frames, problems)
     if not chosen.keep_empty:
         _require_pitch(root, frames, chosen, problems)
         has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.pitch_deg is not None}
         bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
         excluded = _leave_out(frames, bare, "empty", "no telemetry in any frame", problems, root)
-        notes["excluded"] = notes.get("excluded", {}) | excluded.get("excluded", {})
+        notes["excluded"] |= excluded
+        captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
+    notes["pitch"] = captures.note()
     without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.pitch_deg is None)
     notes["frames_without_pitch"] = dict(sorted(without.items()))
     return Dataset(root, NAME, tuple(categories), _records(frames), tuple(problems), notes, extra)
@@ -672,8 +674,8 @@ def _set_pitches(root: Path, frames: list[_Frame], chosen: _Options, problems: l
 
 def _apply_table(
     root: Path, metadata: Path | None, frames: Sequence[_Frame], problems: list[Problem]
-) -> dict[str, Any]:
-    """Let a table say more, or otherwise, than the telemetry; the notes on it and on where pitch came from."""
+) -> tuple[Captures, str | None]:
+    """Let a table say more, or otherwise, than the telemetry; what counted where pitch came from, the table's name."""
     path = metadata or find_table(root)
     table = read_table(path) if path else None
     captures = Captures(table, problems)
@@ -689,7 +691,7 @@ def _apply_table(
             found = f"{len(unused)} row(s) of the table name no picture and no sequence: {', '.join(unused[:3])}"
             expected = "a picture or sequence for each row"
             problems.append(Problem(root.name, "table-unused", found, expected, severity="warning"))
-    return {"table": path.name if path else None, "pitch": captures.note()}
+    return captures, path.name if path else None
 
 
 def _require_pitch(root: Path, frames: Sequence[_Frame], chosen: _Options, problems: Sequence[Problem]) -> None:
@@ -738,7 +740,7 @@ def _leave_out(
             Problem("option exclude", "option-value", f"no sequence {', '.join(unknown)}", f"some of {there}",
                     severity="warning")
         )  # fmt: skip
-    return {"excluded": dict(sorted(counts.items()))}
+    return dict(sorted(counts.items()))
 
 
 def _records(frames: Sequence[_Frame]) -> tuple[ImageRecord, ...]:
@@ -746,7 +748,10 @@ def _records(frames: Sequence[_Frame]) -> tuple[ImageRecord, ...]:
     plain: dict[str, str] = {}
     for f in frames:
         r = f.record
-        name = f"{f.sequence}_{PurePosixPath(r.name).name}" if f.sequence else PurePosixPath(r.name).name
+        name = PurePosixPath(r.name).name
+        # Pictures that InfraBlend wrote bear the sequence in their names already.
+        if f.sequence and not name.startswith(f"{f.sequence}_"):
+            name = f"{f.sequence}_{name}"
         plain[f"{r.split}/{r.name}"] = f"{r.split}/{name}"
     clear = Counter(plain.values())
     keys = {full: short if clear[short] == 1 else full for full, short in plain.items()}

@@ -155,7 +155,7 @@ def make_plan(
         elif recipe.camera.pitch == "metadata" and image.pitch_deg is None:
             problems.append(
                 Problem(
-                    image.path.name,
+                    image.name,
                     "no-pitch",
                     "no camera pitch known",
                     "a pitch in the file name, the annotation or a metadata table",

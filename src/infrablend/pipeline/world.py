@@ -15,8 +15,10 @@ WORKER = "infrablend.blender.world:make_world_worker"
 RENDER = "infrablend.blender.world:render_world"
 
 
-def make_world(out: Path, count: int, seed: int, workers: int, on_progress: OnProgress | None = None) -> Any:
-    """Render a background dataset; the same bytes for any number of workers.
+def make_world(
+    out: Path, count: int, seed: int, workers: int, on_progress: OnProgress | None = None, layout: str = "hit-uav"
+) -> Any:
+    """Render a background dataset in HIT-UAV's layout or in MONET's; the same bytes for any number of workers.
 
     Raises:
         RecipeError: `count` is out of range.
@@ -40,4 +42,4 @@ def make_world(out: Path, count: int, seed: int, workers: int, on_progress: OnPr
             on_progress(Progress(done, total, rate, (total - done) / rate))
 
     render: Callable[..., Any] = resolve(RENDER)
-    return render(out, count, seed, paint=paint, progress=report)
+    return render(out, count, seed, layout=layout, paint=paint, progress=report)

@@ -1,7 +1,7 @@
 """The virtual thermal world: procedural outdoor scenes seen by a thermal camera from a given pitch and altitude.
 
-`sample_world` draws a plan (pure numpy), `render_world` renders a whole background dataset in HIT-UAV's layout. Only
-the latter needs Blender, and imports it when called.
+`sample_world` draws a plan (pure numpy), `render_world` renders a whole background dataset in HIT-UAV's layout or in
+MONET's. Only the latter needs Blender, and imports it when called.
 """
 
 from __future__ import annotations
@@ -12,47 +12,38 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from infrablend.blender.world.frames import (
+    ALTITUDES_M,
+    MONET_ALTITUDES_M,
+    MONET_CATEGORIES,
+    PITCHES_DEG,
+    SPLIT_SHARES,
+    FrameFacts,
+    plan_frames,
+    plan_sequences,
+    telemetry_of,
+)
 from infrablend.blender.world.layout import KINDS, WorldPlan, sample_world
 from infrablend.core.cores import take_core
-from infrablend.core.dataset import SPLITS, ImageRecord, Instance, Split, TimeOfDay
+from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.rng import stream
 from infrablend.core.tasks import Task
-from infrablend.errors import OutputError, Problem, RecipeError
-from infrablend.formats import hit_uav
+from infrablend.errors import OutputError, Problem
+from infrablend.formats import hit_uav, monet
 
 if TYPE_CHECKING:
     from infrablend.blender.world.labels import Label
 
 __all__ = ["KINDS", "FrameFacts", "WorldPlan", "WorldReport", "plan_frames", "render_world", "sample_world"]
 
-PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
-ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)
-# HIT-UAV's own proportions.
-SPLIT_SHARES: Mapping[Split, float] = {"train": 0.7, "val": 0.1, "test": 0.2}
-NIGHT_SHARE = 0.68
+Layout = Literal["hit-uav", "monet"]
 _TOP = {"info": {"description": "InfraBlend virtual thermal world in HIT-UAV layout"}, "licenses": []}
-
-
-@dataclass(frozen=True)
-class FrameFacts:
-    """What is fixed of a frame before its scene is drawn; `name` is its file name in HIT-UAV's grammar."""
-
-    number: int
-    split: Split
-    pitch_deg: int
-    altitude_m: int
-    time_of_day: TimeOfDay
-
-    @property
-    def name(self) -> str:
-        """`T_HHH_AA_W_NNNNN.jpg`."""
-        night = int(self.time_of_day == "night")
-        return f"{night}_{self.altitude_m}_{self.pitch_deg}_0_{self.number:05d}.jpg"
+_MONET_TOP = {"info": {"description": "InfraBlend virtual thermal world in MONET layout"}, "licenses": []}
 
 
 @dataclass(frozen=True)
@@ -74,84 +65,23 @@ class WorldReport:
     losses: Mapping[str, int]
 
 
-def plan_frames(
-    count: int,
-    seed: int,
-    splits: Mapping[Split, float] = SPLIT_SHARES,
-    pitches_deg: Sequence[int] = PITCHES_DEG,
-    altitudes_m: Sequence[int] = ALTITUDES_M,
-) -> tuple[FrameFacts, ...]:
-    """Split, pitch, altitude and time of day of `count` frames.
-
-    Pitches, altitudes and splits come in shuffled rounds, so few frames already cover the range.
-
-    Raises:
-        RecipeError: A value out of range; all of them are named.
-    """
-    problems = [
-        *_check(count >= 1, "count", str(count), "at least 1"),
-        *_check(count <= 100_000, "count", str(count), "at most 100000, the names have five digits"),
-        *_check(bool(splits) and set(splits) <= set(SPLITS), "splits", str(sorted(splits)), "train, val or test"),
-        *_check(
-            all(v >= 0 for v in splits.values()) and sum(splits.values()) > 0,
-            "splits", str(dict(splits)), "shares of at least 0, not all 0",
-        ),
-        *_check(
-            bool(pitches_deg) and all(10 <= p <= 90 and p == int(p) for p in pitches_deg),
-            "pitches_deg", str(list(pitches_deg)), "whole degrees in [10, 90]",
-        ),
-        *_check(
-            bool(altitudes_m) and all(10 <= a <= 1000 and a == int(a) for a in altitudes_m),
-            "altitudes_m", str(list(altitudes_m)), "whole metres in [10, 1000]",
-        ),
-    ]  # fmt: skip
-    if problems:
-        raise RecipeError("the virtual world cannot be rendered as asked", problems)
-    names = [s for s in SPLITS if splits.get(s, 0) > 0]
-    total = sum(splits[s] for s in names)
-    given: Counter[Split] = Counter()
-    frames = []
-    for k in range(count):
-        # The split that is furthest behind its share gets the frame.
-        split = max(names, key=lambda s: (splits[s] / total * (k + 1) - given[s], -SPLITS.index(s)))
-        given[split] += 1
-        rng = stream(seed, "world", k, "facts")
-        frames.append(
-            FrameFacts(
-                k,
-                split,
-                int(_round_robin(pitches_deg, k, seed, "pitch")),
-                int(_round_robin(altitudes_m, k, seed, "altitude")),
-                "night" if rng.random() < NIGHT_SHARE else "day",
-            )
-        )
-    return tuple(frames)
-
-
-def _check(good: bool, where: str, found: str, expected: str) -> list[Problem]:
-    return [] if good else [Problem(where, "world-value", f"found {found}", expected, "correct the value")]
-
-
-def _round_robin(values: Sequence[int], k: int, seed: int, what: str) -> int:
-    """Value number k of a sequence of shuffled rounds through `values`."""
-    turn, at = divmod(k, len(values))
-    return values[int(stream(seed, "world", what, turn).permutation(len(values))[at])]
-
-
 def render_world(
     out: Path,
     count: int,
     seed: int = 0,
     *,
+    layout: Layout = "hit-uav",
     splits: Mapping[Split, float] = SPLIT_SHARES,
     pitches_deg: Sequence[int] = PITCHES_DEG,
-    altitudes_m: Sequence[int] = ALTITUDES_M,
+    altitudes_m: Sequence[int] | None = None,
     threads: int = 0,
     paint: Painter | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> WorldReport:
-    """Render a background dataset in HIT-UAV's layout: `normal_json/`, `rotate_json/`, and `world.json` with the facts.
+    """Render a background dataset: HIT-UAV's `normal_json/` and `rotate_json/`, or MONET's sequences; and `world.json`.
 
+    MONET's layout: 800x600 PNG of airfields and dirt roads, persons and vehicles with axis-aligned boxes, telemetry
+    in the JSON; two sequences and single frames have lost theirs. `world.json` holds the facts of every frame.
     The same arguments give the same bytes; frame k does not depend on how many follow. Without `paint` it needs
     Blender and owns the process's scene while it runs.
 
@@ -159,9 +89,10 @@ def render_world(
         out: Folder to write to; must not exist or be empty.
         count: Number of frames.
         seed: Of everything random.
-        splits: Share of the frames of each split.
+        layout: `hit-uav` or `monet`.
+        splits: Share of the frames of each split; MONET's sequences belong to theirs.
         pitches_deg: Camera depression angles to cover, 90 is straight down.
-        altitudes_m: Camera heights to cover.
+        altitudes_m: Camera heights to cover; the layout's own if None.
         threads: CPU threads of the renderer; 0 takes all cores.
         paint: Makes the frames' pictures in the folder it is given, in any order; by default here, one by one.
         progress: Called with (frames done, frames in all) after each frame.
@@ -171,7 +102,11 @@ def render_world(
         OutputError: `out` is not empty or cannot be written.
         RenderError: Blender failed.
     """
-    frames = plan_frames(count, seed, splits, pitches_deg, altitudes_m)
+    frames = (
+        plan_sequences(count, seed, pitches_deg, altitudes_m or MONET_ALTITUDES_M)
+        if layout == "monet"
+        else plan_frames(count, seed, splits, pitches_deg, altitudes_m or ALTITUDES_M)
+    )
     out = Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         problem = Problem(str(out), "not-empty", "not an empty folder", "an empty or new folder", "choose another one")
@@ -185,10 +120,13 @@ def render_world(
                 progress(len(made), count)
         ordered = [made[f.number] for f in frames]
         images = [one.image for one in ordered]
-        written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
+        if layout == "monet":
+            written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+        else:
+            written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
         write_json(out / "world.json", {"seed": seed, "frames": [one.facts for one in ordered]})
     finally:
-        # Finished pictures are linked into both forms by now; after a stop nothing half-done is left behind.
+        # Finished pictures are linked by now; after a stop nothing half-done is left behind.
         shutil.rmtree(stage, ignore_errors=True)
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
@@ -250,7 +188,7 @@ class WorldWorker:
     def make(self, frame: FrameFacts) -> MadeFrame:
         """Draw the scene, render it, write the picture."""
         rng = stream(self._seed, "world", frame.number, "plan")
-        plan = sample_world(rng, frame.pitch_deg, frame.altitude_m, frame.time_of_day)
+        plan = sample_world(rng, frame.pitch_deg, frame.altitude_m, frame.time_of_day, frame.kind, frame.size_wh)
         image, labels = _make_frame(self._renderer, frame, plan, self._seed, self._folder)
         dropped = Counter(label.dropped for label in labels if label.dropped)
         return MadeFrame(frame.number, image, _facts(frame, plan, labels), dict(dropped))
@@ -269,14 +207,16 @@ def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
 def _make_frame(
     renderer: Any, frame: FrameFacts, plan: WorldPlan, seed: int, folder: Path
 ) -> tuple[ImageRecord, list[Label]]:
-    from infrablend.blender.world.look import jpeg_bytes, thermal_frame
+    from infrablend.blender.world.look import jpeg_bytes, png_bytes, thermal_frame
 
     kelvin, labels = renderer.render(plan)
     grey = thermal_frame(
         kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, stream(seed, "world", frame.number, "look")
     )
     path = folder / frame.split / frame.name
-    write_bytes(path, jpeg_bytes(grey))
+    write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
+    if frame.sequence is not None:
+        return _monet_record(frame, plan, labels, path, seed), labels
     instances = tuple(
         Instance(
             category=label.category,
@@ -295,6 +235,18 @@ def _make_frame(
         altitude_m=frame.altitude_m, time_of_day=frame.time_of_day, instances=instances, extra={"weather": "0"},
     )  # fmt: skip
     return record, labels
+
+
+def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, seed: int) -> ImageRecord:
+    """A frame as MONET has it: axis-aligned boxes of persons and vehicles, telemetry in `metadata` or nothing."""
+    boxes = [("person" if i.category == "Person" else "vehicle", i.box_xyxy) for i in labels]
+    instances = [Instance(category, np.asarray(box, np.float64)) for category, box in boxes if box is not None]
+    return ImageRecord(
+        f"{frame.sequence}_{path.stem}", path, frame.split, plan.camera.size_wh,
+        frame.pitch_deg if frame.telemetry else None, frame.altitude_m if frame.telemetry else None, None,
+        tuple(instances), extra={"fields": {monet.NEST: telemetry_of(frame, seed)}}, file_name=frame.name,
+        sequence=frame.sequence,
+    )  # fmt: skip
 
 
 def _facts(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label]) -> dict[str, Any]:

@@ -24,7 +24,8 @@ SIZE_WH = (640, 512)
 FOCAL_PX = 2060.0
 SENSOR_WIDTH_MM = 36.0
 
-Kind = Literal["street", "parking", "court", "park"]
+Kind = Literal["street", "parking", "court", "park", "runway", "dirtroad"]
+# The places of a town, drawn from; the others are asked for by name.
 KINDS: tuple[Kind, ...] = ("street", "parking", "court", "park")
 KIND_SHARES = (0.42, 0.22, 0.18, 0.18)
 VehicleKind = Literal["sedan", "suv", "van", "bus", "truck"]
@@ -256,8 +257,8 @@ class WorldPlan:
     """
 
     camera: CameraSpec
-    pitch_deg: int
-    altitude_m: int
+    pitch_deg: float
+    altitude_m: float
     time_of_day: TimeOfDay
     kind: Kind
     air_k: float
@@ -287,8 +288,11 @@ class WorldPlan:
         raise KeyError(name)
 
 
-def world_camera(pitch_deg: float, altitude_m: float) -> CameraSpec:
-    """HIT-UAV's camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down)."""
+def world_camera(pitch_deg: float, altitude_m: float, size_wh: tuple[int, int] = SIZE_WH) -> CameraSpec:
+    """HIT-UAV's camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down).
+
+    Another `size_wh` gives more or fewer pixels of the same horizontal field of view.
+    """
     pitch = math.radians(pitch_deg)
     return CameraSpec(
         distance_m=altitude_m / math.sin(pitch),
@@ -296,7 +300,7 @@ def world_camera(pitch_deg: float, altitude_m: float) -> CameraSpec:
         roll_rad=0.0,
         focal_length_mm=FOCAL_PX / SIZE_WH[0] * SENSOR_WIDTH_MM,
         sensor_width_mm=SENSOR_WIDTH_MM,
-        size_wh=SIZE_WH,
+        size_wh=size_wh,
     )
 
 
@@ -317,7 +321,12 @@ def ground_points(camera: CameraSpec, pixels_xy: FloatArray) -> FloatArray:
 
 
 def sample_world(
-    rng: np.random.Generator, pitch_deg: int, altitude_m: int, time_of_day: TimeOfDay, kind: Kind | None = None
+    rng: np.random.Generator,
+    pitch_deg: float,
+    altitude_m: float,
+    time_of_day: TimeOfDay,
+    kind: Kind | None = None,
+    size_wh: tuple[int, int] = SIZE_WH,
 ) -> WorldPlan:
     """Draw a scene.
 
@@ -326,7 +335,8 @@ def sample_world(
         pitch_deg: Camera depression angle, 0 < pitch <= 90.
         altitude_m: Camera height above the ground.
         time_of_day: `day` has the sun up; at night the sky cools what faces it.
-        kind: The place; drawn if None.
+        kind: The place; drawn from `KINDS` if None.
+        size_wh: Of the picture, in pixels.
     """
     if not 10 <= pitch_deg <= 90:
         raise ValueError(f"pitch_deg {pitch_deg} not in [10, 90]: the horizon or the sky would be in the picture")
@@ -334,21 +344,27 @@ def sample_world(
         raise ValueError(f"altitude_m {altitude_m} must be positive")
     if kind is None:
         kind = KINDS[int(rng.choice(len(KINDS), p=KIND_SHARES))]
-    return _Sampler(rng, pitch_deg, altitude_m, time_of_day, kind).plan()
+    return _Sampler(rng, pitch_deg, altitude_m, time_of_day, kind, size_wh).plan()
 
 
 class _Sampler:
     """Fills one plan. Objects that cannot be seen are not kept; solid ones do not overlap."""
 
     def __init__(
-        self, rng: np.random.Generator, pitch_deg: int, altitude_m: int, time_of_day: TimeOfDay, kind: Kind
+        self,
+        rng: np.random.Generator,
+        pitch_deg: float,
+        altitude_m: float,
+        time_of_day: TimeOfDay,
+        kind: Kind,
+        size_wh: tuple[int, int],
     ) -> None:
         self.rng = rng
         self.night = time_of_day == "night"
         self.kind = kind
-        self.camera = world_camera(pitch_deg, altitude_m)
+        self.camera = world_camera(pitch_deg, altitude_m, size_wh)
         self.pitch_deg, self.altitude_m, self.time_of_day = pitch_deg, altitude_m, time_of_day
-        w, h = SIZE_WH
+        w, h = self.camera.size_wh
         corners = ground_points(self.camera, np.array([[0.0, 0], [w, 0], [0, h], [w, h]]))
         self.x0, self.y0 = corners.min(axis=0)
         self.x1, self.y1 = corners.max(axis=0)
@@ -498,7 +514,7 @@ class _Sampler:
         if not (depth > 1).all():
             return False
         margin = radius_m * self.camera.focal_px / float(depth.min()) + 2
-        w, h = SIZE_WH
+        w, h = self.camera.size_wh
         low, high = xy.min(axis=0) - margin, xy.max(axis=0) + margin
         return bool(low[0] < w and high[0] > 0 and low[1] < h and high[1] > 0)
 
@@ -607,7 +623,11 @@ class _Sampler:
 
     def plan(self) -> WorldPlan:
         """Draw everything."""
-        base = {"street": self._street, "parking": self._parking, "court": self._court, "park": self._park}[self.kind]()
+        places = {
+            "street": self._street, "parking": self._parking, "court": self._court, "park": self._park,
+            "runway": self._runway, "dirtroad": self._dirtroad,
+        }  # fmt: skip
+        base = places[self.kind]()
         self._spills()
         u = self.u
         return WorldPlan(
@@ -1014,4 +1034,49 @@ class _Sampler:
         density = u(0.006, 0.028)
         chosen = self.one_of(kinds)
         self._wood(int(density * (2 * self.reach) ** 2), 1.6, chosen, lambda x, y: True)
+        return "grass"
+
+    def _runway(self) -> str:
+        """An airfield: a wide strip with marks in open grass, a few cars and people on and beside it."""
+        u = self.u
+        road = self._road(u(9, 14), 0.0, curved=False, through=0.15)
+        road = replace(road, markings=False, surface="concrete" if self.pick(0.5) else "asphalt", lanes=2)
+        self.roads[-1] = road
+        line = u(-1.2, -0.5) if self.night else u(-4, -2)
+        s = -self.reach + u(0, 20)
+        while s < self.reach:
+            x, y, h = road.at(s, 0.0)
+            self.paints.append(Paint("rect", x, y, h, 12.0, 0.5, None, line, 0.05))
+            s += 30.0
+        for side in (-1, 1):
+            x, y, h = road.at(0.0, side * (road.half_width_m - 0.8))
+            self.paints.append(Paint("rect", x, y, h, 4 * self.reach, 0.3, None, line, 0.05))
+        for _ in range(int(self.rng.integers(2, 7))):
+            x, y, h = road.at(u(-0.7, 0.7) * self.reach, u(-1.4, 1.4) * road.half_width_m)
+            self.add_vehicle(self.one_of(CARS), x, y, h + u(-0.4, 0.4), driven=self.pick(0.5), warm=self.pick(0.5))
+        self._walkers(road, int(self.rng.integers(3, 12)))
+        self._wood(int(0.004 * (2 * self.reach) ** 2), 12.0, ("shrub", "bare", "crown"), lambda x, y: True)
+        return "grass"
+
+    def _dirtroad(self) -> str:
+        """A track of soil through fields, bushes and trees beside it, now and then somebody on it."""
+        u = self.u
+        road = self._road(u(1.4, 2.2), 0.0, curved=True, through=0.2)
+        road = replace(road, markings=False, surface="soil", lanes=1)
+        self.roads[-1] = road
+        if self.pick(0.5):  # a ploughed field on one side
+            side = 1 if self.pick(0.5) else -1
+            x, y, h = road.at(0.0, side * (road.half_width_m + 4 + self.reach))
+            self.paints.insert(0, Paint("rect", x, y, h, 4 * self.reach, 2 * self.reach, "bed", 0.0, 0.5))
+        for _ in range(int(self.rng.integers(1, 4))):
+            x, y, h = road.at(u(-0.6, 0.6) * self.reach, u(-0.4, 0.4))
+            kind: VehicleKind = "truck" if self.pick(0.2) else self.one_of(CARS)
+            self.add_vehicle(kind, x, y, h + (math.pi if self.pick(0.5) else 0), driven=self.pick(0.7))
+        self._walkers(road, int(self.rng.integers(2, 8)))
+        for side in (-1, 1):
+            if self.pick(0.6):
+                self._alley(
+                    road, side * (road.half_width_m + u(1.0, 2.5)), u(2.5, 7), ("shrub", "shrub", "bare", "crown")
+                )
+        self._wood(int(u(0.002, 0.012) * (2 * self.reach) ** 2), 2.0, ("crown", "bare", "shrub"), lambda x, y: True)
         return "grass"
