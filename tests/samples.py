@@ -251,6 +251,39 @@ def _voc_flat(folder: Path) -> Path:
     return folder
 
 
+@sample("wisard")
+def _wisard(folder: Path) -> Path:
+    """A clip with a blank in its names and a count, a FLIR clip with its logo, one of visible light."""
+    clips = ("210417_MtErie_Enterprise_IR_0004", "200704_Baker_FLIR_IR_1", "210417_MtErie_Enterprise_VIS_0003")
+    people = "0 0.5 0.5 0.2 0.25\n0 0.2 0.25 0.100000 0.125000\n"
+    frames = (
+        (0, "DJI_0053_00000715.jpg", people),
+        (0, "DJI 0053_ 00000721.jpeg", ""),
+        (1, "200704_baker__FLIR_1_ 0001.jpg", ""),
+        (2, "DJI_0052_00000715.jpg", people),
+    )
+    for k, (clip, name, text) in enumerate(frames):
+        path = picture(folder / clips[clip] / name, k)
+        path.with_suffix(".txt").write_text(text)
+    (folder / clips[0] / "count.txt").write_text("2\n1\n")
+    return folder
+
+
+@sample("wit-uas")
+def _wit_uas(folder: Path) -> Path:
+    """One run in two splits by two cameras: 8 and 16 bits, one and three channels."""
+    run = "2021-11-08_FIRE-SGL-174-Rossiter_M100/2021-11-08-12-30-00"
+    label = "3 4 20 17 h\n30.5 8 41 20 v\n\n50 8 60 20 c\n"
+    for k, (split, sensor, time, text) in enumerate(
+        (("train", "flir", "0001.00", label), ("train", "flir", "0002.00", ""), ("test", "seek", "0003.00", ""))
+    ):
+        path = picture(folder / split / f"{run}_{sensor}" / f"time_{time}.png", k)
+        grey = np.array(Image.open(path))
+        Image.fromarray(grey.astype(np.uint16) * 200 if k == 0 else np.stack([grey] * 3, axis=-1)).save(path)
+        path.with_suffix(".label").write_text(text)
+    return folder
+
+
 @sample("yolo:detect")
 def _yolo_detect(folder: Path) -> Path:
     return _written(folder, lambda images, names: yolo.write(folder, images, names))

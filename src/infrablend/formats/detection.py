@@ -35,6 +35,8 @@ class Format:
 FORMATS: tuple[Format, ...] = (
     Format("hit-uav", "infrablend.formats.hit_uav", True, "HIT-UAV in any of its four annotation forms"),
     Format("masks", "infrablend.formats.masks", True, "instance masks as 16-bit PNG with tables, of InfraBlend's own"),
+    Format("wisard", "infrablend.formats.wisard", False, "WiSARD: clips with YOLO text beside the frames"),
+    Format("wit-uas", "infrablend.formats.wit_uas", False, "WIT-UAS: runs with .label files beside the frames"),
     Format("dut-anti-uav", "infrablend.formats.dut_anti_uav", False, "DUT-Anti-UAV: drones in visible light, VOC"),
     Format("dota", "infrablend.formats.dota", True, "DOTA text files: four corners in pixels"),
     Format("monet", "infrablend.formats.monet", True, "MONET: COCO JSON with the drone's telemetry in it"),

@@ -148,3 +148,11 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
             where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
         )
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
+
+
+def by_folder(root: Path) -> dict[str, dict[str, Path]]:
+    """Pictures below `root` as `list_pictures` finds them: relative folder (`.` for `root`) -> name -> path."""
+    folders: dict[str, dict[str, Path]] = {}
+    for name, path in list_pictures(root).items():
+        folders.setdefault(str(PurePosixPath(name).parent), {})[path.name] = path
+    return dict(sorted(folders.items()))

@@ -1,0 +1,237 @@
+"""WiSARD (Broyles et al. 2022): clips of thermal and visible frames, YOLO text beside each picture.
+
+    <YYMMDD>_<Site>_<Platform>[_FLIR]_{VIS|IR}_<clip>/<anything><frame>.jpg|.jpeg    the same stem .txt    [count.txt]
+
+A label line is `0 cx cy w h`, shares of the picture; the only class is a human. An empty file means that nobody is
+there, a missing one that nobody looked. `count.txt` is no label.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import Match, check_box, check_splits, read_text, require_options, snap, to_floats
+from infrablend.formats.pictures import by_folder, is_hidden, read_size
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.yolo import parse_labels
+
+NAME = "wisard"
+OPTIONS = {
+    "modality": "ir (the default), vis or all: which clips are read",
+    "unlabelled": "keep or drop pictures without a label file; keep is the default",
+    "logo": "region to ignore in clips of a FLIR camera, which has its logo burnt in: auto (the default, a guess: the "
+    "left fifth of the lowest eighth), none, or x0,y0,x1,y1 in px",
+    "split": "train (the default), val or test: the split that all clips belong to, as WiSARD has none",
+}
+CATEGORIES = (Category(0, "human"), Category(1, "Logo", ignore=True))
+
+_DATE = re.compile(r"(\d\d)(\d\d)(\d\d)_", re.ASCII)
+_FRAME = re.compile(r"[_ ](\d{1,12})$", re.ASCII)
+# Six decimals put a box at the frame's edge up to 1e-6 of its size outside.
+_ROUNDING = 2e-6
+_LOGO_SHARES = (0.0, 0.875, 0.2, 1.0)
+
+
+def modality_of(clip: str) -> str | None:
+    """`ir` or `vis` as the name of a clip's folder says; None if it is none."""
+    parts = clip.split("_")
+    if _DATE.match(clip) is None:
+        return None
+    return "ir" if "IR" in parts else "vis" if "VIS" in parts else None
+
+
+def _clips(root: Path) -> dict[str, dict[str, Path]]:
+    """Pictures by clip folder (relative) and name."""
+    return {f: p for f, p in by_folder(root).items() if modality_of(_clip_name(root, f)) is not None}
+
+
+def _clip_name(root: Path, folder: str) -> str:
+    return (root / folder).absolute().name
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds folders of pictures named as WiSARD's clips, or is one."""
+    clips = _clips(root)
+    if not clips:
+        return Match(NAME, False, "no folder of pictures named like a clip, <YYMMDD>_<Site>_..._IR_<n> or ..._VIS_<n>")
+    return Match(NAME, True, f"{len(clips)} clip(s) such as {_clip_name(root, next(iter(clips)))}")
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    modality: str = "ir",
+    unlabelled: str = "keep",
+    logo: str = "auto",
+    split: str = "train",
+) -> Dataset:
+    """Read the clips below a folder.
+
+    Args:
+        root: The folder of clips, or one clip.
+        splits: The splits wanted; only `split` has anything.
+        metadata: Table of pitch and altitude, by file or by clip (`sequence`); None takes `metadata.csv` or `.json`.
+        modality: Which clips; those left out are counted.
+        unlabelled: What happens to pictures without a label file.
+        logo: The region to ignore in `_FLIR_` clips, see `OPTIONS`.
+        split: The split of all.
+
+    Raises:
+        DatasetError: An option is unknown, or no picture can be read.
+    """
+    require_options(
+        root,
+        modality=(modality, ("ir", "vis", "all")),
+        unlabelled=(unlabelled, KEEP_OR_DROP),
+        split=(split, SPLITS),
+    )
+    region = _logo_region(root, logo)
+    wanted = check_splits(splits)
+    (of_all,) = check_splits([split])
+    problems: list[Problem] = []
+    counts: Counter[str] = Counter()
+    records: list[ImageRecord] = []
+    for folder, pictures in _clips(root).items() if of_all in wanted else ():
+        clip = _clip_name(root, folder)
+        kind = str(modality_of(clip))
+        if modality not in (kind, "all"):
+            counts["other_clips"] += 1
+            counts["other_pictures"] += len(pictures)
+            continue
+        counts["clips"] += 1
+        _report_strays(root, folder, pictures, problems)
+        missing = 0
+        for name, path in pictures.items():
+            label = path.with_suffix(".txt")
+            labelled = label.is_file()
+            missing += not labelled
+            if not labelled and unlabelled == "drop":
+                continue
+            where = path.relative_to(root).as_posix()
+            size_wh, problem = read_size(path, where)
+            if size_wh is None:
+                problems += [problem] if problem else []
+                continue
+            instances = _read_label(root, label, size_wh, problems, counts) if labelled else []
+            if instances is None:
+                continue
+            counts["logos"] += len(logos := _logo(clip, region, size_wh, where, problems))
+            frame = _FRAME.search(path.stem)
+            extra: dict[str, Any] = {} if labelled else {"labelled": False}
+            extra |= {"frame": int(frame[1])} if frame else {}
+            extra |= {"modality": "visible"} if kind == "vis" else {}
+            records.append(
+                ImageRecord(
+                    "", path, of_all, size_wh, None, None, None, (*instances, *logos), extra=extra,
+                    file_name=f"{clip}/{name}", sequence=clip, captured=_captured(clip),
+                )
+            )  # fmt: skip
+        counts["unlabelled"] += missing
+        problems += unlabelled_problems(clip, missing, unlabelled)
+    problems += _summary(root, modality, logo, counts)
+    categories = CATEGORIES if counts["logos"] else CATEGORIES[:1]
+    keys = ("clips", "labelled", "empty", "unlabelled", "objects", "read", "snapped", "without_area", "logos")
+    rows = {k: counts[k] for k in (*keys, "other_clips", "other_pictures")}
+    notes = {"labels": NAME, "modality": modality, "logo": logo, "rows": rows}
+    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
+
+
+def _captured(clip: str) -> str | None:
+    """The date that a clip's name begins with, ISO 8601; None if there is no such day."""
+    found = _DATE.match(clip)
+    try:
+        return None if found is None else datetime.date(2000 + int(found[1]), int(found[2]), int(found[3])).isoformat()
+    except ValueError:
+        return None
+
+
+def _report_strays(root: Path, folder: str, pictures: Mapping[str, Path], problems: list[Problem]) -> None:
+    stems = {path.stem for path in pictures.values()}
+    texts = sorted(p for p in (root / folder).glob("*.txt") if not is_hidden(p.name) and p.name != "count.txt")
+    strays = [p.name for p in texts if p.stem not in stems]
+    if strays:
+        found = f"{len(strays)} label file(s) without a picture: {', '.join(strays[:3])}"
+        problems.append(Problem(folder, "image-missing", found, "a picture for each", "restore them", "warning"))
+
+
+def _read_label(
+    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem], counts: Counter[str]
+) -> list[Instance] | None:
+    """The people in a label file; None, noted, if it cannot be read."""
+    where = path.relative_to(root).as_posix()
+    text, problem = read_text(path, where, "a YOLO label file")
+    if problem is not None:
+        problems.append(problem)
+        return None
+    lines = parse_labels(text, where)
+    problems += lines.problems
+    counts["labelled"] += 1
+    counts["empty"] += not lines.rows and not lines.problems
+    counts["objects"] += sum(bool(line.strip()) for line in text.splitlines())
+    w, h = size_wh
+    instances = []
+    for n, number, values in lines.rows:
+        here = f"{where}: line {n}"
+        if number != 0 or len(values) != 4:
+            found = f"class {number} with {len(values)} numbers"
+            problems.append(Problem(here, "category-unknown", found, "0 cx cy w h", "correct the line"))
+            continue
+        cx, cy, bw, bh = values
+        edges = ((cx - bw / 2) * w, (cy - bh / 2) * h, (cx + bw / 2) * w, (cy + bh / 2) * h)
+        raw = [snap(v, size_wh[i % 2], _ROUNDING * size_wh[i % 2]) for i, v in enumerate(edges)]
+        counts["snapped"] += any(a != b for a, b in zip(raw, edges, strict=True))
+        box, problem = check_box(raw, size_wh, here)
+        if problem is not None:
+            problems.append(problem)
+            counts["without_area"] += problem.code in ("box-empty", "box-outside")
+        if box is not None:
+            instances.append(Instance("human", box))
+    counts["read"] += len(instances)
+    return instances
+
+
+def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:
+    """The region that the option names: in px, or, all within 0 and 1, in shares of the picture; None for none."""
+    if logo in ("auto", "none"):
+        return _LOGO_SHARES if logo == "auto" else None
+    region = to_floats(logo.split(","), 4)
+    if region is None or not all(map(math.isfinite, region)) or region[0] >= region[2] or region[1] >= region[3]:
+        expected = "auto, none, or x0,y0,x1,y1 in px with x0 < x1 and y0 < y1"
+        problem = Problem("option logo", "option-value", f"logo={logo}", expected)
+        raise DatasetError(f"{root}: an option its reader does not know", [problem])
+    return region
+
+
+def _logo(
+    clip: str, region: tuple[float, ...] | None, size_wh: tuple[int, int], where: str, problems: list[Problem]
+) -> list[Instance]:
+    """The region of the burnt-in logo, to be ignored; none for other cameras and for `logo=none`."""
+    if region is None or "FLIR" not in clip.split("_"):
+        return []
+    if max(region) <= 1:
+        region = tuple(v * size_wh[i % 2] for i, v in enumerate(region))
+    box, problem = check_box(region, size_wh, f"{where}: logo")
+    problems += [problem] if problem else []
+    return [] if box is None else [Instance("Logo", box)]
+
+
+def _summary(root: Path, modality: str, logo: str, counts: Counter[str]) -> list[Problem]:
+    problems = []
+    if counts["other_clips"]:
+        found = f"{counts['other_clips']} clip(s) with {counts['other_pictures']} pictures left out"
+        problems.append(Problem(root.name, "modality-excluded", found, f"modality={modality}", "", "warning"))
+    if counts["logos"] and logo == "auto":
+        found = f"the logo's place in {counts['logos']} pictures of FLIR clips is a guess"
+        todo = "look at one, and give logo=x0,y0,x1,y1 or logo=none"
+        problems.append(Problem(root.name, "logo-assumed", found, "a region that was seen", todo, "warning"))
+    return problems

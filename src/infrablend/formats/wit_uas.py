@@ -1,0 +1,162 @@
+"""WIT-UAS (Jong et al. 2023): runs over wildland fires, frames of a FLIR and a Seek camera, a `.label` beside each.
+
+    {train,val,test}/<YYYY-MM-DD>_FIRE-SGL-<n>-<Site>_<Drone>/<run>_{flir|seek}/time_<seconds>.png and .label
+
+A label line is `x1 y1 x2 y2 code`, edges in pixels; code `h` is a human, `v` or `c` a vehicle. The file may be
+missing or empty.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.errors import Problem
+from infrablend.formats.base import Match, check_box, check_splits, read_text, require_options, snap, to_floats
+from infrablend.formats.pictures import by_folder, read_size
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+
+NAME = "wit-uas"
+OPTIONS = {
+    "camera": "both (the default), flir or seek: whose frames are read",
+    "unlabelled": "keep or drop pictures without a .label file; keep is the default",
+}
+CATEGORIES = (Category(0, "human"), Category(1, "vehicle"))
+CODES = {"h": "human", "v": "vehicle", "c": "vehicle"}
+
+_RUN = re.compile(r"(.+)_(flir|seek)", re.IGNORECASE)
+_TIME = re.compile(r"time_(\d+(?:\.\d+)?)", re.ASCII)
+_DATE = re.compile(r"(\d{4}-(?:0[1-9]|1[0-2])-(?:0[1-9]|[12]\d|3[01]))_", re.ASCII)
+
+
+def _runs(root: Path) -> dict[str, dict[str, Path]]:
+    """Frames by run folder (relative) and name."""
+    found = {}
+    for folder, pictures in by_folder(root).items():
+        frames = {n: p for n, p in pictures.items() if _TIME.fullmatch(p.stem)}
+        if frames and _RUN.fullmatch((root / folder).absolute().name):
+            found[folder] = frames
+    return found
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds folders of a run by one camera."""
+    runs = _runs(root)
+    if not runs:
+        return Match(NAME, False, "no folder <run>_flir or <run>_seek with pictures time_<seconds>.png")
+    return Match(NAME, True, f"{len(runs)} folder(s) of runs such as {next(iter(runs))}")
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    camera: str = "both",
+    unlabelled: str = "keep",
+) -> Dataset:
+    """Read the runs below a folder.
+
+    Args:
+        root: The folder of splits, or of one or several runs; what lies in no folder of a split is train.
+        splits: The splits wanted; None reads all there are.
+        metadata: Table of pitch and altitude, by file or by run (`sequence`); None takes `metadata.csv` or `.json`.
+        camera: Whose frames.
+        unlabelled: What happens to frames without a `.label` file.
+
+    Raises:
+        DatasetError: An option is unknown, or no frame can be read.
+    """
+    require_options(root, camera=(camera, ("both", "flir", "seek")), unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    problems: list[Problem] = []
+    counts: Counter[str] = Counter()
+    records: list[ImageRecord] = []
+    for folder, frames in _runs(root).items():
+        found = _RUN.fullmatch((root / folder).absolute().name)
+        # Both cameras of a run see the same scene: one sequence.
+        run, sensor = (found[1], found[2].lower()) if found else (folder, "")
+        split = _split(folder)
+        if split not in wanted:
+            continue
+        if camera not in (sensor, "both"):
+            counts["other_camera"] += len(frames)
+            continue
+        missing = 0
+        for name, path in frames.items():
+            label = path.with_suffix(".label")
+            labelled = label.is_file()
+            missing += not labelled
+            if not labelled and unlabelled == "drop":
+                continue
+            where = path.relative_to(root).as_posix()
+            size_wh, problem = read_size(path, where)
+            if size_wh is None:
+                problems += [problem] if problem else []
+                continue
+            instances = _read_label(root, label, size_wh, problems, counts) if labelled else []
+            if instances is None:
+                continue
+            time = _TIME.fullmatch(path.stem)
+            extra: dict[str, Any] = {"sensor": sensor} | ({"time_s": float(time[1])} if time else {})
+            extra |= {} if labelled else {"labelled": False}
+            parts = [p for p in PurePosixPath(folder).parts if p not in ("train", "val", "test")]
+            date = _DATE.match((root / folder).absolute().parent.name)
+            records.append(
+                ImageRecord(
+                    "", path, split, size_wh, None, None, None, tuple(instances), extra=extra,
+                    file_name="/".join([*parts, name]), sequence=run, captured=date[1] if date else None,
+                )
+            )  # fmt: skip
+        counts["unlabelled"] += missing
+        problems += unlabelled_problems(folder, missing, unlabelled, "no .label file")
+    if counts["other_camera"]:
+        text = f"{counts['other_camera']} picture(s) of the other camera left out"
+        problems.append(Problem(root.name, "camera-excluded", text, f"camera={camera}", "", "warning"))
+    keys = ("labelled", "empty", "unlabelled", "objects", "read", "without_area", "other_camera")
+    notes = {"labels": NAME, "camera": camera, "rows": {k: counts[k] for k in keys}}
+    return make_dataset(root, NAME, records, CATEGORIES, problems, notes, metadata=metadata, splits=wanted)
+
+
+def _split(folder: str) -> Split:
+    splits: dict[str, Split] = {"train": "train", "val": "val", "test": "test"}
+    return next((splits[p] for p in PurePosixPath(folder).parts if p in splits), "train")
+
+
+def _read_label(
+    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem], counts: Counter[str]
+) -> list[Instance] | None:
+    """The objects in a label file; None, noted, if it cannot be read."""
+    where = path.relative_to(root).as_posix()
+    text, problem = read_text(path, where, "a label file")
+    if problem is not None:
+        problems.append(problem)
+        return None
+    counts["labelled"] += 1
+    instances: list[Instance] = []
+    lines = [(n, words) for n, line in enumerate(text.splitlines(), 1) if (words := line.split())]
+    counts["empty"] += not lines
+    for n, words in lines:
+        here = f"{where}: line {n}"
+        counts["objects"] += 1
+        edges = to_floats(words[:4], 4) if len(words) == 5 else None
+        if edges is None:
+            found = repr(" ".join(words)[:80])
+            problems.append(Problem(here, "label-malformed", found, "x1 y1 x2 y2 code", "correct the line"))
+            continue
+        code = words[4].lower()
+        if code not in CODES:
+            problems.append(Problem(here, "category-unknown", f"code {code[:20]!r}", "h, v or c", "correct the line"))
+            continue
+        box, problem = check_box([snap(v, size_wh[i % 2]) for i, v in enumerate(edges)], size_wh, here)
+        if problem is not None:
+            problems.append(problem)
+            counts["without_area"] += problem.code in ("box-empty", "box-outside")
+        if box is not None:
+            instances.append(Instance(CODES[code], box, extra={"code": code} if code == "c" else {}))
+    counts["read"] += len(instances)
+    return instances
