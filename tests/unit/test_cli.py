@@ -131,6 +131,7 @@ def test_generate_passes_its_options_on(api, capsys):
         "formats": ("coco", "yolo-obb"),
         "form": "rotate_json",
         "metadata": None,
+        "options": {},
         "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}"],
         "resume": True,
         "overwrite": False,

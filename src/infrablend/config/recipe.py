@@ -263,7 +263,9 @@ class Labels(Strict):
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
-Format = Literal["yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "voc", "native"]
+Format = Literal[
+    "yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "monet", "voc", "native"
+]  # fmt: skip
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 
 
