@@ -1,4 +1,4 @@
-"""Writing the dataset's label files from the records of its frames, once all frames are there."""
+"""Writing the dataset's label files and its card from the records of its frames, once all frames are there."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from infrablend.errors import Problem
 from infrablend.formats import writing
 from infrablend.formats.base import Written
 from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline.card import run_card
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.report.card import write_card
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Finished:
 
 
 def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
-    """Write every format the recipe asks for; the same records give the same bytes."""
+    """Write every format the recipe asks for, and the card; the same records give the same bytes."""
     records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
     images = [labelled_image(f, r, folder) for f, r in records]
     losses: Counter[str] = Counter()
@@ -50,6 +52,8 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
         problems += written.problems
     problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
+    if images:
+        problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
     return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(problems))
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from infrablend.core.files import claimed_folder, write_json
 from infrablend.errors import OutputError
 from infrablend.formats import writing
+from infrablend.report.card import CARD_FILE, is_own
 
 # What `--overwrite` may delete: these names and nothing else.
 OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "log")
@@ -122,6 +123,8 @@ class RunFolder:
                 for name in OWN_FOLDERS:
                     if (self.root / name).is_dir() and not (self.root / name).is_symlink():
                         shutil.rmtree(self.root / name)
+                if is_own(self.root / CARD_FILE):
+                    (self.root / CARD_FILE).unlink()
                 # The record goes last: an overwrite that is interrupted can be repeated.
                 self.run_file.unlink()
             self.root.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,271 @@
+"""Dataset cards: front matter that the hub takes, counts that agree with run.json, sources that are not made up."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from infrablend import api
+from infrablend.core.dataset import Dataset
+from infrablend.formats.sources import PAPER_BIBTEX, SOURCES
+from infrablend.report.card import card_text, dataset_card, find_provenance, is_own, write_card
+
+HUB_KEYS = {
+    "pretty_name", "license", "license_name", "license_link", "task_categories", "tags", "size_categories", "configs",
+}  # fmt: skip
+HUB_LICENCES = {"cc-by-4.0", "mit", "apache-2.0", "cdla-permissive-1.0", "cc0-1.0", "other", "unknown"}
+HUB_TASKS = {"object-detection", "image-segmentation"}
+HUB_SIZES = {"n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M"}
+
+
+def front_matter(text: str) -> dict:
+    """The front matter, checked against what the hub reads."""
+    assert text.startswith("---\n")
+    found = yaml.safe_load(text.split("---\n")[1])
+    assert set(found) <= HUB_KEYS
+    assert found["license"] in HUB_LICENCES
+    assert ("license_name" in found) == ("license_link" in found) == (found["license"] == "other")
+    assert set(found["task_categories"]) <= HUB_TASKS
+    assert set(found["size_categories"]) <= HUB_SIZES
+    assert all(isinstance(t, str) for t in found["tags"])
+    assert isinstance(found["pretty_name"], str)
+    assert re.fullmatch(r"[a-z0-9.-]+", found.get("license_name", "none"))
+    for config in found.get("configs", []):
+        assert config["config_name"] == "default"
+        assert all(set(f) == {"split", "path"} for f in config["data_files"])
+        assert {f["split"] for f in config["data_files"]} <= {"train", "validation", "test"}
+    return found
+
+
+def table(text: str) -> dict[str, dict[str, str]]:
+    """The counts: row -> column -> text."""
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    head, _, *rows = ([c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines)
+    return {row[0]: dict(zip(head[1:], row[1:], strict=True)) for row in rows}
+
+
+@pytest.fixture
+def data(tmp_path, write_tiny_hit_uav) -> Path:
+    return write_tiny_hit_uav(tmp_path / "data" / "hit")
+
+
+def generate(data: Path, out: Path, **options):
+    options = {"renderer": "fake", "in_process": True, "settings": ["output.image=png"], **options}
+    return api.generate("hit-uav-drone", data, out, **options)
+
+
+def card(run: Path) -> str:
+    return (run / "README.md").read_text("utf-8")
+
+
+def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
+    run = tmp_path / "run"
+    generate(data, run, settings=["output.image=png", "output.originals=true"])
+    text, record = card(run), json.loads((run / "run.json").read_text())
+    found = front_matter(text)
+    assert found["license"] == "cc-by-4.0"
+    assert found["task_categories"] == ["object-detection", "image-segmentation"]
+    counts, rows = record["counts"], table(text)
+    for split, n in counts["images_per_split"].items():
+        assert int(rows["pictures"][split]) == n
+        for name, row in rows.items():
+            if name != "pictures":
+                name = name.removesuffix(" (regions to ignore)")
+                assert int(row[split]) == counts["labels_per_split"][split].get(name, 0)
+    assert int(rows["pictures"]["all"]) == counts["images"] == 12
+    assert {n: int(r["inserted"]) for n, r in rows.items() if r["inserted"] not in {"", "0"}} == counts[
+        "labels_inserted"
+    ]
+    assert sum(int(r["all"]) for n, r in rows.items() if n != "pictures") == sum(counts["labels"].values())
+    assert "DontCare (regions to ignore)" in rows
+    assert f"{counts['images']} pictures were made from 4 backgrounds; 8 rendered objects" in text
+    for format_name in record["formats"]:
+        assert f"* `{format_name}/`: " in text
+    for path in (f["path"] for c in found["configs"] for f in c["data_files"]):
+        assert any(run.glob(path.replace("**", "*.png")))
+    assert [f["split"] for f in found["configs"][0]["data_files"]] == ["train", "validation", "test"]
+    assert PAPER_BIBTEX in text
+    assert "10.1038/s41597-023-02066-6" in text
+    assert "525 of its 579" in text
+    assert "Taken to be hit-uav because its files are laid out so" in text
+    assert "seed: 0" in text
+
+
+def test_every_loss_is_told_in_words(data, tmp_path):
+    run = tmp_path / "run"
+    generate(data, run)
+    losses = json.loads((run / "run.json").read_text())["losses"]
+    text = card(run)
+    assert losses
+    for key, n in losses.items():
+        line = next(line for line in text.splitlines() if line.startswith(f"* `{key.split('.')[0]}/`"))
+        assert f"{n} x " in line
+        assert key.split(".")[-1] not in line  # words, not codes
+
+
+def test_the_card_says_nothing_of_machine_or_time_and_repeats(data, tmp_path):
+    generate(data, tmp_path / "a")
+    shutil.copytree(data, tmp_path / "elsewhere")
+    generate(tmp_path / "elsewhere", tmp_path / "b" / "c", settings=["output.image=png"])
+    for name in ("README.md", "SOURCE.json"):
+        first = (tmp_path / "a" / name).read_bytes()
+        assert first == (tmp_path / "b" / "c" / name).read_bytes()
+        assert str(tmp_path).encode() not in first
+        assert not re.search(rb"20[0-9]{2}-[0-9]{2}-[0-9]{2}", first)
+
+
+def test_an_own_models_folder_is_not_told(data, tmp_path):
+    from infrablend.pipeline.card import _recipe_yaml
+    from infrablend.pipeline.plan import make_plan
+
+    plan = make_plan(api.loading.load_recipe("hit-uav-drone"), api.read_dataset(data), 0)
+    own = plan.recipe.objects[0].model_copy(update={"model": str(tmp_path / "secret" / "kite.yaml")})
+    changed = plan.recipe.model_copy(update={"objects": (own,)})
+    object.__setattr__(plan, "recipe", changed)
+    text = _recipe_yaml(plan)
+    assert "kite.yaml" in text
+    assert "secret" not in text
+
+
+def test_an_edited_card_is_left_alone_and_an_own_one_is_not(data, tmp_path):
+    run = tmp_path / "run"
+    generate(data, run)
+    original = card(run)
+    assert is_own(run / "README.md")
+    (run / "README.md").write_text(original.replace("# hit-uav-drone", "# My drones"))
+    assert not is_own(run / "README.md")
+    report = generate(data, run, resume=True)
+    assert "# My drones" in card(run)
+    assert [p.code for p in report.problems if p.where == "README.md"] == ["card-kept"]
+    generate(data, run, overwrite=True)
+    assert "# My drones" in card(run)
+    (run / "README.md").unlink()
+    generate(data, run, resume=True)
+    assert card(run) == original
+    generate(data, run, overwrite=True, limit=1)
+    assert int(table(card(run))["pictures"]["all"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "licence"),
+    [
+        ("Attribution 4.0 International\n\n====\n", "cc-by-4.0"),
+        ("MIT License\n\nCopyright (c) 2022 A", "mit"),
+        (f"{' ' * 33}Apache License\n{' ' * 27}Version 2.0, January 2004", "apache-2.0"),
+        ("Community Data License Agreement \u2013 Permissive \u2013 Version 1.0\n", "cdla-permissive-1.0"),
+        ("Creative Commons CC0 1.0 Universal", "cc0-1.0"),
+        ("Ask me first.", "other"),
+    ],
+)  # fmt: skip
+def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licence):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "LICENSE").write_text(text, "utf-8")
+    source = find_provenance(Dataset(folder, "folder", (), ()))
+    assert (source.title, source.licence.id) == ("", licence)
+    made = dataset_card(Dataset(folder, "folder", (), ()), name="x", changes=["converted"])
+    written = card_text(made)
+    assert front_matter(written)["license"] == licence
+    assert "The source of the pictures is not known here" in written
+    write_card(tmp_path, made)
+    assert (tmp_path / "LICENSE-source.txt").read_text("utf-8") == text
+
+
+def test_an_unknown_source_must_be_filled_in(tmp_path):
+    made = card_text(dataset_card(Dataset(tmp_path, "folder", (), ()), name="x", changes=["converted"]))
+    assert front_matter(made)["license"] == "unknown"
+    assert "Before you publish, find it out" in made
+
+
+def test_a_licence_that_contradicts_the_known_one_is_told(data):
+    (data / "LICENSE").write_text("MIT License\n")
+    source = find_provenance(api.read_dataset(data))
+    assert source.licence.id == "mit"
+    assert "says MIT License, the dataset's page CC BY 4.0" in source.licence_note
+    (data / "LICENSE").write_text("All rights reserved")
+    source = find_provenance(api.read_dataset(data))
+    assert source.licence.id == "cc-by-4.0"
+    assert "another text" in source.licence_note
+
+
+@pytest.mark.parametrize("known", SOURCES, ids=lambda s: s.name)
+def test_known_sources(tmp_path, known):
+    made = card_text(dataset_card(Dataset(tmp_path, known.name, (), ()), name="x", changes=["converted"]))
+    assert front_matter(made)["license"] == known.licence.id
+    assert known.title in made
+    assert known.citation in made
+    assert known.attribution in made
+    for limit in known.limits:
+        assert limit in made
+    assert ("Licence: unknown." in made) == (known.name == "wit-uas")
+
+
+def test_what_infrablend_wrote_is_not_taken_for_the_original(tmp_path):
+    ours = Dataset(
+        tmp_path, "hit-uav", (), (), extra={"info": {"description": "HIT-UAV layout, written by InfraBlend"}}
+    )
+    assert find_provenance(ours).title == ""
+    real = Dataset(tmp_path, "hit-uav", (), (), extra={"info": {"description": "PegasusDrone"}})
+    assert find_provenance(real).how == "Known by its annotation files."
+    (tmp_path / "world.json").write_text("{}")
+    world = find_provenance(ours)
+    assert world.own
+    assert "choose one" in card_text(dataset_card(ours, name="x", changes=["c"]))
+
+
+def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
+    (data / "LICENSE").write_text("Attribution 4.0 International\n")
+    generate(data, tmp_path / "first")
+    generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=twice"])
+    text = card(tmp_path / "second")
+    assert front_matter(text)["license"] == "cc-by-4.0"
+    assert "The source had itself been changed before" in text
+    assert "8 pictures were made from 4 backgrounds" in text
+    assert "16 pictures were made from 8 backgrounds" in text
+    assert (tmp_path / "second" / "LICENSE-source.txt").read_text() == "Attribution 4.0 International\n"
+    assert len(json.loads((tmp_path / "second" / "SOURCE.json").read_text())["changes"]) > 3
+
+
+def test_a_source_file_by_hand(tmp_path):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    told = {
+        "title": "Our flights\n# not a heading", "page": "https://example.org",
+        "licence": {"id": "CC-BY-SA-4.0", "name": "CC BY-SA 4.0", "url": "https://example.org/l"},
+        "attribution": "Us", "citation": "@misc{us}\n```\n# no", "archives": {"all": {"commit": "a" * 40}},
+    }  # fmt: skip
+    (folder / "SOURCE.json").write_text(json.dumps(told))
+    source = find_provenance(Dataset(folder, "folder", (), ()))
+    assert source.licence.id == "cc-by-sa-4.0"
+    assert source.title == "Our flights # not a heading"
+    assert "```" not in source.citation
+    assert "a" * 40 in source.how
+    told["licence"] = {"id": "our-own-licence", "url": "https://example.org/l"}
+    (folder / "SOURCE.json").write_text(json.dumps(told))
+    written = card_text(dataset_card(Dataset(folder, "folder", (), ()), name="x", changes=["c"]))
+    assert front_matter(written)["license"] == "other"
+    assert front_matter(written)["license_name"] == "our-own-licence"
+
+
+@pytest.mark.parametrize(
+    "text", ["[", "[]", "{}", '{"licence": "mit"}', '{"licence": {"id": 3}, "title": [1], "changes": [2]}', "null"]
+)
+def test_broken_source_files_do_no_harm(tmp_path, text):
+    (tmp_path / "SOURCE.json").write_text(text)
+    source = find_provenance(Dataset(tmp_path, "folder", (), ()))
+    assert source.licence.id == "unknown"
+    front_matter(card_text(dataset_card(Dataset(tmp_path, "folder", (), ()), name="x: [y", changes=["c"])))
+
+
+def test_on_real_hit_uav(real_data, tmp_path):
+    generate(real_data / "hit-uav", tmp_path / "run", limit=3)
+    text = card(tmp_path / "run")
+    assert "Known by its annotation files." in text
+    assert "The licence's text is in `LICENSE-source.txt`" in text
+    assert (tmp_path / "run" / "LICENSE-source.txt").read_bytes() == (real_data / "hit-uav" / "LICENSE").read_bytes()
+    assert front_matter(text)["license"] == "cc-by-4.0"
