@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from infrablend.blender.world import plan_frames
+from infrablend.blender.world import plan_frames, plan_sequences, telemetry_of
 from infrablend.blender.world.ground import ground_kelvin
 from infrablend.blender.world.labels import label_object, silhouette_area_px
 from infrablend.blender.world.layout import (
@@ -207,6 +207,38 @@ def test_frames_cover_the_range_and_do_not_depend_on_their_number():
     assert by_split["train"] == pytest.approx(39, abs=1) and by_split["test"] == pytest.approx(11, abs=1)
     assert {f.split for f in plan_frames(5, 0, {"test": 1.0})} == {"test"}
     assert few[0].name.endswith("_0_00000.jpg")
+
+
+def test_monets_sequences_cover_splits_and_lost_telemetry():
+    frames = plan_sequences(24, 0)
+    assert plan_sequences(8, 0) == frames[:8] and plan_sequences(8, 1) != frames[:8]
+    assert len({f.name for f in frames}) == 24 and frames[0].name == "runway_04/lwir/image00000.png"
+    assert {f.split for f in frames[:4]} == {"train", "val", "test"}
+    without = {f.sequence for f in frames} - {f.sequence for f in frames if f.telemetry}
+    assert without == {"runway_01", "dirtroad_01"}
+    assert [(f.sequence, f.index) for f in frames if not f.telemetry and f.sequence not in without] == [
+        ("runway_04", 1)
+    ]
+    for f in frames:
+        said = telemetry_of(f, 0)
+        assert bool(said) == f.telemetry
+        assert not said or (said["g_pitch"], said["alt"]) == (-f.pitch_deg, f.altitude_m)
+        assert f.size_wh == (800, 600) and 10 <= f.pitch_deg <= 90
+        assert len({g.time_of_day for g in frames if g.sequence == f.sequence}) == 1
+    with pytest.raises(RecipeError) as error:
+        plan_sequences(0, 0, (95,), (5,))
+    assert {p.where for p in error.value.problems} == {"count", "pitches_deg", "altitudes_m"}
+
+
+@pytest.mark.parametrize("kind", ["runway", "dirtroad"])
+@pytest.mark.parametrize("time_of_day", ["day", "night"])
+def test_country_places_in_another_size(kind, time_of_day):
+    p = sample_world(stream(0, kind), 55.5, 60.5, time_of_day, kind, (800, 600))
+    assert p == sample_world(stream(0, kind), 55.5, 60.5, time_of_day, kind, (800, 600))
+    assert p.camera.size_wh == (800, 600) and p.camera.focal_px == pytest.approx(2060 * 800 / 640)
+    assert p.vehicles and p.people and not p.cycles
+    assert ground_kelvin(p, 1).shape == (600, 800)
+    assert kind not in KINDS  # the town's places are drawn as before
 
 
 def test_bad_values_are_all_named():

@@ -75,7 +75,7 @@ NEST = "metadata"
 
 Place = tuple[str, ...]
 T = TypeVar("T")
-_COCO_FIELDS = ("id", "file_name", "width", "height")
+_COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 # No annotations of backgrounds: pictures' tables, our own runs.
 _NO_ANNOTATIONS = ("metadata.json", "world.json", "run.json", "package.json")
 _SKIPPED_FOLDERS = ("coco", "native", "scenes", "log")

@@ -23,8 +23,8 @@ NIGHT_SHARE = 0.68
 MONET_ALTITUDES_M = (40, 50, 60, 80, 100)
 MONET_SIZE_WH = (800, 600)
 MONET_CATEGORIES = (Category(1, "person"), Category(2, "vehicle"))
-# Split, name, whether it has telemetry. The first four frames are good ones, six cover all; as in MONET, runway_01 and
-# dirtroad_01 are without.
+# Split, name, whether it has telemetry. The first four frames are good ones, six cover all; runway_01 and dirtroad_01
+# are without, as the paper says of MONET's.
 SEQUENCES: tuple[tuple[Split, str, bool], ...] = (
     ("train", "runway_04", True),
     ("train", "dirtroad_02", True),
@@ -34,7 +34,7 @@ SEQUENCES: tuple[tuple[Split, str, bool], ...] = (
     ("train", "dirtroad_01", False),
 )
 # One frame in ten of this sequence has lost its telemetry.
-_LOSSY, _LOST = "dirtroad_02", 1
+_LOSSY, _LOST = "runway_04", 1
 _FPS = 25
 
 
