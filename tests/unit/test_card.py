@@ -13,7 +13,7 @@ import yaml
 from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.formats.sources import PAPER_BIBTEX, SOURCES
-from infrablend.report.card import card_text, dataset_card, find_provenance, is_own, write_card
+from infrablend.report.card import Card, card_text, dataset_card, find_provenance, is_own, write_card
 
 HUB_KEYS = {
     "pretty_name", "license", "license_name", "license_link", "task_categories", "tags", "size_categories", "configs",
@@ -47,6 +47,11 @@ def table(text: str) -> dict[str, dict[str, str]]:
     lines = [line for line in text.splitlines() if line.startswith("| ")]
     head, _, *rows = ([c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines)
     return {row[0]: dict(zip(head[1:], row[1:], strict=True)) for row in rows}
+
+
+def bare(root: Path, name: str = "folder") -> Card:
+    """The card of a dataset without images."""
+    return dataset_card(Dataset(root, name, (), ()), (), (), changes=["converted"])
 
 
 @pytest.fixture
@@ -85,7 +90,7 @@ def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
     assert "DontCare (regions to ignore)" in rows
     assert f"{counts['images']} pictures were made from 4 backgrounds; 8 rendered objects" in text
     for format_name in record["formats"]:
-        assert f"* `{format_name}/`: " in text
+        assert f"* `{format_name}`: " in text
     for path in (f["path"] for c in found["configs"] for f in c["data_files"]):
         assert any(run.glob(path.replace("**", "*.png")))
     assert [f["split"] for f in found["configs"][0]["data_files"]] == ["train", "validation", "test"]
@@ -103,7 +108,7 @@ def test_every_loss_is_told_in_words(data, tmp_path):
     text = card(run)
     assert losses
     for key, n in losses.items():
-        line = next(line for line in text.splitlines() if line.startswith(f"* `{key.split('.')[0]}/`"))
+        line = next(line for line in text.splitlines() if line.startswith(f"* `{key.split('.')[0]}`"))
         assert f"{n} x " in line
         assert key.split(".")[-1] not in line  # words, not codes
 
@@ -168,7 +173,7 @@ def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licenc
     (folder / "LICENSE").write_text(text, "utf-8")
     source = find_provenance(Dataset(folder, "folder", (), ()))
     assert (source.title, source.licence.id) == ("", licence)
-    made = dataset_card(Dataset(folder, "folder", (), ()), name="x", changes=["converted"])
+    made = bare(folder, "folder")
     written = card_text(made)
     assert front_matter(written)["license"] == licence
     assert "The source of the pictures is not known here" in written
@@ -177,7 +182,7 @@ def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licenc
 
 
 def test_an_unknown_source_must_be_filled_in(tmp_path):
-    made = card_text(dataset_card(Dataset(tmp_path, "folder", (), ()), name="x", changes=["converted"]))
+    made = card_text(bare(tmp_path, "folder"))
     assert front_matter(made)["license"] == "unknown"
     assert "Before you publish, find it out" in made
 
@@ -195,7 +200,7 @@ def test_a_licence_that_contradicts_the_known_one_is_told(data):
 
 @pytest.mark.parametrize("known", SOURCES, ids=lambda s: s.name)
 def test_known_sources(tmp_path, known):
-    made = card_text(dataset_card(Dataset(tmp_path, known.name, (), ()), name="x", changes=["converted"]))
+    made = card_text(bare(tmp_path, known.name))
     assert front_matter(made)["license"] == known.licence.id
     assert known.title in made
     assert known.citation in made
@@ -215,7 +220,7 @@ def test_what_infrablend_wrote_is_not_taken_for_the_original(tmp_path):
     (tmp_path / "world.json").write_text("{}")
     world = find_provenance(ours)
     assert world.own
-    assert "choose one" in card_text(dataset_card(ours, name="x", changes=["c"]))
+    assert "choose one" in card_text(dataset_card(ours, (), (), changes=["c"]))
 
 
 def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
@@ -247,7 +252,7 @@ def test_a_source_file_by_hand(tmp_path):
     assert "a" * 40 in source.how
     told["licence"] = {"id": "our-own-licence", "url": "https://example.org/l"}
     (folder / "SOURCE.json").write_text(json.dumps(told))
-    written = card_text(dataset_card(Dataset(folder, "folder", (), ()), name="x", changes=["c"]))
+    written = card_text(bare(folder, "folder"))
     assert front_matter(written)["license"] == "other"
     assert front_matter(written)["license_name"] == "our-own-licence"
 
@@ -259,7 +264,7 @@ def test_broken_source_files_do_no_harm(tmp_path, text):
     (tmp_path / "SOURCE.json").write_text(text)
     source = find_provenance(Dataset(tmp_path, "folder", (), ()))
     assert source.licence.id == "unknown"
-    front_matter(card_text(dataset_card(Dataset(tmp_path, "folder", (), ()), name="x: [y", changes=["c"])))
+    front_matter(card_text(bare(tmp_path, "folder")))
 
 
 def test_on_real_hit_uav(real_data, tmp_path):
@@ -269,3 +274,29 @@ def test_on_real_hit_uav(real_data, tmp_path):
     assert "The licence's text is in `LICENSE-source.txt`" in text
     assert (tmp_path / "run" / "LICENSE-source.txt").read_bytes() == (real_data / "hit-uav" / "LICENSE").read_bytes()
     assert front_matter(text)["license"] == "cc-by-4.0"
+
+
+def test_converted_and_split_datasets_have_cards(data, tmp_path):
+    (data / "LICENSE").write_text("Attribution 4.0 International\n")
+    api.convert(data, tmp_path / "coco", "coco", drop=["Bicycle"], rename={"OtherVehicle": "Truck"})
+    text = card(tmp_path / "coco")
+    assert front_matter(text)["license"] == "cc-by-4.0"
+    rows = table(text)
+    assert (rows["pictures"]["all"], rows["Truck"]["test"], "Bicycle" in rows) == ("4", "1", False)
+    assert "Classes were renamed: OtherVehicle to Truck." in text
+    assert "1 labels of left-out classes (Bicycle 1) are not in it." in text
+    assert PAPER_BIBTEX not in text  # nothing was inserted
+    assert len(api.read_dataset(tmp_path / "coco").images) == 4
+    api.split(data, tmp_path / "split", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+    text = card(tmp_path / "split")
+    assert "other splits" in text
+    assert int(table(text)["pictures"]["all"]) == 4
+    assert len(api.read_dataset(tmp_path / "split").images) == 4
+    # An edited card survives a second conversion.
+    path = tmp_path / "coco" / "README.md"
+    path.write_text(card(tmp_path / "coco") + "mine")
+    api.convert(data, tmp_path / "coco", "yolo", overwrite=True)
+    assert path.read_text("utf-8").endswith("mine")
+    path.unlink()
+    api.convert(data, tmp_path / "coco", "yolo", overwrite=True)
+    assert "* `yolo`: " in path.read_text("utf-8")

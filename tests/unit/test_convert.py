@@ -132,7 +132,13 @@ def test_only_an_earlier_conversion_is_replaced(data: Path, tmp_path: Path) -> N
     with pytest.raises(OutputError, match="not empty"):
         api.convert(data, out, "coco")
     api.convert(data, out, "coco", overwrite=True)
-    assert sorted(p.name for p in out.iterdir()) == ["annotations", "convert.json", "images"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "README.md",
+        "SOURCE.json",
+        "annotations",
+        "convert.json",
+        "images",
+    ]
     (out / "mine.txt").write_text("notes")
     with pytest.raises(OutputError, match=r"holds what the conversion did not write \(mine.txt\)"):
         api.convert(data, out, "yolo", overwrite=True)

@@ -27,7 +27,6 @@ from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
 WORK_FOLDER = ".fetch"
 SOURCE_FILE = "SOURCE.json"
-_JSON_BYTES = 100_000_000  # of a JSON file that is counted
 
 
 @dataclass(frozen=True)
@@ -387,12 +386,9 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
     for name, lists in a.lists.items():
         path = content / name
         try:
-            if path.stat().st_size > _JSON_BYTES:
-                problems.append(Problem(name, "content-json", f"{path.stat().st_size} bytes", f"under {_JSON_BYTES}"))
-                continue
             data = read_json(path)
-        except (OSError, DatasetError) as error:
-            problems.append(Problem(name, "content-json", f"cannot be read ({error.__class__.__name__})", "JSON"))
+        except DatasetError as error:
+            problems.append(Problem(name, "content-json", f"cannot be read ({error.problems[0].found})", "JSON"))
             continue
         for key, wanted in lists.items():
             value = data.get(key) if isinstance(data, Mapping) else None

@@ -19,6 +19,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.folder import RunFolder
+from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
 
 RECORD_FILE = "convert.json"
 
@@ -100,7 +101,7 @@ def convert_dataset(
     fault = writing.unwritable(writer.name, images, settings)
     if fault is not None:
         raise DatasetError(f"{dataset.root}: its ids cannot be kept", [fault])
-    counts = {
+    counts: dict[str, Any] = {
         "images": len(images),
         "images_per_split": dict(Counter(i.split for i in images)),
         "labels": _per_class(images),
@@ -129,10 +130,29 @@ def convert_dataset(
             if isinstance(error, ValueError):  # a label that the format does not allow
                 raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
             raise
-        report = ConvertReport(out, writer.name, counts, written.losses, (*problems, *written.problems))
+        problems += written.problems
+        changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems)
+        card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
+        problems += write_card(out, card)
+        report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
         rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
         write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(out)}, indent=2)
     return report
+
+
+def _changes(to: str, rename: Mapping[str, str], dropped: Mapping[str, int], problems: Sequence[Problem]) -> list[str]:
+    """What was done, for the card."""
+    texts = [f"The labels were written in the form `{to}`; the pictures are the same files."]
+    if rename:
+        texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
+    if dropped:
+        which = ", ".join(f"{name} {n}" for name, n in dropped.items())
+        texts.append(f"{sum(dropped.values())} labels of left-out classes ({which}) are not in it.")
+    left_out = Counter(p.code for p in problems if p.severity == "error")
+    if left_out:
+        found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
+        texts.append(f"Left out because something was wrong with it: {found}; `{RECORD_FILE}` lists all.")
+    return texts
 
 
 def _choice() -> str:
@@ -201,6 +221,8 @@ def _prepare(out: Path, overwrite: bool) -> None:
     try:
         for name in own:
             path = out / name
+            if name == CARD_FILE and not is_own(path):
+                continue  # somebody has edited it
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:

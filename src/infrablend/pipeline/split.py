@@ -19,6 +19,7 @@ from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import sort_images
 from infrablend.formats.pictures import assign_ids, read_size
+from infrablend.report.card import dataset_card, write_card
 from infrablend.report.groups import NEAR, By, Leakage, group_images, leakage
 
 SHARES = (0.7, 0.1, 0.2)
@@ -268,11 +269,14 @@ def _write_lists(report: SplitReport, images: Sequence[ImageRecord], root: Path)
 def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: Dataset, to: str) -> SplitReport:
     records = sort_images(_renamed([_sized(i) for i in images]))
     written = writing.write(to, report.out, records, source.categories, source=source)
+    done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{RECORD}`."
+    card = dataset_card(source, records, source.categories, changes=[done], to=report.format, losses=written.losses)
+    kept = write_card(report.out, card)
     return replace(
         report,
         losses=written.losses,
         files=len(written.files) + 1,
-        problems=(*report.problems, *written.problems),
+        problems=(*report.problems, *written.problems, *kept),
     )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from infrablend import __version__
-from infrablend.core.dataset import SPLITS, Category, Dataset
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import LOSSES, read_json
@@ -267,6 +267,7 @@ def card_text(card: Card) -> str:
         _bullets(card.changes),
         "## Classes and counts",
         _table(card),
+        "Before what single formats leave out; see the next section.",
         "## Files",
         _tree(card),
         *_formats(card),
@@ -388,7 +389,7 @@ def _formats(card: Card) -> list[str]:
             writer = find_writer(name)
             lacks = ", ".join(words for key, (words, _) in FIELDS.items() if key in writer.lacks)
             text = writer.summary + (f"; it cannot hold {lacks}" if lacks else "")
-        lines.append(f"`{name}/`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost here."))
+        lines.append(f"`{name}`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost here."))
     return [_bullets(lines)] if lines else []
 
 
@@ -449,42 +450,40 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
 
 
 def dataset_card(
-    dataset: Dataset,
+    source: Dataset,
+    images: Sequence[ImageRecord],
+    categories: Sequence[Category],
     *,
-    name: str,
     changes: Sequence[str],
-    formats: Sequence[str] = (),
+    to: str = "",
     losses: Mapping[str, int] | None = None,
-    layout: Sequence[tuple[str, str]] = (),
-    images: str = "",
 ) -> Card:
-    """The card of a dataset that was read and written anew without new objects (converted, split).
+    """The card of a dataset that was read and written anew without new objects: converted, split.
 
     Args:
-        dataset: What was written.
-        name: Of the new dataset.
+        source: As read.
+        images: What was written.
+        categories: Their classes.
         changes: What was done, a sentence each.
-        formats: Formats written; with several, each in its folder.
-        losses: What they could not hold, `<format>.<kind>` -> count.
-        layout: (path, what) of the folder.
-        images: Folder that holds the pictures in one folder per split, if there is one.
+        to: The writer's name.
+        losses: What that format could not hold, by kind.
     """
-    per_split = Counter(str(i.split) for i in dataset.images)
+    per_split = Counter(str(i.split) for i in images)
     labels: dict[str, Counter[str]] = {s: Counter() for s in per_split}
-    for image in dataset.images:
+    for image in images:
         labels[image.split].update(i.category for i in image.instances)
-    source = find_provenance(dataset)
+    origin = find_provenance(source)
+    short = origin.title.partition(":")[0] or "A dataset"
     return Card(
-        name,
-        f"{source.title or 'A dataset'}, in another form; no object was added.",
-        source,
+        f"{short} as {to}" if to else short,
+        f"{origin.title or 'A dataset'}, written anew; no object was added.",
+        origin,
         tuple(changes),
-        dataset.categories,
+        tuple(categories),
         dict(per_split),
         labels,
-        formats=tuple(formats),
-        losses=losses or {},
-        layout=tuple(layout),
-        images=images,
-        masks=any(i.mask is not None for image in dataset.images for i in image.instances),
+        formats=(to,) if to else (),
+        losses={f"{to}.{kind}": n for kind, n in (losses or {}).items()},
+        images="",
+        masks=any(i.mask is not None for image in images for i in image.instances),
     )
