@@ -45,9 +45,10 @@ def scene(
 
 
 def thing(
-    x=0.0, y=0.0, z=0.0, yaw=0.3, kelvin=300.0, emissivity=1.0, ior=1.0, label=True, parts=("body",)
+    x=0.0, y=0.0, z=0.0, yaw=0.3, kelvin=300.0, emissivity=1.0, ior=1.0, label=True, parts=("body",), **surface
 ) -> ObjectSpec:
-    return ObjectSpec("box", "box", {}, {p: PartState(kelvin, emissivity, label, ior) for p in parts}, (x, y, z), yaw)
+    state = PartState(kelvin, emissivity, label, ior, **surface)
+    return ObjectSpec("box", "box", {}, dict.fromkeys(parts, state), (x, y, z), yaw)
 
 
 def paste(result) -> tuple[np.ndarray, np.ndarray]:

@@ -120,17 +120,24 @@ def test_infrared_effect_asset(tmp_path):
     import bpy
 
     path = api.write_infrared_effect(tmp_path / "infrared_effect.blend")
+    names = ["InfraredEffect", "InfraredEffect Physical"]
     with bpy.data.libraries.load(str(path), assets_only=True) as (source, _):
-        assert list(source.node_groups) == ["InfraredEffect"]
+        assert sorted(source.node_groups) == names
+    # What this process has already made is in use elsewhere; appended groups get names of their own.
     with bpy.data.libraries.load(str(path)) as (source, target):
-        target.node_groups = ["InfraredEffect"]
-    group = target.node_groups[0]
+        target.node_groups = names
+        assert {"InfraredEffect example", "InfraredEffect Physical example"} <= set(source.materials)
+    artistic, physical = target.node_groups
     try:
-        kinds = {n.type for n in group.nodes}
-        assert {"EMISSION", "VALTORGB", "FRESNEL"} <= kinds
-        assert [s.name for s in group.interface.items_tree if s.in_out == "INPUT"][:2] == ["Temperature", "Emissivity"]
+        assert {"EMISSION", "VALTORGB", "FRESNEL"} <= {n.type for n in artistic.nodes}
+        assert {"EMISSION", "BSDF_GLOSSY", "TEX_NOISE", "FRESNEL"} <= {n.type for n in physical.nodes}
+        for group in (artistic, physical):
+            inputs = [s for s in group.interface.items_tree if s.in_out == "INPUT"]
+            assert [s.name for s in inputs][:2] == ["Temperature", "Emissivity"]
+            assert "Celsius" in inputs[0].description
     finally:
-        bpy.data.node_groups.remove(group)
+        for group in target.node_groups:
+            bpy.data.node_groups.remove(group)
 
 
 def test_turntable(tmp_path):

@@ -1,6 +1,8 @@
 """The physical look in real Cycles renders."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +19,8 @@ AIR_K = 283.15
 CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, 1.0, AIR_K + 2)
 
 
-def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, **camera):
-    body = thing(yaw=0, kelvin=kelvin, emissivity=emissivity, ior=ior)
+def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, surface=None, **camera):
+    body = thing(yaw=0, kelvin=kelvin, emissivity=emissivity, ior=ior, **(surface or {}))
     spec = scene([body], samples=64, size_wh=(160, 128), **camera)
     look = dataclasses.replace(spec.appearance, mode="physical")
     r = blender.render(dataclasses.replace(spec, appearance=look, weather=weather), [mesh or box_mesh()])
@@ -27,18 +29,39 @@ def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, **camera)
     return r.radiance[inside]
 
 
-@pytest.mark.parametrize(("emissivity", "ior"), [(0.05, 1.0), (0.3, 2.5), (0.95, 1.5), (0.98, 1.0)])
-def test_isothermal_cavity(blender, emissivity, ior):
+TOP = {"pitch_rad": np.pi / 2, "roll_rad": 0.0}
+BARE = {"metal": True, "roughness": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("emissivity", "ior", "surface"),
+    [
+        (0.05, 1.0, {}),
+        (0.3, 2.5, {}),
+        (0.95, 1.5, {}),
+        (0.98, 1.0, {}),
+        (0.86, 1.7, {"roughness": 0.02}),
+        (0.1, 1.0, BARE),
+        (0.05, 1.0, {"metal": True, "roughness": 0.0}),
+        (0.5, 1.0, {"metal": True, "roughness": 0.8}),
+    ],
+)
+def test_isothermal_cavity(blender, emissivity, ior, surface):
     """In surroundings of its own temperature a body is invisible, whatever its surface: contrast below 0.5 %.
 
-    But for a handful of pixels on the box's very edges, where single samples leave into the other face.
+    But for a handful of pixels on the box's very edges, where single samples leave into the other face. A rough mirror
+    is sampled at random: grainy in single pixels, right on the whole.
     """
     kelvin = 290.0
     uniform = Weather(kelvin, 280.0, 1.0, kelvin, 0.0, kelvin)
-    seen = render(blender, kelvin, emissivity, ior, uniform)
+    seen = render(blender, kelvin, emissivity, ior, uniform, surface=surface)
     contrast = np.abs(seen / float(band_radiance(kelvin)) - 1)
-    assert np.percentile(contrast, 99) < 0.005
-    assert contrast.mean() < 1e-3
+    if surface.get("roughness", 0) <= 0.1:
+        assert np.percentile(contrast, 99) < 0.005
+        assert contrast.mean() < 1e-3
+    else:
+        assert abs(float(seen.mean()) / float(band_radiance(kelvin)) - 1) < 1e-3
+        assert contrast.mean() < 0.005
 
 
 @pytest.mark.parametrize("kelvin", [250.0, 283.15, 310.15, 373.15])
@@ -92,6 +115,61 @@ def test_rough_surfaces_have_no_rim_and_smooth_ones_do(blender):
     assert spread[1.5] > 3 * spread[1.0]
 
 
+def test_bare_metal_is_black_from_above_and_anodised_metal_is_not(blender):
+    """A motor can at +25 K on a clear night: bare (0.2) it looks 43 K colder than air, dark and smooth (0.85) +15 K."""
+    panel = box_mesh((1.0, 1.0, 0.01))
+    above = {"pitch_rad": np.radians(70), "roll_rad": 0.0}
+
+    def above_air(emissivity, **surface):
+        seen = render(blender, AIR_K + 25, emissivity, 1.0, mesh=panel, surface=surface, **above)
+        return float(apparent_temperature(np.median(seen)) - AIR_K)
+
+    assert above_air(0.2, **BARE) == pytest.approx(-43, abs=1.5)
+    smooth = render(blender, AIR_K + 25, 0.85, 1.5, mesh=panel, **above)
+    assert float(apparent_temperature(np.median(smooth)) - AIR_K) == pytest.approx(15, abs=1)
+    # A surface that scatters shows the mean of the sky, not the zenith; a mirror seen from below shows the ground.
+    assert above_air(0.2) > above_air(0.2, **BARE) + 5
+    side = render(blender, AIR_K + 25, 0.85, 1.5, mesh=panel, pitch_rad=-np.pi / 2, roll_rad=0.0)
+    assert float(apparent_temperature(np.median(side)) - AIR_K) == pytest.approx(22, abs=1)
+
+
+def test_a_metals_emissivity_is_the_same_at_all_angles(blender):
+    """In a uniform world a hot bare panel is as bright edge-on as straight on; a painted one is darker there."""
+    uniform = Weather(AIR_K, 280.0, 1.0, AIR_K, 0.0, AIR_K)
+    panel = box_mesh((1.0, 1.0, 0.01))
+
+    def hot(ior, pitch_deg, **surface):
+        camera = {"pitch_rad": np.radians(pitch_deg), "roll_rad": 0.0, "distance_m": 3.0}
+        return float(np.median(render(blender, AIR_K + 60, 0.5, ior, uniform, panel, surface, **camera)))
+
+    assert hot(1.0, 15, **BARE) == pytest.approx(hot(1.0, 90, **BARE), rel=0.003)
+    assert hot(1.5, 15) < 0.97 * hot(1.5, 90)
+
+
+def test_roughness_widens_what_a_metal_mirrors(blender):
+    """At 25 degrees above the horizon a sharp mirror shows the sky there, a rough one warmer and colder sky as well."""
+    panel = box_mesh((1.0, 1.0, 0.01))
+    camera = {"pitch_rad": np.radians(45), "roll_rad": 0.0}
+    sharp, blurred = (
+        render(blender, AIR_K, 0.05, 1.0, mesh=panel, surface={"metal": True, "roughness": r}, **camera)
+        for r in (0.0, 0.9)
+    )
+    sky = leaving_radiance(0.05, band_radiance(AIR_K), sky_radiance(AIR_K, CLEAR.dew_point_k, np.radians(45)))
+    assert float(np.median(sharp)) == pytest.approx(float(sky), rel=0.02)
+    assert float(np.median(blurred)) > 1.1 * float(np.median(sharp))
+
+
+def test_glass_is_darker_than_the_paint_beside_it(blender):
+    """Windscreen at -4 K, 0.86, against a roof at -5 K, 0.93, on the worked example's night: 14 levels darker."""
+    panel = box_mesh((1.0, 1.0, 0.01))
+    camera = {"pitch_rad": np.radians(70), "roll_rad": 0.0}
+    glass = render(blender, AIR_K - 4, 0.86, 1.7, mesh=panel, surface={"roughness": 0.02}, **camera)
+    paint = render(blender, AIR_K - 5, 0.93, 1.5, mesh=panel, surface={"roughness": 0.05}, **camera)
+    asphalt = render(blender, AIR_K + 3, 0.95, 1.5, mesh=panel, **camera)
+    assert 8.4 * float(np.median(glass) - np.median(asphalt)) == pytest.approx(-64, abs=5)
+    assert 8.4 * float(np.median(glass) - np.median(paint)) == pytest.approx(-14, abs=4)
+
+
 def test_the_artistic_look_is_untouched_by_a_physical_frame_before_it(blender):
     s, mesh = scene([thing(emissivity=0.9, ior=1.5)]), box_mesh()
     before = blender.render(s, [mesh]).radiance.tobytes()
@@ -117,3 +195,41 @@ def test_worked_scene_of_a_night(blender):
     assert 105 < level(301.15, 0.98, 1.5) - asphalt < 120
     assert -50 < level(AIR_K, 0.86, 1.5) - asphalt < -38  # a carbon arm's top
     assert 48 < level(AIR_K + 12, 0.95, 1.5) - asphalt < 62  # a battery
+
+
+def test_the_group_has_a_temperature_texture_of_its_own(blender):
+    """By hand in the editor: Texture is the largest deviation in kelvin, Texture Size the patches' size; 0 is none."""
+    import bpy
+
+    from infrablend.blender.materials import object_material
+
+    panel = box_mesh((1.0, 1.0, 0.01))
+    render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)
+    node = next(n for n in object_material(0, "physical").node_tree.nodes if n.bl_idname == "ShaderNodeGroup")
+    assert node.inputs["Texture"].default_value == 0
+    spread = {}
+    try:
+        for amplitude, size in ((0.0, 0.2), (2.0, 0.2), (2.0, 50.0)):
+            node.inputs["Texture"].default_value = amplitude
+            node.inputs["Texture Size"].default_value = size
+            kelvin = apparent_temperature(render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)) - AIR_K - 10
+            spread[amplitude, size] = kelvin
+    finally:
+        node.inputs["Texture"].default_value = 0.0
+        node.inputs["Texture Size"].default_value = 0.3
+    assert np.abs(spread[0.0, 0.2]).max() < 0.05
+    patches = spread[2.0, 0.2]
+    assert np.abs(patches).max() <= 2.05
+    assert patches.std() > 0.3 and abs(patches.mean()) < 0.6
+    assert spread[2.0, 50.0].std() < 0.1 * patches.std()
+    assert bpy.data.node_groups["InfraredEffect Physical"] is node.node_tree
+
+
+def test_the_manual_shows_every_socket():
+    from infrablend.blender import materials, physical
+
+    page = (Path(__file__).parents[2] / "docs/how_to/infrared_effect.md").read_text()
+    _, artistic, surface = re.split(r"^## .*$", page, flags=re.M)[:3]
+    for text, sockets in ((artistic, materials.SOCKETS), (surface, physical.SOCKETS)):
+        named = [n for line in text.splitlines() if line.startswith("| ") for n in line.split("|")[1].split(",")]
+        assert [n.strip() for n in named if "*" not in n and n.strip() != "socket"] == [s[0] for s in sockets]

@@ -8,7 +8,7 @@
     up: Z                    # OBJ only, which does not say it: the file's vertical axis; Y by default
     length_m: 0.7            # its longest side; or scale: 0.01
     parts:
-      body: {match: ["Fox_Body*"], delta_t_k: [4, 10], emissivity: [0.97, 0.99], ior: 1.0}
+      body: {match: ["Fox_Body*"], delta_t_k: [4, 10], kind: fur}
       eyes: {match: ["eye_*"], delta_t_k: 20, emissivity: 0.98}
       base: {match: ["Plinth"], delta_t_k: 0, emissivity: 0.95, label: false}
 
@@ -26,12 +26,14 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticKnownError
 
-from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.materials import MATERIALS
+from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict import Strict, range_of
 from infrablend.core.wording import field_problems
@@ -41,14 +43,47 @@ from infrablend.errors import ModelError, Problem
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
 
 
+def _known_kind(value: str) -> str:
+    if value not in MATERIALS:
+        raise ValueError("one of " + ", ".join(sorted(MATERIALS)))
+    return value
+
+
 class UserPart(Strict):
     """Thermal role of all objects and materials whose name matches."""
 
     match: tuple[str, ...] = Field(min_length=1)
-    delta_t_k: range_of(-300, 5000)  # type: ignore[valid-type]
-    emissivity: range_of(0, 1)  # type: ignore[valid-type]
+    delta_t_k: range_of(-100, 1000)  # type: ignore[valid-type]
+    kind: Annotated[str, AfterValidator(_known_kind)] | None = None
+    emissivity: range_of(0, 1) | None = None  # type: ignore[valid-type]
     label: bool = True
-    ior: float = Field(1.5, ge=1, le=5)
+    ior: float | None = Field(None, ge=1, le=5)
+    opacity: float = Field(1.0, gt=0, le=1)
+
+    @field_validator("emissivity")
+    @classmethod
+    def _given_or_known(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is None and info.data.get("kind", "a wrong one") is None:
+            raise PydanticKnownError("missing")
+        return value
+
+    @field_validator("opacity")
+    @classmethod
+    def _translucent_is_not_labelled(cls, value: float, info: ValidationInfo) -> float:
+        if value < 1 and info.data.get("label", False):
+            raise ValueError("1, or label: false beside it: labels cannot count what one sees through")
+        return value
+
+    def role(self, what: str) -> PartRange:
+        """What each frame draws from."""
+        if self.kind is not None:
+            return made_of(
+                self.kind, self.delta_t_k, what, emissivity=self.emissivity, ior=self.ior, label=self.label,
+                opacity=self.opacity,
+            )  # fmt: skip
+        assert self.emissivity is not None
+        ior = 1.5 if self.ior is None else self.ior
+        return PartRange(self.delta_t_k, self.emissivity, self.label, what, ior, opacity=self.opacity)
 
 
 class UserModel(Strict):
@@ -73,7 +108,7 @@ class GroupFacts:
 
     Attributes:
         object, material: Names in the file; the material may be empty.
-        temperature_c, emissivity, ior: From the material's InfraredEffect node, None if it has none.
+        temperature_c, emissivity, ior, roughness, metal: From the material's InfraredEffect node, None if it has none.
     """
 
     object: str
@@ -81,6 +116,8 @@ class GroupFacts:
     temperature_c: float | None = None
     emissivity: float | None = None
     ior: float | None = None
+    roughness: float | None = None
+    metal: float | None = None
 
 
 def read_description(path: Path) -> tuple[UserModel, Path]:
@@ -201,10 +238,7 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     Raises:
         ModelError: Naming every piece without a part and every part without a piece.
     """
-    roles = {
-        name: PartRange(p.delta_t_k, p.emissivity, p.label, f"from {where}", p.ior)
-        for name, p in described.parts.items()
-    }
+    roles = {name: p.role(f"from {where}") for name, p in described.parts.items()}
     names, used, missing = [], set(), []
     for g in groups:
         # An object's own name says more than that of a material it may share with others.
@@ -221,7 +255,12 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
             found = g.material
             delta = g.temperature_c - described.air_temperature_c
             roles[found] = PartRange(
-                (delta, delta), (g.emissivity, g.emissivity), True, "InfraredEffect material", g.ior or 1.5
+                (delta, delta),
+                (g.emissivity, g.emissivity),
+                what="InfraredEffect material",
+                ior=g.ior or 1.5,
+                roughness=0.1 if g.roughness is None else g.roughness,
+                metal=(g.metal or 0) > 0.5,
             )
         if found is None:
             missing.append(g)

@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 
 from infrablend.blender.materials import GROUP_NAME
+from infrablend.blender.physical import GROUP_NAME as PHYSICAL_NAME
 from infrablend.core.files import replace_atomically
 from infrablend.core.tasks import Task
 from infrablend.errors import ModelError
@@ -182,16 +183,12 @@ def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
 
 
 def _infrared(material: Any) -> dict[str, float | None]:
-    """Temperature, emissivity and refractive index of a material's InfraredEffect node, if it has one."""
-    nothing: dict[str, float | None] = {"temperature_c": None, "emissivity": None, "ior": None}
-    if material is None or material.node_tree is None:
-        return nothing
-    for node in material.node_tree.nodes:
-        if node.type == "GROUP" and node.node_tree and node.node_tree.name.split(".")[0] == GROUP_NAME:
+    """What a material's InfraredEffect node (either look) says of its surface, if it has one."""
+    wanted = {"temperature_c": "Temperature", "emissivity": "Emissivity", "ior": "IOR"}
+    wanted |= {"roughness": "Roughness", "metal": "Metal"}
+    names = (GROUP_NAME, PHYSICAL_NAME)
+    for node in material.node_tree.nodes if material is not None and material.node_tree is not None else ():
+        if node.type == "GROUP" and node.node_tree and node.node_tree.name.split(".")[0] in names:
             value = {s.name: s.default_value for s in node.inputs}
-            return {
-                "temperature_c": float(value["Temperature"]),
-                "emissivity": float(value["Emissivity"]),
-                "ior": float(value.get("IOR", 1.5)),
-            }
-    return nothing
+            return {fact: float(value[socket]) if socket in value else None for fact, socket in wanted.items()}
+    return dict.fromkeys(wanted)

@@ -71,19 +71,22 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     emission = new("ShaderNodeEmission")
     emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     link(_math(group, "MULTIPLY", radiance, emissivity), emission.inputs["Strength"])
-    mirrored = _math(group, "SUBTRACT", 1.0, emissivity)
-    diffuse, glossy, mix = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic"), new("ShaderNodeMixShader")
+    diffuse, glossy, kind = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic"), new("ShaderNodeMixShader")
+    # White, and its share mixed in: a grey one would lose light in every bounce between its own facets.
+    for node in (diffuse, glossy):
+        node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     glossy.distribution = "MULTI_GGX"  # the plain one loses energy at grazing angles
-    link(mirrored, diffuse.inputs["Color"])
-    link(mirrored, glossy.inputs["Color"])
     link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
     smooth = _math(group, "GREATER_THAN", ior, 1.0001)
-    link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), mix.inputs["Fac"])
-    link(diffuse.outputs["BSDF"], mix.inputs[1])
-    link(glossy.outputs["BSDF"], mix.inputs[2])
+    link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), kind.inputs["Fac"])
+    link(diffuse.outputs["BSDF"], kind.inputs[1])
+    link(glossy.outputs["BSDF"], kind.inputs[2])
+    mirror = new("ShaderNodeMixShader")
+    link(_math(group, "SUBTRACT", 1.0, emissivity), mirror.inputs["Fac"])
+    link(kind.outputs["Shader"], mirror.inputs[2])
     both = new("ShaderNodeAddShader")
     link(emission.outputs["Emission"], both.inputs[0])
-    link(mix.outputs["Shader"], both.inputs[1])
+    link(mirror.outputs["Shader"], both.inputs[1])
     link(both.outputs["Shader"], outputs.inputs["Shader"])
     return group
 
