@@ -79,7 +79,13 @@ PARTS: Mapping[str, PartRange] = {
     "strap": made_of("cloth", (1.5, 5.0), "on the jacket"),
     "seat": made_of("wood", (-1.0, 1.0), "wood or stone at air temperature; no part of a person", label=False),
 }
+# One or two thin layers in mild weather: the upper end of summer clothing's +3..+10 K, and hair in still air (2.2, K).
+_LIGHT: Mapping[str, tuple[float, float]] = {
+    "leg": (8.0, 16.0), "hair": (8.0, 14.0), "hat": (5.0, 10.0), "hood": (5.0, 10.0), "collar": (8.0, 14.0),
+    "jacket": (6.0, 10.0), "sleeve": (6.0, 10.0), "coat_skirt": (5.0, 9.0), "trousers": (6.0, 10.0), "shoe": (3.0, 8.0),
+}  # fmt: skip
 PART_NAMES = tuple(PARTS)
+CLOTHING = ("winter", "light")
 TIMES = ("night", "day")
 # The sun warms clothes and hair by this much more (est.); by day, under clouds too, the low end at least.
 SUN_K = (3.0, 12.0)
@@ -87,14 +93,16 @@ _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "ha
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
-    """Thermal role of every part; by day clothes are warmer."""
-    if params.get("time_of_day", "night") == "night":
-        return PARTS
-    low, high = SUN_K
-    return {
-        n: replace(r, delta_t_k=(r.delta_t_k[0] + low, r.delta_t_k[1] + high)) if n in _SUNLIT else r
-        for n, r in PARTS.items()
-    }
+    """Thermal role of every part: lighter clothes are warmer outside, and by day the sun is on them."""
+    parts = dict(PARTS)
+    if params.get("clothing", "winter") == "light":
+        parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
+    if params.get("time_of_day", "night") == "day":
+        low, high = SUN_K
+        parts |= {
+            n: replace(parts[n], delta_t_k=(parts[n].delta_t_k[0] + low, parts[n].delta_t_k[1] + high)) for n in _SUNLIT
+        }
+    return parts
 
 
 _NUMBER = {name: i for i, name in enumerate(PART_NAMES)}
@@ -671,6 +679,7 @@ DEFAULTS: Mapping[str, Any] = {
     "head_nod_rad": 0.0,
     "mirror": False,
     "time_of_day": "night",
+    "clothing": "winter",
 }
 _CHECKS = Checks("person")
 _WORDS = {"top": TOPS, "bottom": BOTTOMS, "headwear": HEADWEAR, "hair": HAIR, "build": BUILDS}
@@ -695,6 +704,7 @@ def _checked(params: Params) -> dict[str, Any]:
     for name, allowed in _WORDS.items():
         _CHECKS.one_of(f"parameter {name}", p[name], allowed)
     _CHECKS.one_of("parameter time_of_day", p["time_of_day"], TIMES)
+    _CHECKS.one_of("parameter clothing", p["clothing"], CLOTHING)
     for name in ("backpack", "seat", "mirror"):
         _CHECKS.flag(f"parameter {name}", p[name])
     for name, (low, high) in _LIMITS.items():
@@ -719,6 +729,7 @@ def build(params: Params) -> Mesh:
             head_turn_rad, head_nod_rad: Turn to the left, before mirroring, and nod forward beyond the pose's own.
             mirror: Left and right exchanged.
             time_of_day: `night` or `day`; for the temperatures.
+            clothing: `winter` or `light`; for the temperatures.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -862,6 +873,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "head_nod_rad": -0.10 + 0.35 * u[4],
         "mirror": u[17] < 0.5,
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
+        "clothing": _CHECKS.one_of("option clothing", options.get("clothing", "winter"), CLOTHING),
     }
 
 
@@ -887,6 +899,7 @@ OPTIONS: Mapping[str, str] = {
     "seat": "true or false: whether someone on a seat brings it along; by default true",
     "height_m": f"a number from {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g}, or [low, high]; by default adults of both sexes",
     "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, else night",
+    "clothing": "winter or light: how warm clothes are outside; by default winter",
 }
 
 MODEL = ObjectModel(

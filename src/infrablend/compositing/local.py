@@ -16,10 +16,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, Place
 from infrablend.core.dataset import Instance, TimeOfDay
-from infrablend.core.scene import Weather
+from infrablend.core.scene import ObjectSpec, Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
+from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
 
 # A level this near to the dataset's darkest or brightest counts as clipped, in levels of an 8-bit picture.
 CLIP_MARGIN = 3
@@ -58,9 +59,24 @@ class Anchor:
     sd_k: float
 
 
+@dataclass(frozen=True)
+class Insert:
+    """Where an insert lies.
+
+    Attributes:
+        box_xyxy: (4,) pixels; may reach outside the frame.
+        range_m: From the camera, or None with a virtual camera, which knows no real distances.
+        ground_range_m: From the camera to the ground behind it, or None for none in sight.
+    """
+
+    box_xyxy: NDArray[np.float64]
+    range_m: float | None = None
+    ground_range_m: float | None = None
+
+
 def local_mapping(
     background: GreyImage,
-    insert_xyxy: NDArray[np.float64],
+    inserts: Sequence[Insert],
     labels: Sequence[Instance],
     weather: Weather,
     time_of_day: TimeOfDay | None,
@@ -69,12 +85,15 @@ def local_mapping(
     *,
     prior: GainPrior | None = None,
     polarity: Literal["white-hot", "black-hot"] = "white-hot",
+    clothing_k: float = 6.0,
 ) -> tuple[GreyMapping, dict[str, Any]]:
-    """The mapping for one insertion, and what was estimated on the way.
+    """The mapping for the inserts of one frame, and what was estimated on the way.
+
+    Every insert is set against the ground around itself; the gain is the frame's.
 
     Args:
         background: (h, w) grey, 8 or 16 bit.
-        insert_xyxy: (4,) box of what is inserted, pixels; may reach outside the frame.
+        inserts: At least one.
         labels: The background's own annotated objects: left out of the ground, used as anchors.
         weather: Air and ground temperature.
         time_of_day: Cars are anchors at night only.
@@ -82,6 +101,7 @@ def local_mapping(
         rng: Draws the gain from its posterior.
         prior: Of the gain; for 16 bit it is scaled by the range of `levels`.
         polarity: Black-hot pictures are turned over on the way in and out.
+        clothing_k: How much warmer than the air people's clothes are taken to be.
     """
     prior = prior or GainPrior()
     low, high = levels
@@ -89,14 +109,80 @@ def local_mapping(
     if polarity == "black-hot":
         picture = low + high - picture
     # All gains are per 8-bit level of a dataset that spans about 220 of them.
-    scale = 1.0 if background.dtype == np.uint8 else (high - low) / 220.0
+    scale = grey_unit(background, levels)
     free = np.ones(picture.shape, np.bool_)
     for i in labels:
         x0, y0, x1, y1 = _pixels(i.box_xyxy, picture.shape)
         free[y0:y1, x0:x1] = False
-    ground = ring_level(picture, insert_xyxy, free)
-    anchors = find_anchors(picture, free, labels, weather, time_of_day, levels, scale)
+    anchors = find_anchors(picture, free, labels, weather, time_of_day, levels, scale, clothing_k)
+    gain, gain_facts = _draw_gain(anchors, weather, scale, prior, rng)
 
+    of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
+    grounds, places = [], []
+    for insert in inserts:
+        ground = ring_level(picture, insert.box_xyxy, free)
+        # Contrasts in the picture have come through the air down to the ground; an object nearer loses less.
+        clearer, hazier = _through_air(insert, weather)
+        span = gain * clearer
+        dark = ground - gain * of_ground + gain * hazier * of_air
+        if polarity == "black-hot":
+            dark, span = low + high - dark, -span
+        middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
+        places.append(Place((float(middle[0]), float(middle[1])), dark, dark + span))
+        grounds.append(round(ground, 3))
+    first = places[0]
+    mapping = GreyMapping(first.dark, first.bright, (low, high), tuple(places) if len(places) > 1 else ())
+    facts = {
+        "ground_grey": grounds,
+        **gain_facts,
+        "anchors": {w: sum(a.what == w for a in anchors) for w in ("clothing", "car_roof", "face_clipped")},
+        "levels": [low, high],
+    }
+    return mapping, facts
+
+
+def expected_contrast(item: ObjectSpec, place: GreyMapping | Place, ground_grey: float, weather: Weather) -> float:
+    """Largest difference from the ground that a labelled part of an object would show, in the picture's levels.
+
+    Each part is taken to mirror the ground or the zenith, whichever shows more: what this calls invisible is so.
+    """
+    zenith = float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))
+    around = (zenith, float(band_radiance(weather.ground_k)))
+    largest = 0.0
+    for part in item.parts.values():
+        if part.label:
+            own = part.emissivity * float(band_radiance(part.temperature_k))
+            for mirrored in around:
+                leaving = own + (1 - part.emissivity) * mirrored
+                grey = place.dark + (place.bright - place.dark) * leaving
+                largest = max(largest, abs(grey - ground_grey))
+    return largest
+
+
+def grey_unit(background: GreyImage, levels: tuple[float, float]) -> float:
+    """How many of a picture's levels make what is one level of an 8-bit dataset spanning about 220 of them."""
+    return 1.0 if background.dtype == np.uint8 else (levels[1] - levels[0]) / 220.0
+
+
+def _through_air(insert: Insert, weather: Weather) -> tuple[float, float]:
+    """Factors on the object's radiance and on the air's that is added, relative to what the ground's contrast keeps.
+
+    With tau(d) of the object's path and tau(R) of the ground's, grey is ground + gain / tau(R) * (tau(d) L +
+    (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air); for an object on the ground both paths are equal.
+    """
+    if insert.range_m is None or insert.ground_range_m is None or insert.range_m >= insert.ground_range_m:
+        return 1.0, 0.0
+    humidity = relative_humidity(weather.air_k, weather.dew_point_k)
+    near, far = (
+        float(transmittance(d, weather.air_k, humidity)) for d in (insert.range_m, min(insert.ground_range_m, 1_000.0))
+    )
+    return near / far, (far - near) / far
+
+
+def _draw_gain(
+    anchors: Sequence[Anchor], weather: Weather, scale: float, prior: GainPrior, rng: np.random.Generator
+) -> tuple[float, dict[str, Any]]:
+    """The gain, levels per W m^-2 sr^-1, from its posterior, and what the posterior is, in 8-bit levels per kelvin."""
     slope = float(band_radiance_slope(weather.air_k))
     of_ground = float(band_radiance(weather.ground_k))
     mean, variance = prior.mean * scale / slope, (prior.sd * scale / slope) ** 2
@@ -117,19 +203,12 @@ def local_mapping(
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
     centre, sd = total / weight, 1 / math.sqrt(weight)
     gain = _truncated_normal(rng, centre, sd, bounds[0], bounds[1])
-    dark = ground - gain * of_ground
-    mapping = GreyMapping(dark, dark + gain, (low, high))
-    if polarity == "black-hot":
-        mapping = GreyMapping(low + high - dark, low + high - dark - gain, (low, high))
-    facts = {
-        "ground_grey": round(ground, 3),
-        "gain_grey_per_k": round(gain * slope, 4),
-        "gain_posterior": [round(centre * slope, 4), round(sd * slope, 4)],
-        "gain_bounds": [round(b * slope, 4) for b in bounds],
-        "anchors": {w: sum(a.what == w for a in anchors) for w in ("clothing", "car_roof", "face_clipped")},
-        "levels": [low, high],
+    unit = slope / scale
+    return gain, {
+        "gain_grey_per_k": round(gain * unit, 4),
+        "gain_posterior": [round(centre * unit, 4), round(sd * unit, 4)],
+        "gain_bounds": [round(b * unit, 4) for b in bounds],
     }
-    return mapping, facts
 
 
 def ring_level(picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free: NDArray[np.bool_]) -> float:
@@ -158,8 +237,9 @@ def find_anchors(
     time_of_day: TimeOfDay | None,
     levels: tuple[float, float],
     scale: float = 1.0,
+    clothing_k: float = 6.0,
 ) -> tuple[Anchor, ...]:
-    """Annotated people (clothing, 5 K above air, +-3) and, at night, cars' middles (8 K below air apparent, +-3).
+    """Annotated people (clothes, `clothing_k` above air) and, at night, cars (8 K below air apparent), each +-3 K.
 
     A person whose brightest part is clipped gives a lower bound; clipped clothing gives nothing.
     """
@@ -173,17 +253,17 @@ def find_anchors(
             continue
         around = ring_level(picture, i.box_xyxy, free)
         name = i.category.casefold()
+        h, w = inside.shape
+        # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
+        middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
         if name == "person":
-            middle, bright = (float(v) for v in np.percentile(inside, [50, 95]))
+            bright = float(np.percentile(inside, 95))
             if floor < middle < ceiling - 4 * scale:
-                found.append(Anchor("clothing", middle - around, weather.air_k + 5, 3.0))
+                found.append(Anchor("clothing", middle - around, weather.air_k + clothing_k, 3.0))
             if bright >= ceiling:
                 found.append(Anchor("face_clipped", bright - around, _FACE_K, 3.0))
-        elif name == "car" and time_of_day == "night":
-            h, w = inside.shape
-            roof = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
-            if floor < roof < ceiling:
-                found.append(Anchor("car_roof", roof - around, weather.air_k - 8, 3.0))
+        elif name == "car" and time_of_day == "night" and floor < middle < ceiling:
+            found.append(Anchor("car_roof", middle - around, weather.air_k - 8, 3.0))
     return tuple(found)
 
 

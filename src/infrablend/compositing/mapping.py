@@ -17,19 +17,41 @@ GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
+class Place:
+    """The mapping around one of several inserts: what lies nearest to `centre_xy` (pixels of the frame) uses it."""
+
+    centre_xy: tuple[float, float]
+    dark: float
+    bright: float
+
+
+@dataclass(frozen=True)
 class GreyMapping:
     """`grey = dark + (bright - dark) * radiance`, in the background's own levels; black-hot has dark > bright.
 
-    `limits` are the darkest and brightest level that the camera writes; surfaces beyond them saturate there.
+    `limits` are the darkest and brightest level that the camera writes; surfaces beyond them saturate there. `places`,
+    if there are several, say how the mapping differs between inserts; `dark` and `bright` are then the first one's.
     """
 
     dark: float
     bright: float
     limits: tuple[float, float] | None = None
+    places: tuple[Place, ...] = ()
 
-    def apply(self, radiance: NDArray[np.float32], alpha: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(h, w) premultiplied grey levels of premultiplied radiance."""
-        grey = np.float32(self.dark) * alpha + np.float32(self.bright - self.dark) * radiance
+    def apply(
+        self, radiance: NDArray[np.float32], alpha: NDArray[np.float32], offset_xy: tuple[int, int] = (0, 0)
+    ) -> NDArray[np.float32]:
+        """(h, w) premultiplied grey levels of premultiplied radiance, of a crop at `offset_xy`."""
+        dark: Any = np.float32(self.dark)
+        span: Any = np.float32(self.bright - self.dark)
+        if len(self.places) > 1:
+            rows, columns = np.indices(alpha.shape, np.float32)
+            x, y = columns + np.float32(offset_xy[0] + 0.5), rows + np.float32(offset_xy[1] + 0.5)
+            away = [np.hypot(x - np.float32(p.centre_xy[0]), y - np.float32(p.centre_xy[1])) for p in self.places]
+            nearest = np.argmin(away, axis=0)
+            dark = np.array([p.dark for p in self.places], np.float32)[nearest]
+            span = np.array([p.bright - p.dark for p in self.places], np.float32)[nearest]
+        grey = dark * alpha + span * radiance
         if self.limits is not None:
             low, high = (np.float32(v) for v in self.limits)
             grey = np.clip(grey, low * alpha, high * alpha)
@@ -38,13 +60,18 @@ class GreyMapping:
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
         plain: dict[str, Any] = {"dark": self.dark, "bright": self.bright}
-        return plain if self.limits is None else {**plain, "limits": list(self.limits)}
+        if self.limits is not None:
+            plain["limits"] = list(self.limits)
+        if self.places:
+            plain["places"] = [[*p.centre_xy, p.dark, p.bright] for p in self.places]
+        return plain
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> GreyMapping:
         """The mapping that `to_json` wrote."""
-        low_high = data.get("limits")
-        return cls(data["dark"], data["bright"], None if low_high is None else (low_high[0], low_high[1]))
+        limits = data.get("limits")
+        places = tuple(Place((x, y), dark, bright) for x, y, dark, bright in data.get("places", ()))
+        return cls(data["dark"], data["bright"], None if limits is None else (limits[0], limits[1]), places)
 
 
 class Mapper(Protocol):

@@ -50,7 +50,7 @@ def make_layer(
     (x0, y0), (w, h) = result.offset_xy, result.frame_wh
     if not result.alpha.size:
         return Layer((0, 0), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32))
-    grey, alpha = mapping.apply(result.radiance, result.alpha), result.alpha
+    grey, alpha = mapping.apply(result.radiance, result.alpha, (x0, y0)), result.alpha
     moves = math.hypot(*motion_px) > 0
     if moves:
         kernel = motion_kernel(motion_px, softness_px)

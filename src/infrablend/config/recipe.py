@@ -41,13 +41,34 @@ class RandomPitch(Strict):
     """Range of the depression angle, degrees; uniform."""
 
 
+class FixedAltitude(Strict):
+    """One height for all frames."""
+
+    fixed_m: float = Field(gt=0, le=10_000)
+    """Height of the camera above the ground, metres."""
+
+
+class RandomAltitude(Strict):
+    """A height drawn for each frame."""
+
+    random_m: range_of(0.1, 10_000)  # type: ignore[valid-type]
+    """Range of the camera's height above the ground, metres; uniform."""
+
+
 class Camera(Strict):
     """The virtual camera; it looks at the scene's origin."""
 
     distance_m: range_of(0.05, 100_000) = (1.0, 10.0)  # type: ignore[valid-type]
-    """Distance from the camera to the scene's origin, metres; uniform. Paper: D_min, D_max = 1, 10."""
+    """Distance from the camera to the scene's origin, metres; uniform. Paper: D_min, D_max = 1, 10. Paper placement
+    only."""
     pitch: Literal["metadata"] | FixedPitch | RandomPitch = "metadata"
     """Depression angle: each background's own (`metadata`), `{fixed_deg: 0}` or `{random_deg: [0, 90]}`."""
+    altitude: Literal["metadata"] | FixedAltitude | RandomAltitude = "metadata"
+    """Metric placement: height above the ground, each background's own (`metadata`), `{fixed_m: 60}` or
+    `{random_m: [60, 120]}`."""
+    calibrate: bool = True
+    """Metric placement: correct the height until the annotated people, cars and two-wheelers of the image have their
+    real size. Stated heights count from take-off; without any annotated object they are taken 1.15 times."""
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Turn about the optical axis, degrees; uniform. Paper: phi_min, phi_max = -10, 10."""
     focal_length_mm: float = Field(50.0, gt=0, le=10_000)
@@ -101,11 +122,13 @@ class Object(Strict):
     count: Annotated[int, Field(ge=0, le=64)] | Count = 1
     """How many per frame: a number, or `{values: [0, 1, 2], weights: [...]}`."""
     x_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
-    """Position to the right of the scene's origin, metres; uniform. Paper: -3, 3."""
+    """Position to the right of the scene's origin, metres; uniform. Paper: -3, 3. Paper placement only, as y."""
     y_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
     """Position away from the camera, metres; uniform. Paper: -3, 3."""
     z_m: range_of(-100_000, 100_000) = (0.0, 0.0)  # type: ignore[valid-type]
-    """Height above the scene's origin, metres; uniform. Paper: 0."""
+    """Height above the scene's origin, metres; uniform. Paper: 0. Metric placement: above the ground, if it stands."""
+    range_m: range_of(0.5, 10_000) = (15.0, 60.0)  # type: ignore[valid-type]
+    """Metric placement: distance from the camera of what flies, metres; uniform."""
     yaw_deg: range_of(-360, 360) = (0.0, 360.0)  # type: ignore[valid-type]
     """Heading, degrees counter-clockwise seen from above; uniform. Paper: 0, 360."""
     scale: range_of(1e-4, 1e4) = (1.0, 1.0)  # type: ignore[valid-type]
@@ -117,8 +140,11 @@ class Object(Strict):
 
 
 class Placement(Strict):
-    """When a draw counts, and what happens if it does not."""
+    """Where objects go, when a draw counts, and what happens if it does not."""
 
+    mode: Literal["paper", "metric"] = "paper"
+    """`paper`: around the origin of a virtual scene. `metric`: in the real camera's view, at its real height over the
+    ground: what stands, stands on the ground at a place drawn over the image; what flies is drawn at `range_m`."""
     on_miss: Literal["redraw", "redraw_position", "keep"] = "redraw"
     """`redraw`: distance, position, yaw and roll are drawn again together; `redraw_position`: x and y alone;
     `keep`: the paper's literal text, the object may lie outside the frame."""
@@ -132,6 +158,16 @@ class Placement(Strict):
     """Smallest and largest allowed longest side of the object's box, pixels."""
     min_visibility: float = Field(0.0, ge=0, le=1)
     """Least visible share of an object (frame's edge and nearer objects count); less is not inserted."""
+    clear_of_labels: bool = True
+    """Metric placement: never on annotated objects or other inserts."""
+    clear_of_ignored: bool | None = None
+    """Never on ignore regions (DontCare); by default with metric placement only, as the paper takes no notice."""
+    max_relief_grey: float = Field(12.0, ge=0)
+    """Metric placement: what stands needs even ground under its feet: at most this standard deviation there, 8-bit
+    grey levels (trees, roofs' edges and kerbs have more). 0: no check."""
+    min_contrast_grey: float = Field(4.0, ge=0)
+    """`matching.mode: local`: an object of which no part would differ by this much from the ground is not inserted,
+    8-bit grey levels."""
 
 
 class Environment(Strict):
@@ -179,6 +215,9 @@ class Matching(Strict):
     """`local`: expected gain before looking at the image; HIT-UAV by night has about 6."""
     gain_prior_spread: float = Field(0.3, gt=0, le=2)
     """`local`: relative standard deviation of that expectation."""
+    clothing_above_air_k: float = Field(6.0, ge=-10, le=40)
+    """`local`: how much warmer than the air the clothes of annotated people are taken to be, kelvin, give or take 3:
+    winter's +2..+8, summer's +3..+10."""
     low_percentile: float = Field(1.0, ge=0, le=100)
     """Percentile of the background shown for the cold end."""
     high_percentile: float = Field(99.5, ge=0, le=100)

@@ -91,6 +91,25 @@ class Weather:
 
 
 @dataclass(frozen=True)
+class View:
+    """The real camera above the real ground: metric placement.
+
+    Attributes:
+        camera_height_m: Above the ground, as calibrated.
+        stated_height_m: As the metadata or the recipe say.
+        ground_z_m: Height of the ground plane in the world.
+        anchors: Annotated objects that the calibration rests on, by class.
+        factor_sd: Standard deviation of the logarithm of true over stated height.
+    """
+
+    camera_height_m: float
+    stated_height_m: float
+    ground_z_m: float
+    anchors: Mapping[str, int]
+    factor_sd: float
+
+
+@dataclass(frozen=True)
 class Appearance:
     """How temperature becomes light.
 
@@ -125,6 +144,7 @@ class SceneSpec:
         weather: Needed by the physical look; None with the artistic one.
         motion_px: How far (right, down) a motion tail has moved the objects on average; `objects` and `camera` are
             after that move. The tail stretches this way, the objects move the other. (0, 0) for none.
+        view: The real camera's height over the ground; None with the paper's placement.
     """
 
     frame_id: str
@@ -140,6 +160,7 @@ class SceneSpec:
     draws: Mapping[str, Any] = field(default_factory=dict)
     weather: Weather | None = None
     motion_px: tuple[float, float] = (0.0, 0.0)
+    view: View | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -156,6 +177,7 @@ class SceneSpec:
         d["weather"] = Weather(**d["weather"]) if d.get("weather") else None
         dx, dy = d.get("motion_px", (0.0, 0.0))
         d["motion_px"] = (dx, dy)
+        d["view"] = View(**d["view"]) if d.get("view") else None
         objects = []
         for o in d["objects"]:
             o = dict(o)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from infrablend.annotation.labels import LabelSettings, annotate
 from infrablend.annotation.merge import MergeSettings, cover_of, merge, partly_covered
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.compositing.local import GainPrior, local_mapping
-from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper
+from infrablend.compositing.local import GainPrior, Insert, expected_contrast, grey_unit, local_mapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper, Place
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
 from infrablend.config.recipe import Recipe
@@ -29,6 +29,7 @@ from infrablend.core.camera import object_to_world
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes, write_json
+from infrablend.core.mesh import Mesh
 from infrablend.core.registry import resolve
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
@@ -38,6 +39,8 @@ from infrablend.formats.images import Background, encode_image, load_background,
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord
+from infrablend.sampling.ground import ground_point
+from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import SampledScene, build_meshes, sample_scene, without_objects
 
 RENDERERS = {
@@ -59,6 +62,7 @@ class FrameSettings:
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
         pin_cores: Keep each worker on a processor core of its own.
+        ignored: Names of the categories that mark ignore regions.
     """
 
     out: Path
@@ -69,6 +73,7 @@ class FrameSettings:
     device: str = "cpu"
     pin_cores: bool = True
     levels: tuple[float, float] | None = None
+    ignored: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,9 +106,10 @@ class FrameMaker:
             return self._copy_original(frame)
         source = frame.background
         background = load_background(source.path, source.size_wh)
-        sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed)
+        site = self._site(source, background)
+        sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed, site)
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
-        mapping, matching_facts = self._match(source, background, sampled)
+        sampled, mapping, matching_facts = self._match(source, background, sampled)
         sensor = self._sensor(background, sampled)
         picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px, sensor)
 
@@ -155,23 +161,46 @@ class FrameMaker:
         """Release the renderer."""
         self._renderer.close()
 
+    def _site(self, source: ImageRecord, background: Background) -> Site:
+        """What placement may know of the background."""
+        unit = 1.0 if self._settings.levels is None else grey_unit(background.pixels, self._settings.levels)
+        ignored = frozenset(self._settings.ignored)
+        return Site(background.pixels, source.instances, ignored, source.altitude_m, unit)
+
     def _match(
         self, source: ImageRecord, background: Background, sampled: SampledScene
+    ) -> tuple[SampledScene, GreyMapping, dict[str, Any]]:
+        """The scene less what nobody would see, its grey levels, and what was estimated of the background."""
+        m = self._recipe.matching
+        while m.mode == "local" and sampled.spec.objects:
+            mapping, facts = self._local_mapping(source, background, sampled)
+            weather, grounds = sampled.spec.weather, facts["ground_grey"]
+            assert weather is not None
+            least = self._recipe.placement.min_contrast_grey
+            if least > 0:
+                least *= grey_unit(background.pixels, facts["levels"])
+            places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
+            seen = [
+                expected_contrast(o, place, ground, weather)
+                for o, place, ground in zip(sampled.spec.objects, places, grounds, strict=True)
+            ]
+            faint = [k for k, contrast in enumerate(seen) if contrast < least]
+            if not faint:
+                return sampled, mapping, {"matching": facts}
+            sampled = without_objects(sampled, faint, "low_contrast")
+        return sampled, self._mapper(background.pixels), {}
+
+    def _local_mapping(
+        self, source: ImageRecord, background: Background, sampled: SampledScene
     ) -> tuple[GreyMapping, dict[str, Any]]:
-        """Grey levels for this scene on this background, and what was estimated of the background."""
+        """Grey levels by radiance, from the ground around each object."""
         m, spec = self._recipe.matching, sampled.spec
-        if m.mode == "percentile" or spec.weather is None or not spec.objects:
-            return self._mapper(background.pixels), {}
         assert self._settings.levels is not None
-        worlds = [
-            object_to_world(mesh.vertices_m, o.position_m, o.yaw_rad, o.scale)
-            for o, mesh in zip(spec.objects, sampled.meshes, strict=True)
-        ]
-        xy = np.concatenate([spec.camera.project(w)[0] for w in worlds])
+        assert spec.weather is not None
         low, high = m.gain_grey_per_k
-        mapping, facts = local_mapping(
+        return local_mapping(
             background.pixels,
-            np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)]),
+            [insert_of(spec, k, mesh) for k, mesh in enumerate(sampled.meshes)],
             source.instances,
             spec.weather,
             source.time_of_day,
@@ -179,8 +208,8 @@ class FrameMaker:
             stream(self._settings.seed, spec.frame_id, "matching"),
             prior=GainPrior(m.gain_prior_grey_per_k, m.gain_prior_grey_per_k * m.gain_prior_spread, low, high),
             polarity=m.polarity,
+            clothing_k=m.clothing_above_air_k,
         )
-        return mapping, {"matching": facts}
 
     def _sensor(self, background: Background, sampled: SampledScene) -> Sensor | None:
         """The camera to imitate, fitted to this background; None if the recipe wants none."""
@@ -294,6 +323,20 @@ def repaint(
         recipe.overlay.softness_px,
         None if fitted is None else Sensor.from_json(fitted),
     )
+
+
+def insert_of(spec: SceneSpec, number: int, mesh: Mesh) -> Insert:
+    """Where object `number` of a scene lies in the picture, and how far away if the camera is the real one."""
+    o, camera = spec.objects[number], spec.camera
+    world = object_to_world(mesh.vertices_m, o.position_m, o.yaw_rad, o.scale)
+    xy, _ = camera.project(world)
+    box = np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)])
+    if spec.view is None:
+        return Insert(box)
+    away = float(np.linalg.norm(np.asarray(o.position_m) - camera.position_m))
+    u, v = ((box[:2] + box[2:]) / 2).tolist()
+    below = ground_point(camera, u, v, spec.view.ground_z_m)
+    return Insert(box, away, None if below is None else float(np.linalg.norm(below - camera.position_m)))
 
 
 def make_mapper(recipe: Recipe) -> Mapper:

@@ -162,6 +162,16 @@ def make_plan(
                     "give a table (docs/how_to/own_images.md), or set camera.pitch to {fixed_deg: ...}",
                 )
             )
+        elif recipe.placement.mode == "metric" and recipe.camera.altitude == "metadata" and image.altitude_m is None:
+            problems.append(
+                Problem(
+                    image.path.name,
+                    "no-altitude",
+                    "no camera height known, which metric placement needs",
+                    "an altitude in the file name, the annotation or a metadata table",
+                    "give a table (docs/how_to/own_images.md), or set camera.altitude to {fixed_m: ...}",
+                )
+            )
         else:
             usable.append(image)
     if not usable:

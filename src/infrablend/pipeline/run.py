@@ -138,6 +138,7 @@ def run_plan(
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
             levels=dataset_levels(plan) if _needs_levels(plan) else None,
+            ignored=tuple(c.name for c in plan.dataset.categories if c.ignore),
         )
         worker = WorkerSpec(FACTORY, settings)
         executor: Executor
@@ -196,7 +197,8 @@ def run_plan(
 
 
 def _needs_levels(plan: RunPlan) -> bool:
-    return plan.recipe.matching.mode == "local" or plan.recipe.sensor.profile != "off"
+    r = plan.recipe
+    return r.matching.mode == "local" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
 
 def dataset_levels(plan: RunPlan) -> tuple[float, float]:

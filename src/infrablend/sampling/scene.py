@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel, PartRange
 from infrablend.config.recipe import Count, FixedPitch, Object, RandomPitch, Recipe
-from infrablend.core.boxes import clip_triangles_to_rect
-from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import TimeOfDay
-from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.core.raster import inside_fraction, project_triangles
+from infrablend.core.mesh import Mesh
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
 from infrablend.errors import ModelError
+from infrablend.sampling.metric import Site, place_metric, real_camera
+from infrablend.sampling.placement import Tally, Wanted, place_as_paper
 
 ZERO_C_K = 273.15
 
@@ -58,17 +56,9 @@ class FrameKey:
         return f"{self.split}/{self.background_id}_c{self.configuration}"
 
 
-@dataclass
-class _Tally:
-    """What happened while drawing one frame; goes into the scene's `draws`."""
-
-    attempts: int = 0
-    first_distance_m: float | None = None
-    rejected: dict[str, int] = field(default_factory=dict)
-    absent: dict[str, int] = field(default_factory=dict)
-
-
-def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> SampledScene:
+def sample_scene(
+    frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int, site: Site | None = None
+) -> SampledScene:
     """The scene of one frame.
 
     Depends on (seed, frame id) and the recipe alone. Shape and temperature come from other streams than placement,
@@ -79,32 +69,41 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
         recipe: What to draw.
         models: Every model the recipe names, by that name.
         seed: The run's seed.
+        site: The background; needed by metric placement and to keep clear of ignore regions.
     """
     rng = {s: stream(seed, frame.frame_id, s) for s in ("world", "shape", "heat", "placement")}
     pitch_rad = math.radians(_pitch_deg(frame, recipe, rng["world"]))
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
-    tally = _Tally()
-
-    camera, poses = _place(frame, recipe, models, pitch_rad, wanted, rng["placement"], tally)
+    tally = Tally()
+    c, view = recipe.camera, None
+    if recipe.placement.mode == "metric":
+        if site is None:
+            raise ValueError(f"{frame.frame_id}: metric placement needs the background")
+        camera, view = real_camera(recipe, pitch_rad, frame.size_wh, site, stream(seed, frame.frame_id, "camera"))
+        poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally)
+    else:
+        like = CameraSpec(1.0, pitch_rad, 0.0, c.focal_length_mm, c.sensor_width_mm, frame.size_wh)
+        labels, ignored = (site.labels, site.ignored) if site else ((), frozenset())
+        camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally)
     objects, meshes = [], []
-    for (kind, params, mesh, scale), pose in zip(wanted, poses, strict=True):
-        model = models[kind.model]
+    for item, pose in zip(wanted, poses, strict=True):
+        kind, model = item.kind, item.model
         # Drawn also for an object that found no place: the next object's numbers must not depend on it.
-        parts = _parts(kind, model.roles(params), mesh, air_k, rng["heat"])
+        parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"])
         if pose is None:
             continue
-        meshes.append(mesh)
+        meshes.append(item.mesh)
         objects.append(
             ObjectSpec(
                 model=kind.model,
                 category=kind.category or model.category,
-                params=params,
+                params=item.params,
                 parts=parts,
                 position_m=(pose[0], pose[1], pose[2]),
                 yaw_rad=pose[3],
-                scale=scale,
+                scale=item.scale,
             )
         )
     look = recipe.appearance
@@ -135,6 +134,7 @@ def sample_scene(frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectMod
         },
         weather=_weather(frame, recipe, air_k, seed) if look.mode == "physical" else None,
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
+        view=view,
     )
     return SampledScene(spec, tuple(meshes))
 
@@ -199,12 +199,9 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> flo
     return frame.pitch_deg
 
 
-_Wanted = tuple[Object, dict[str, Any], Mesh, float]
-
-
 def _wanted(
     recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, time_of_day: TimeOfDay | None
-) -> list[_Wanted]:
+) -> list[Wanted]:
     """Kind, parameters, mesh and scale of each object the frame shall hold."""
     result = []
     for kind in recipe.objects:
@@ -222,7 +219,7 @@ def _wanted(
             params = models[kind.model].sample(rng, options)
             low, high = kind.scale
             scale = math.exp(rng.uniform(math.log(low), math.log(high)))
-            result.append((kind, params, models[kind.model].build(params), scale))
+            result.append(Wanted(kind, models[kind.model], params, models[kind.model].build(params), scale))
     return result
 
 
@@ -250,97 +247,6 @@ def _parts(
                 opacity=role.opacity,
             )
     return parts
-
-
-_Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
-
-
-def _place(
-    frame: FrameKey,
-    recipe: Recipe,
-    models: Mapping[str, ObjectModel],
-    pitch_rad: float,
-    wanted: Sequence[_Wanted],
-    rng: np.random.Generator,
-    tally: _Tally,
-) -> tuple[CameraSpec, list[_Pose | None]]:
-    """The camera and a pose for each object, None for one that found no place.
-
-    The first object is drawn together with the camera (paper: d, x, y, yaw, roll); further ones are drawn into that
-    camera's view one by one. Asking all of several objects at once would need astronomically many draws.
-    """
-    rules = recipe.placement
-
-    def draw_camera() -> CameraSpec:
-        return CameraSpec(
-            distance_m=float(rng.uniform(*recipe.camera.distance_m)),
-            pitch_rad=pitch_rad,
-            roll_rad=math.radians(rng.uniform(*recipe.camera.roll_deg)),
-            focal_length_mm=recipe.camera.focal_length_mm,
-            sensor_width_mm=recipe.camera.sensor_width_mm,
-            size_wh=frame.size_wh,
-        )
-
-    def draw_pose(kind: Object) -> _Pose:
-        x, y, z = (float(rng.uniform(*r)) for r in (kind.x_m, kind.y_m, kind.z_m))
-        return x, y, z, math.radians(rng.uniform(*kind.yaw_deg))
-
-    camera = draw_camera()
-    tally.first_distance_m = camera.distance_m
-    poses: list[_Pose | None] = []
-    for number, (kind, _, mesh, scale) in enumerate(wanted):
-        pose = draw_pose(kind)
-        model = models[kind.model]
-        labelled = np.array([model.parts[n].label for n in mesh.part_names])[mesh.part_of_triangle]
-        if rules.on_miss == "keep":
-            tally.attempts += 1
-            poses.append(pose)
-            continue
-        accepted = False
-        for attempt in range(rules.attempts):
-            if attempt:
-                if rules.on_miss == "redraw" and number == 0:
-                    camera, pose = draw_camera(), draw_pose(kind)
-                else:
-                    fresh = draw_pose(kind)
-                    pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
-            tally.attempts += 1
-            world = object_to_world(mesh.vertices_m, pose[:3], pose[3], scale)
-            reason = _rejection(camera, world, mesh, labelled, recipe)
-            if reason is None:
-                accepted = True
-                break
-            tally.rejected[reason] = tally.rejected.get(reason, 0) + 1
-        if not accepted:
-            tally.absent["no_place"] = tally.absent.get("no_place", 0) + 1
-        poses.append(pose if accepted else None)
-    return camera, poses
-
-
-def _rejection(
-    camera: CameraSpec, world_m: FloatArray, mesh: Mesh, labelled: NDArray[np.bool_], recipe: Recipe
-) -> str | None:
-    """Why this draw does not count, or None; `labelled` (T,) are the triangles that the label's box is about."""
-    rules = recipe.placement
-    inside, depth_m = inside_fraction(camera, world_m, mesh.triangles)
-    if depth_m < rules.min_depth_m:
-        return "too_near"
-    if inside < max(rules.min_inside, rules.min_visibility):
-        return "outside_frame"
-    if rules.size_px is not None:
-        size = _box_size_px(camera, world_m, mesh.triangles[labelled])
-        if size < rules.size_px[0]:
-            return "too_small"
-        if size > rules.size_px[1]:
-            return "too_large"
-    return None
-
-
-def _box_size_px(camera: CameraSpec, world_m: FloatArray, triangles: IntArray) -> float:
-    """Longest side of the box that triangles would get: in the image and cut to the frame, as labels are."""
-    xy = project_triangles(camera, world_m, triangles).xy
-    points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
-    return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
 
 def without_objects(scene: SampledScene, numbers: Sequence[int], reason: str) -> SampledScene:

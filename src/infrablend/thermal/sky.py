@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -82,6 +84,15 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
     water = humidity * np.exp(1.5587 + 0.06939 * t - 0.00027816 * t**2 + 6.8455e-7 * t**3)
     s, q = np.sqrt(np.asarray(distance_m, np.float64)), np.sqrt(water)
     return np.asarray(1.9 * np.exp(-s * (0.006569 - 0.002276 * q)) - 0.9 * np.exp(-s * (0.01262 - 0.00667 * q)))
+
+
+def relative_humidity(air_k: float, dew_point_k: float) -> float:
+    """Relative humidity in [0, 1] from air temperature and dew point (at most the former), kelvin.
+
+    Magnus' formula with a = 17.625, b = 243.04 C, good to 0.4 % from -40 to 50 C (Alduchov and Eskridge 1996).
+    """
+    air_c, dew_c = air_k - ZERO_C_K, min(dew_point_k, air_k) - ZERO_C_K
+    return math.exp(17.625 * dew_c / (243.04 + dew_c) - 17.625 * air_c / (243.04 + air_c))
 
 
 def at_sensor_radiance(leaving: ArrayLike, tau: ArrayLike, air_k: float) -> Array:

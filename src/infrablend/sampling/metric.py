@@ -1,0 +1,169 @@
+"""Metric placement: objects in the real camera's view, at its real height over a ground plane.
+
+The camera looks as the metadata say and is as high as the annotated objects show (`calibration`). What stands is put on
+the ground at a place drawn evenly over the image, where the picture shows even ground and nothing annotated; what
+flies is put on a ray through such a place at a drawn distance, always before the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.config.recipe import FixedAltitude, Object, RandomAltitude, Recipe
+from infrablend.core.camera import CameraSpec
+from infrablend.core.dataset import Instance
+from infrablend.core.mesh import FloatArray
+from infrablend.core.scene import View
+from infrablend.sampling.calibration import Calibration, calibrate
+from infrablend.sampling.ground import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.sampling.placement import Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
+
+# A flying object keeps this share of the way to the ground at most.
+_BEFORE_GROUND = 0.9
+# Relief is judged in windows of this side, and under the feet with this margin, px.
+_RELIEF_WINDOW_PX = 7
+_FEET_MARGIN_PX = 3
+# What of an object counts as its feet: its lowest part, share of its height.
+_FEET = 0.12
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What metric placement knows of one background.
+
+    Attributes:
+        pixels: (h, w) grey levels.
+        labels: The background's own objects.
+        ignored: Names of the categories that mark ignore regions.
+        altitude_m: Height of the camera as the metadata say, or None.
+        grey_unit: How many of its levels are one 8-bit level: 1, or more for 16-bit pictures.
+    """
+
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    labels: tuple[Instance, ...] = ()
+    ignored: frozenset[str] = frozenset()
+    altitude_m: float | None = None
+    grey_unit: float = 1.0
+
+
+def real_camera(
+    recipe: Recipe, pitch_rad: float, size_wh: tuple[int, int], site: Site, rng: np.random.Generator
+) -> tuple[CameraSpec, View]:
+    """The background's own camera over the ground; height and roll drawn where the recipe says so."""
+    c = recipe.camera
+    drawn = float(rng.random())  # always taken, so that other draws do not depend on the choice
+    if isinstance(c.altitude, FixedAltitude):
+        stated = c.altitude.fixed_m
+    elif isinstance(c.altitude, RandomAltitude):
+        low, high = c.altitude.random_m
+        stated = low + (high - low) * drawn
+    elif site.altitude_m is not None:
+        stated = site.altitude_m
+    else:
+        raise ValueError("no altitude; the plan must have left this background out")
+    roll = math.radians(rng.uniform(*c.roll_deg))
+    camera = CameraSpec(1.0, pitch_rad, roll, c.focal_length_mm, c.sensor_width_mm, size_wh)
+    camera = at_height(camera, stated)
+    found = calibrate(camera, stated, site.labels) if c.calibrate else Calibration(stated, stated, 1.0, 0.0, {})
+    camera = at_height(camera, found.height_m)
+    ground = ground_z_m(camera, found.height_m)
+    return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd)
+
+
+def place_metric(
+    camera: CameraSpec,
+    view: View,
+    recipe: Recipe,
+    wanted: Sequence[Wanted],
+    site: Site,
+    rng: np.random.Generator,
+    tally: Tally,
+) -> list[Pose | None]:
+    """A pose for each object, None for one that found no place; rejections are counted by reason in `tally`."""
+    rules = recipe.placement
+    tally.first_distance_m = camera.distance_m
+    ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
+    taken = boxes_of([i for i in site.labels if i.category not in site.ignored])
+    relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
+    poses: list[Pose | None] = []
+    for item in wanted:
+        found = None
+        for _ in range(rules.attempts):
+            tally.attempts += 1
+            pose = _draw(camera, view, item, rng)
+            if isinstance(pose, str):
+                tally.reject(pose)
+                continue
+            world = item.in_world(pose)
+            reason = rejection(camera, world, item, rules)
+            box = None if reason else box_px(camera, world, item)
+            if reason is None:
+                if rules.clear_of_ignored is not False and overlaps(box, ignored):
+                    reason = "on_ignored"
+                elif rules.clear_of_labels and overlaps(box, taken):
+                    reason = "on_annotated"
+                elif item.model.stands and relief is not None:
+                    feet = feet_box(camera, world)
+                    reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
+            if reason is None:
+                found = pose
+                assert box is not None
+                taken = np.concatenate([taken, box[None]])
+                break
+            tally.reject(reason)
+        if found is None:
+            tally.leave_out("no_place")
+        poses.append(found)
+    return poses
+
+
+def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator) -> Pose | str:
+    """A pose, or why this draw gives none. Always takes the same number of draws."""
+    kind: Object = item.kind
+    w, h = camera.size_wh
+    u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
+    yaw = math.radians(rng.uniform(*kind.yaw_deg))
+    above = float(rng.uniform(*kind.z_m))
+    away = float(rng.uniform(*kind.range_m))
+    below = ground_point(camera, u, v, view.ground_z_m)
+    if item.model.stands:
+        if below is None:
+            return "no_ground"
+        return float(below[0]), float(below[1]), view.ground_z_m + above, yaw
+    if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
+        return "beyond_ground"
+    place = camera.position_m + away * pixel_ray(camera, u, v)
+    return float(place[0]), float(place[1]), float(place[2]), yaw
+
+
+def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:
+    """(4,) box in the image of the lowest part of an object that stands."""
+    z = world_m[:, 2]
+    low = world_m[z <= z.min() + _FEET * np.ptp(z)]
+    xy, _ = camera.project(low)
+    return np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)])
+
+
+def relief_of(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+    """(h, w) standard deviation of the grey levels around each pixel: low on road, grass and sand."""
+    grey = pixels.astype(np.float32)
+    window = (_RELIEF_WINDOW_PX, _RELIEF_WINDOW_PX)
+    grey -= grey.mean()
+    mean = cv2.blur(grey, window)
+    return np.asarray(np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0)), np.float32)
+
+
+def is_even(relief: NDArray[np.float32], feet_xyxy: FloatArray, limit_grey: float) -> bool:
+    """Whether the ground under and closely around the feet is even: no more than a tenth of it beyond the limit."""
+    h, w = relief.shape
+    x0, y0 = (max(math.floor(c) - _FEET_MARGIN_PX, 0) for c in feet_xyxy[:2])
+    x1 = min(math.ceil(feet_xyxy[2]) + _FEET_MARGIN_PX, w)
+    y1 = min(math.ceil(feet_xyxy[3]) + _FEET_MARGIN_PX, h)
+    part = relief[y0:y1, x0:x1]
+    return bool(part.size) and float((part > limit_grey).mean()) <= 0.1

@@ -1,0 +1,175 @@
+"""The paper's placement: objects around the origin of a virtual scene, redrawn until they can be seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.assets.model import ObjectModel
+from infrablend.config.recipe import Object, Placement, Recipe
+from infrablend.core.boxes import clip_triangles_to_rect
+from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.dataset import Instance
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.core.raster import inside_fraction, project_triangles
+
+# Share of an object's box that may lie over a box it has to keep clear of.
+MAX_OVERLAP = 0.02
+
+Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """An object that the frame shall hold; `mesh` in object coordinates, unscaled."""
+
+    kind: Object
+    model: ObjectModel
+    params: Mapping[str, Any]
+    mesh: Mesh
+    scale: float
+
+    @property
+    def labelled(self) -> NDArray[np.bool_]:
+        """(T,) triangles that the label's box is about."""
+        return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
+
+    def in_world(self, pose: Pose) -> FloatArray:
+        """(V, 3) vertices in the world, metres."""
+        return object_to_world(self.mesh.vertices_m, pose[:3], pose[3], self.scale)
+
+
+@dataclass
+class Tally:
+    """What happened while drawing one frame; goes into the scene's `draws`."""
+
+    attempts: int = 0
+    first_distance_m: float | None = None
+    rejected: dict[str, int] = field(default_factory=dict)
+    absent: dict[str, int] = field(default_factory=dict)
+
+    def reject(self, reason: str) -> None:
+        """Count a draw that does not serve."""
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+
+    def leave_out(self, reason: str) -> None:
+        """Count an object that found no place."""
+        self.absent[reason] = self.absent.get(reason, 0) + 1
+
+
+def place_as_paper(
+    camera_of: CameraSpec,
+    recipe: Recipe,
+    wanted: Sequence[Wanted],
+    labels: Sequence[Instance],
+    ignored: frozenset[str],
+    rng: np.random.Generator,
+    tally: Tally,
+) -> tuple[CameraSpec, list[Pose | None]]:
+    """The camera and a pose for each object, None for one that found no place.
+
+    The first object is drawn together with the camera (paper: d, x, y, yaw, roll); further ones are drawn into that
+    camera's view one by one. Asking all of several objects at once would need astronomically many draws.
+
+    Args:
+        camera_of: The camera but for distance and roll.
+        recipe: With `placement.mode: paper`.
+        wanted: The objects.
+        labels: The background's own.
+        ignored: Names of categories that mark ignore regions.
+        rng: Of placement alone.
+        tally: Counts on.
+    """
+    rules = recipe.placement
+    avoid = boxes_of([i for i in labels if i.category in ignored]) if rules.clear_of_ignored else np.zeros((0, 4))
+
+    def draw_camera() -> CameraSpec:
+        return CameraSpec(
+            distance_m=float(rng.uniform(*recipe.camera.distance_m)),
+            pitch_rad=camera_of.pitch_rad,
+            roll_rad=math.radians(rng.uniform(*recipe.camera.roll_deg)),
+            focal_length_mm=camera_of.focal_length_mm,
+            sensor_width_mm=camera_of.sensor_width_mm,
+            size_wh=camera_of.size_wh,
+        )
+
+    def draw_pose(kind: Object) -> Pose:
+        x, y, z = (float(rng.uniform(*r)) for r in (kind.x_m, kind.y_m, kind.z_m))
+        return x, y, z, math.radians(rng.uniform(*kind.yaw_deg))
+
+    camera = draw_camera()
+    tally.first_distance_m = camera.distance_m
+    poses: list[Pose | None] = []
+    for number, item in enumerate(wanted):
+        pose = draw_pose(item.kind)
+        if rules.on_miss == "keep":
+            tally.attempts += 1
+            poses.append(pose)
+            continue
+        accepted = False
+        for attempt in range(rules.attempts):
+            if attempt:
+                if rules.on_miss == "redraw" and number == 0:
+                    camera, pose = draw_camera(), draw_pose(item.kind)
+                else:
+                    fresh = draw_pose(item.kind)
+                    pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
+            tally.attempts += 1
+            world = item.in_world(pose)
+            reason = rejection(camera, world, item, rules)
+            if reason is None and overlaps(box_px(camera, world, item), avoid):
+                reason = "on_ignored"
+            if reason is None:
+                accepted = True
+                break
+            tally.reject(reason)
+        if not accepted:
+            tally.leave_out("no_place")
+        poses.append(pose if accepted else None)
+    return camera, poses
+
+
+def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Placement) -> str | None:
+    """Why an object at these (V, 3) vertices cannot be seen as the rules want, or None."""
+    inside, depth_m = inside_fraction(camera, world_m, item.mesh.triangles)
+    if depth_m < rules.min_depth_m:
+        return "too_near"
+    if inside < max(rules.min_inside, rules.min_visibility):
+        return "outside_frame"
+    if rules.size_px is not None:
+        box = box_px(camera, world_m, item)
+        size = 0.0 if box is None else float(max(box[2] - box[0], box[3] - box[1]))
+        if size < rules.size_px[0]:
+            return "too_small"
+        if size > rules.size_px[1]:
+            return "too_large"
+    return None
+
+
+def box_px(camera: CameraSpec, world_m: FloatArray, item: Wanted) -> FloatArray | None:
+    """(4,) box that an object would get: of its labelled parts, cut to the frame, as labels are; None outside it."""
+    triangles: IntArray = item.mesh.triangles[item.labelled]
+    xy = project_triangles(camera, world_m, triangles).xy
+    points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
+    return np.concatenate([points.min(axis=0), points.max(axis=0)]) if len(points) else None
+
+
+def boxes_of(labels: Sequence[Instance]) -> FloatArray:
+    """(n, 4) boxes of labels."""
+    return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
+
+
+def overlaps(box_xyxy: FloatArray | None, others: FloatArray) -> bool:
+    """Whether more than `MAX_OVERLAP` of the box lies under one of (n, 4) others."""
+    if box_xyxy is None or not len(others):
+        return False
+    low = np.maximum(others[:, :2], box_xyxy[:2])
+    high = np.minimum(others[:, 2:], box_xyxy[2:])
+    shared = np.prod(np.maximum(high - low, 0), axis=1)
+    area = float(np.prod(box_xyxy[2:] - box_xyxy[:2]))
+    return bool((shared > MAX_OVERLAP * area).any())
