@@ -59,6 +59,7 @@ __all__ = [
     "make_world",
     "plan",
     "preview",
+    "preview_ground",
     "read_dataset",
     "rerender",
     "show_model",
@@ -534,6 +535,13 @@ def preview(run: str | Path, out: str | Path, count: int = 12, draw: Sequence[st
     from infrablend.report.preview import preview_run
 
     return preview_run(Path(run), Path(out), count, draw)  # type: ignore[arg-type]
+
+
+def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
+    """Draw the ground plane and people of 1.7 m over frames of a run with metric placement: is the scale right?"""
+    from infrablend.report.ground import ground_sheet
+
+    return ground_sheet(Path(run), Path(out), count)
 
 
 def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:

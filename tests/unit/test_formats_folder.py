@@ -251,7 +251,7 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     with pytest.raises(DatasetError, match="folder has none"):
         detection.read(tmp_path, form="normal_json")
-    with pytest.raises(DatasetError, match="form='normal'|form=normal"):
+    with pytest.raises(DatasetError, match="form"):
         detection.read(tmp_path, form="normal")
     with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
         detection.read(tmp_path, format="voc")

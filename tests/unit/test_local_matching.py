@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from infrablend.compositing.local import GainPrior, find_anchors, local_mapping, measure_levels, ring_level
+from infrablend.compositing.local import GainPrior, Insert, find_anchors, local_mapping, measure_levels, ring_level
 from infrablend.compositing.mapping import GreyMapping
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
@@ -12,7 +12,7 @@ from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 AIR_K = 283.15
 WEATHER = Weather(AIR_K, AIR_K - 6, 0.0, AIR_K - 7, 1.0, AIR_K + 2)
 LEVELS = (16.0, 235.0)
-INSERT = np.array([300.0, 250.0, 340.0, 280.0])
+INSERT = [Insert(np.array([300.0, 250.0, 340.0, 280.0]))]
 
 
 def grey_of(kelvin, gain_k, ground=110.0):
@@ -27,7 +27,7 @@ def scene(gain_k, people=0, cars=0, seed=0, ground=110.0):
     labels = []
     for n in range(people):
         x, y = 40 + 60 * n, 60
-        picture[y : y + 24, x : x + 12] = grey_of(AIR_K + 5, gain_k, ground)
+        picture[y : y + 24, x : x + 12] = ground + 0.8 * (grey_of(AIR_K + 6, gain_k, ground) - ground)
         picture[y : y + 5, x : x + 12] = grey_of(301.15, gain_k, ground)
         labels.append(Instance("Person", np.array([x, y, x + 12, y + 24], np.float64)))
     for n in range(cars):
@@ -70,7 +70,7 @@ def test_without_anchors_the_prior_is_drawn_from():
     assert 1.0 < drawn.std() < 2.4
     assert (drawn >= 2.5).all()
     assert (drawn <= 12).all()
-    assert made[0][1]["anchors"] == {"clothing": 0, "car_roof": 0, "face_clipped": 0}
+    assert made[0][1]["anchors"] == {"clothing": 0, "car_roof": 0, "face_clipped": 0, "clothing_clipped": 0}
 
 
 def test_a_clipped_face_is_a_lower_bound_and_no_reading():

@@ -19,10 +19,16 @@ def preview(
     boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
     obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
+    ground: Annotated[
+        bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
+    ] = False,
 ) -> None:
     """Write a picture with frames of a run and their labels; all kinds of labels unless some are chosen."""
     from infrablend import api
     from infrablend.cli.results import say
 
+    if ground:
+        say(str(api.preview_ground(run, out or run / "ground.png", min(count, 6))))
+        return
     chosen = tuple(name for name, on in (("boxes", boxes), ("obb", obb), ("masks", masks)) if on)
     say(str(api.preview(run, out or run / "preview.png", count, chosen or ("boxes", "obb", "masks"))))

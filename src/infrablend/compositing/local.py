@@ -27,6 +27,9 @@ CLIP_MARGIN = 3
 # What an annotated object's level is worth as a reading, beside its temperature's uncertainty.
 _READING_GREY = 5.0
 _FACE_K = 301.15
+# What the middle of a person's box shows of the clothes' contrast: limbs, straps and the optics take the rest. Measured
+# on rendered people of 8 to 30 px through the HIT-UAV chain: median 0.79, at all of these sizes.
+_CLOTHING_SEEN = 0.8
 
 
 @dataclass(frozen=True)
@@ -42,18 +45,21 @@ class GainPrior:
     high: float = 12.0
 
 
+ANCHORS = ("clothing", "car_roof", "face_clipped", "clothing_clipped")
+
+
 @dataclass(frozen=True)
 class Anchor:
     """An annotated object with a roughly known temperature.
 
     Attributes:
-        what: `clothing`, `car_roof`, or `face_clipped` (a lower bound only).
+        what: `clothing`, `car_roof`, or `face_clipped`, `clothing_clipped` (lower bounds only).
         grey: Its level minus that of the ground around it.
         kelvin: Assumed apparent temperature.
         sd_k: How uncertain that is.
     """
 
-    what: Literal["clothing", "car_roof", "face_clipped"]
+    what: Literal["clothing", "car_roof", "face_clipped", "clothing_clipped"]
     grey: float
     kelvin: float
     sd_k: float
@@ -135,7 +141,7 @@ def local_mapping(
     facts = {
         "ground_grey": grounds,
         **gain_facts,
-        "anchors": {w: sum(a.what == w for a in anchors) for w in ("clothing", "car_roof", "face_clipped")},
+        "anchors": {w: sum(a.what == w for a in anchors) for w in ANCHORS},
         "levels": [low, high],
     }
     return mapping, facts
@@ -189,15 +195,15 @@ def _draw_gain(
     weight, total = 1 / variance, mean / variance
     for a in anchors:
         contrast = float(band_radiance(a.kelvin)) - of_ground
-        if a.what == "face_clipped" or abs(contrast) < 1e-6:
+        if a.what.endswith("clipped") or abs(contrast) < 1e-6:
             continue
         noise = math.hypot(_READING_GREY * scale, mean * slope * a.sd_k)
         weight += (contrast / noise) ** 2
         total += contrast * a.grey / noise**2
     bounds = [prior.low * scale / slope, prior.high * scale / slope]
-    clipped = [a for a in anchors if a.what == "face_clipped"]
-    if clipped:
-        warm = float(band_radiance(_FACE_K)) - of_ground
+    for what in ("face_clipped", "clothing_clipped"):
+        clipped = [a for a in anchors if a.what == what]
+        warm = float(band_radiance(clipped[0].kelvin)) - of_ground if clipped else 0.0
         if warm > 0:
             at_least = float(np.median([a.grey for a in clipped])) / warm
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
@@ -258,8 +264,11 @@ def find_anchors(
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
         if name == "person":
             bright = float(np.percentile(inside, 95))
-            if floor < middle < ceiling - 4 * scale:
-                found.append(Anchor("clothing", middle - around, weather.air_k + clothing_k, 3.0))
+            seen = (middle - around) / _CLOTHING_SEEN
+            if floor < middle:
+                clipped = middle >= ceiling - 4 * scale
+                what: Literal["clothing", "clothing_clipped"] = "clothing_clipped" if clipped else "clothing"
+                found.append(Anchor(what, seen, weather.air_k + clothing_k, 3.0))
             if bright >= ceiling:
                 found.append(Anchor("face_clipped", bright - around, _FACE_K, 3.0))
         elif name == "car" and time_of_day == "night" and floor < middle < ceiling:

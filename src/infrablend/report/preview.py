@@ -61,11 +61,13 @@ class PreviewFrame:
         title: A line above it: name, split, pitch, altitude.
         pixels: (h, w) or (h, w, 3); uint8 is shown as it is, other types stretched from their 0.5 to 99.5 percentile.
         instances: Its labels.
+        frame_id: In its run; empty outside one.
     """
 
     title: str
     pixels: NDArray[Any]
     instances: tuple[Instance, ...]
+    frame_id: str = ""
 
 
 # ---- drawing
@@ -98,7 +100,7 @@ def contact_sheet(
         columns = min(len(frames), 2 if len(frames) <= 4 else 3 if len(frames) <= 12 else 4)
     if columns < 1:
         raise ValueError(f"columns is {columns}, must be at least 1")
-    sheet = _grid([_cell(f, draw) for f in frames], columns)
+    sheet = grid([_cell(f, draw) for f in frames], columns)
     sheet = np.concatenate([_legend(sheet.shape[1], draw), sheet])
     buffer = io.BytesIO()
     Image.fromarray(sheet).save(buffer, "PNG", compress_level=6)
@@ -134,20 +136,26 @@ def draw_labels(
         if "boxes" in draw:
             x0, y0, x1, y1 = i.box_xyxy
             corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-            _draw_polygon(canvas, corners, colours["boxes"], scale, origin_xy)
+            draw_polygon(canvas, corners, colours["boxes"], scale, origin_xy)
         if "obb" in draw and i.corners_xy is not None:
-            _draw_polygon(canvas, i.corners_xy, colours["obb"], scale, origin_xy)
+            draw_polygon(canvas, i.corners_xy, colours["obb"], scale, origin_xy)
     return _with_names(canvas, ordered, draw, scale, origin_xy) if names else canvas
 
 
-def _draw_polygon(
-    canvas: Rgb, corners_xy: NDArray[np.float64], colour: Colour, scale: int, origin_xy: tuple[int, int]
+def draw_polygon(
+    canvas: Rgb,
+    corners_xy: NDArray[np.float64],
+    colour: Colour,
+    scale: int,
+    origin_xy: tuple[int, int],
+    closed: bool = True,
 ) -> None:
+    """Draw lines through (n, 2) points of the frame; see `draw_labels`."""
     # cv2 counts from pixel centres, we from pixel corners.
     points = (corners_xy - np.asarray(origin_xy)) * scale - 0.5
     # Far outside the canvas cv2 would overflow; clip well beyond what can be seen.
     fixed = np.round(np.clip(points, -30_000, 30_000) * 2**_SUBPIXEL_BITS).astype(np.int32)
-    cv2.polylines(canvas, [fixed], True, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+    cv2.polylines(canvas, [fixed], closed, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _draw_mask(canvas: Rgb, mask: Mask, colour: Colour, scale: int, origin_xy: tuple[int, int]) -> None:
@@ -171,7 +179,7 @@ def _with_names(
     image = Image.fromarray(canvas)
     pen = ImageDraw.Draw(image)
     for i in instances:
-        font = _font(13 if i.inserted else 11)
+        font = font_of(13 if i.inserted else 11)
         text = i.category
         if i.inserted and i.visibility is not None and i.visibility < 0.995:
             text += f" {100 * i.visibility:.0f}%"
@@ -200,16 +208,16 @@ def _name_colour(inserted: bool, draw: Sequence[Draw]) -> Colour:
 
 def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
     """A frame with its title and, below it, its inserted objects enlarged, without and with labels."""
-    plain = _to_rgb(frame.pixels)
+    plain = to_rgb(frame.pixels)
     rows = [draw_labels(plain, frame.instances, draw)]
     inserted = [i for i in frame.instances if i.inserted]
     for instance in inserted[:MAX_INSETS]:
         rows.append(_inset_pair(plain, frame.instances, instance, draw))
     if len(inserted) > MAX_INSETS:
         more = f"and {len(inserted) - MAX_INSETS} more inserted object(s)"
-        rows.append(_strip(plain.shape[1], INSET_CAPTION_PX, more, 12, FAINT))
+        rows.append(strip(plain.shape[1], INSET_CAPTION_PX, more, 12, FAINT))
     width = max(r.shape[1] for r in rows)
-    rows.insert(0, _strip(width, TITLE_PX, frame.title, 14, INK))
+    rows.insert(0, strip(width, TITLE_PX, frame.title, 14, INK))
     return np.concatenate([_pad(r, r.shape[0], width) for r in rows])
 
 
@@ -255,7 +263,7 @@ def _inset_pair(plain: Rgb, instances: Sequence[Instance], instance: Instance, d
     bw, bh = instance.box_xyxy[2:] - instance.box_xyxy[:2]
     caption = f"{instance.category}, {bw:.1f} x {bh:.1f} px, enlarged {zoom} times"
     gap = np.full((GAP_PX // 2, pair.shape[1], 3), PAPER, np.uint8)
-    return np.concatenate([gap, pair, _strip(pair.shape[1], INSET_CAPTION_PX, caption, 12, FAINT)])
+    return np.concatenate([gap, pair, strip(pair.shape[1], INSET_CAPTION_PX, caption, 12, FAINT)])
 
 
 def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
@@ -264,19 +272,20 @@ def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
     pen = ImageDraw.Draw(image)
     x, y = GAP_PX, GAP_PX // 2 + 4
     for group, colours in (("inserted:", INSERTED), ("original:", ORIGINAL)):
-        pen.text((x, y), group, fill=INK, font=_font(14))
-        x += round(pen.textlength(group, font=_font(14))) + 10
+        pen.text((x, y), group, fill=INK, font=font_of(14))
+        x += round(pen.textlength(group, font=font_of(14))) + 10
         for kind in ALL_DRAWN:
             if kind not in draw or (colours is ORIGINAL and kind == "masks"):
                 continue
             pen.rectangle([x, y + 3, x + 16, y + 13], outline=colours[kind], width=2)
-            pen.text((x + 22, y), words[kind], fill=FAINT, font=_font(14))
-            x += 22 + round(pen.textlength(words[kind], font=_font(14))) + 16
+            pen.text((x + 22, y), words[kind], fill=FAINT, font=font_of(14))
+            x += 22 + round(pen.textlength(words[kind], font=font_of(14))) + 16
         x += 14
     return np.asarray(image)
 
 
-def _grid(cells: Sequence[Rgb], columns: int) -> Rgb:
+def grid(cells: Sequence[Rgb], columns: int) -> Rgb:
+    """Pictures side by side, `columns` in a row."""
     width = max(c.shape[1] for c in cells)
     rows = []
     for start in range(0, len(cells), columns):
@@ -298,11 +307,11 @@ def _pad(picture: Rgb, height: int, width: int, offset_px: int = 0) -> Rgb:
     return canvas
 
 
-def _strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> Rgb:
+def strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> Rgb:
     """A line of text, cut with dots where it is too long."""
     image = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(image)
-    font = _font(size_px)
+    font = font_of(size_px)
     if pen.textlength(text, font=font) > width - 4:
         while text and pen.textlength(text + "...", font=font) > width - 4:
             text = text[:-1]
@@ -311,12 +320,13 @@ def _strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> 
     return np.asarray(image)
 
 
-def _font(size_px: int) -> ImageFont.FreeTypeFont:
-    # Pillow's own outline font: the same on every machine.
+def font_of(size_px: int) -> ImageFont.FreeTypeFont:
+    """Pillow's own outline font: the same on every machine."""
     return ImageFont.load_default(size_px)
 
 
-def _to_rgb(pixels: NDArray[Any]) -> Rgb:
+def to_rgb(pixels: NDArray[Any]) -> Rgb:
+    """(h, w, 3) uint8 of grey or RGB pixels; what is not 8 bit is stretched."""
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ValueError(f"pixels must be (h, w) or (h, w, 3), got {pixels.shape}")
     if pixels.dtype != np.uint8:
@@ -361,7 +371,7 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
             "Give the folder that `infrablend generate --out` wrote."
         )
     chosen = _spread([e for e in entries if any(i.inserted for i in e.instances)] or entries, count)
-    return [PreviewFrame(_title(run, e), _read_pixels(e.path), e.instances) for e in chosen]
+    return [PreviewFrame(_title(run, e), _read_pixels(e.path), e.instances, f"{e.split}/{e.path.stem}") for e in chosen]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,138 @@
+"""The ground that metric placement believes in, drawn over the pictures: so that a human can see it is wrong.
+
+A grid of the ground plane, and a person of 1.7 m or a car of 4.6 x 1.8 x 1.45 m beside each annotated one: if they do
+not match in size, the camera's height, pitch or focal length is wrong.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from infrablend.core.camera import CameraSpec
+from infrablend.core.files import write_bytes
+from infrablend.core.scene import SceneSpec
+from infrablend.errors import DatasetError
+from infrablend.report.preview import INK, TITLE_PX, PreviewFrame, Rgb, draw_polygon, grid, load_frames, to_rgb
+from infrablend.report.preview import strip as text_strip
+from infrablend.sampling.ground import ground_point
+
+SCALE = 2
+PERSON_M = (0.3, 0.5, 1.7)  # depth, width, height
+CAR_M = (4.6, 1.8, 1.45)
+_GRID = (74, 150, 170)
+_PERSON = (255, 196, 0)
+_CAR = (255, 64, 160)
+_LABELLED = (112, 158, 120)
+_SPACINGS_M = (1, 2, 5, 10, 20, 50, 100, 200)
+_MAX_TWINS = 12
+
+
+def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
+    """Draw the ground of some frames of a run, one PNG.
+
+    Args:
+        run: The folder of a run with metric placement.
+        out_png: Written beside and renamed.
+        count: How many frames at most.
+
+    Raises:
+        DatasetError: No run, or one without metric placement.
+    """
+    cells = []
+    for frame in load_frames(run, count):
+        path = run / "scenes" / f"{frame.frame_id}.json"
+        try:
+            scene = SceneSpec.from_json(json.loads(path.read_text("utf-8"))["scene"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DatasetError(
+                f"{path}: is no frame record ({type(error).__name__}). Run `generate --resume`."
+            ) from error
+        if scene.view is None:
+            raise DatasetError(
+                f"{run}: its objects are placed as in the paper, without a real ground; expected a run with metric "
+                "placement. Use a recipe with placement.mode: metric, such as hit-uav-drone-physical."
+            )
+        cells.append(_cell(frame, scene))
+    buffer = io.BytesIO()
+    Image.fromarray(grid(cells, min(len(cells), 2))).save(buffer, "PNG", compress_level=6)
+    write_bytes(out_png, buffer.getvalue())
+    return out_png
+
+
+def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
+    plain = to_rgb(frame.pixels)
+    canvas = np.repeat(np.repeat(plain, SCALE, 0), SCALE, 1)
+    camera, view = scene.camera, scene.view
+    assert view is not None
+    spacing = _draw_grid(canvas, camera, view.ground_z_m)
+    twins = 0
+    for label in frame.instances:
+        x0, y0, x1, y1 = label.box_xyxy
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))
+        size = {"person": PERSON_M, "car": CAR_M}.get(label.category.casefold())
+        place = ground_point(camera, float(x0 + x1) / 2, float(y0 + y1) / 2, view.ground_z_m)
+        if size is None or place is None or twins >= _MAX_TWINS:
+            continue
+        twins += 1
+        aside = 1.0 if size is PERSON_M else 4.0
+        _draw_cuboid(canvas, camera, place + np.array([aside, 0, 0]), size, _PERSON if size is PERSON_M else _CAR)
+    w, h = camera.size_wh
+    for u, v in ((0.25, 0.25), (0.75, 0.25), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)):
+        if (place := ground_point(camera, u * w, v * h, view.ground_z_m)) is not None:
+            _draw_cuboid(canvas, camera, place, PERSON_M, _PERSON)
+    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items())) or "nothing annotated"
+    title = (
+        f"{frame.frame_id}   pitch {math.degrees(camera.pitch_rad):.0f}\u00b0   stated {view.stated_height_m:g} m, "
+        f"used {view.camera_height_m:.0f} m (from {rests})   grid {spacing} m, people 1.7 m, cars 4.6 m"
+    )
+    return np.concatenate([text_strip(canvas.shape[1], TITLE_PX, title, 14, INK), canvas])
+
+
+def _draw_grid(canvas: Rgb, camera: CameraSpec, ground_m: float) -> int:
+    """Lines of the ground plane; gives their spacing in metres."""
+    w, h = camera.size_wh
+    corners = [ground_point(camera, u, v, ground_m) for u in (0.0, w / 2, float(w)) for v in (0.0, h / 2, float(h))]
+    seen = np.array([c for c in corners if c is not None])
+    if not len(seen):
+        return 0
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    # Near the horizon the plane goes on for kilometres.
+    high = np.minimum(high, low + 400.0)
+    spacing = next((s for s in _SPACINGS_M if (high - low).max() / s <= 14), _SPACINGS_M[-1])
+    low, high = np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing
+    for axis in (0, 1):
+        along = np.linspace(low[1 - axis], high[1 - axis], 60)
+        for value in np.arange(low[axis], high[axis] + spacing / 2, spacing):
+            points = np.empty((len(along), 3))
+            points[:, axis], points[:, 1 - axis], points[:, 2] = value, along, ground_m
+            xy, depth = camera.project(points)
+            if (depth > 0).sum() > 1:
+                draw_polygon(canvas, xy[depth > 0], _GRID, SCALE, (0, 0), closed=False)
+    return spacing
+
+
+def _draw_cuboid(
+    canvas: Rgb,
+    camera: CameraSpec,
+    foot_m: NDArray[np.float64],
+    size_m: tuple[float, float, float],
+    colour: tuple[int, int, int],
+) -> None:
+    """The outline of a cuboid that stands on the ground, length across the view."""
+    length, width, height = size_m
+    if size_m is PERSON_M:
+        length, width = width, length
+    box = np.array([(i * length, j * width, k * height) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 1)])
+    xy, depth = camera.project(box + foot_m)
+    if (depth > 0.1).all():
+        hull = cv2.convexHull(xy.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+        draw_polygon(canvas, hull, colour, SCALE, (0, 0))

@@ -1,0 +1,173 @@
+"""Metric placement: the ground plane, the camera's height from annotated objects, where objects may stand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from infrablend.assets.catalogue import load_model
+from infrablend.config.loading import load_recipe
+from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.dataset import Instance
+from infrablend.sampling.calibration import FACTOR_BOUNDS, NOMINAL_FACTOR, REFERENCES, calibrate
+from infrablend.sampling.ground import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.sampling.metric import Site, is_even, relief_of
+from infrablend.sampling.scene import FrameKey, sample_scene
+
+WH = (640, 512)
+
+
+def hit_uav_camera(pitch_deg, height_m, roll_deg=0.0):
+    camera = CameraSpec(1.0, math.radians(pitch_deg), math.radians(roll_deg), 115.875, 36.0, WH)
+    return at_height(camera, height_m)
+
+
+def test_the_reference_case_of_the_geometry():
+    """f 2060 px, height 100 m, pitch 50 degrees, centre pixel: 130.54 m away, 15.78 px per metre."""
+    camera = hit_uav_camera(50, 100)
+    assert camera.focal_px == pytest.approx(2060)
+    assert camera.distance_m == pytest.approx(130.54, abs=0.005)
+    assert camera.focal_px / camera.distance_m == pytest.approx(15.78, abs=0.005)
+    assert ground_point(camera, 320, 256, ground_z_m(camera, 100)) == pytest.approx([0, 0, 0], abs=1e-9)
+    # The horizon at 30 degrees lies at row 256 - 2060 tan 30 = -933.
+    low = hit_uav_camera(30, 100)
+    assert pixel_ray(low, 320, -934)[2] > 0 > pixel_ray(low, 320, -932)[2]
+
+
+@pytest.mark.parametrize("pitch", [3, 10, 30, 60, 90])
+@pytest.mark.parametrize("roll", [0, 7])
+def test_pixel_to_ground_and_back(pitch, roll):
+    camera = hit_uav_camera(pitch, 80, roll)
+    z = ground_z_m(camera, 80)
+    assert camera.position_m[2] - z == pytest.approx(80)
+    for u, v in ((3.25, 500.5), (320, 256), (639, 300), (100, 400)):
+        point = ground_point(camera, u, v, z)
+        if pitch >= 10 or v > 400:
+            assert point is not None
+            assert point[2] == pytest.approx(z, abs=1e-9)
+            assert camera.project(point[None])[0][0] == pytest.approx([u, v], abs=1e-6)
+
+
+def test_a_camera_that_looks_up_has_ground_nowhere_in_the_frame():
+    camera = hit_uav_camera(-10, 50)
+    z = ground_z_m(camera, 50)
+    assert camera.position_m[2] - z == pytest.approx(50)
+    assert all(ground_point(camera, u, v, z) is None for u in (0, 320, 640) for v in (0, 256, 512))
+
+
+def annotated(camera, height_m, name, count, rng):
+    """Boxes of cuboids of the reference size on the ground, as an annotator would draw them."""
+    length, width, tall = REFERENCES[name.casefold()].size_m
+    corner = np.array([(i, j, k) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 1)]) * (length, width, tall)
+    labels = []
+    while len(labels) < count:
+        u, v = rng.uniform(60, 580), rng.uniform(60, 450)
+        place = ground_point(camera, u, v, ground_z_m(camera, height_m))
+        xy, _ = camera.project(object_to_world(corner, place, rng.uniform(0, 6.28)))
+        box = np.concatenate([xy.min(axis=0), xy.max(axis=0)])
+        if min(box[2] - box[0], box[3] - box[1]) > 7:
+            labels.append(Instance(name, box))
+    return labels
+
+
+@pytest.mark.parametrize("pitch", [30, 60, 90])
+@pytest.mark.parametrize("name", ["Car", "Person", "Bicycle"])
+@pytest.mark.parametrize("factor", [1.0, 1.3])
+def test_the_height_is_found_from_objects_of_known_size(pitch, name, factor):
+    stated = 80.0
+    labels = annotated(hit_uav_camera(pitch, factor * stated), factor * stated, name, 6, np.random.default_rng(1))
+    found = calibrate(hit_uav_camera(pitch, stated), stated, labels)
+    assert found.factor == pytest.approx(factor, rel=0.04 if name == "Car" else 0.09)
+    assert found.anchors == {name.casefold(): 6}
+    assert found.height_m == pytest.approx(found.factor * stated)
+
+
+def test_without_anchors_the_nominal_factor_holds_and_outliers_are_bounded():
+    camera = hit_uav_camera(60, 100)
+    assert calibrate(camera, 100, []).factor == pytest.approx(NOMINAL_FACTOR)
+    huge = [Instance("Car", np.array([100.0, 100, 400, 400])) for _ in range(6)]
+    tiny = [Instance("Car", np.array([100.0, 100, 107, 107])) for _ in range(6)]
+    assert calibrate(camera, 100, huge).factor == FACTOR_BOUNDS[0]
+    assert calibrate(camera, 100, tiny).factor == FACTOR_BOUNDS[1]
+    # Cut by the frame: its size says nothing.
+    assert not calibrate(camera, 100, [Instance("Car", np.array([0.0, 100, 60, 140]))]).anchors
+
+
+FLAT = np.full((512, 640), 120, np.uint8)
+
+
+def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCare",), altitude=80.0):
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    key = FrameKey(f"1_80_{pitch:g}_0_{number:05d}", "train", 0, WH, pitch, "night")
+    return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
+
+
+def test_what_stands_stands_on_the_ground_at_true_size():
+    recipe = load_recipe("hit-uav-person", ["placement.size_px=[1, 500]"])
+    for number in range(8):
+        spec = draw(recipe, number=number)
+        assert spec.view.camera_height_m == pytest.approx(80 * NOMINAL_FACTOR)
+        assert spec.camera.position_m[2] - spec.view.ground_z_m == pytest.approx(80 * NOMINAL_FACTOR)
+        (person,) = spec.objects
+        assert person.position_m[2] == spec.view.ground_z_m == 0
+        mesh = load_model("person").build(person.params)
+        world = object_to_world(mesh.vertices_m, person.position_m, person.yaw_rad)
+        xy, _ = spec.camera.project(world)
+        away = np.linalg.norm(np.array(person.position_m) - spec.camera.position_m)
+        tall = mesh.size_m[2] * spec.camera.focal_px / away * math.cos(math.radians(60))
+        deep = max(mesh.size_m[:2]) * spec.camera.focal_px / away
+        assert tall * 0.8 < np.ptp(xy[:, 1]) < tall + deep
+
+
+def test_what_flies_keeps_its_range_before_the_ground():
+    recipe = load_recipe("hit-uav-drone-physical")
+    for number in range(8):
+        spec = draw(recipe, number=number)
+        (drone,) = spec.objects
+        assert 15 <= np.linalg.norm(np.array(drone.position_m) - spec.camera.position_m) <= 60
+    near = draw(load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 10}", "camera.calibrate=false"]))
+    assert near.draws["rejected"].get("beyond_ground", 0) + near.draws["absent"].get("no_place", 0) > 0
+
+
+def test_objects_keep_clear_of_labels_and_ignore_regions():
+    recipe = load_recipe("hit-uav-person", ["objects.0.count=6", "camera.calibrate=false"])
+    everywhere = [np.array([0.0, 0, 640, 250]), np.array([0.0, 250, 300, 512])]
+    for category, reason in (("Car", "on_annotated"), ("DontCare", "on_ignored")):
+        spec = draw(recipe, labels=[Instance(category, b) for b in everywhere])
+        assert spec.draws["rejected"][reason] > 0
+        for o in spec.objects:
+            xy, _ = spec.camera.project(np.array([o.position_m]))
+            assert xy[0, 0] > 290 and xy[0, 1] > 240
+    covered = draw(recipe, labels=[Instance("DontCare", np.array([0.0, 0, 640, 512]))])
+    assert not covered.objects
+    assert covered.draws["absent"] == {"no_place": 6}
+
+
+def test_nobody_stands_in_a_tree():
+    rng = np.random.default_rng(0)
+    rough = FLAT.copy()
+    rough[:, :320] = rng.integers(40, 220, (512, 320))
+    recipe = load_recipe("hit-uav-person", ["camera.calibrate=false"])
+    drawn = [draw(recipe, rough, number=n) for n in range(12)]
+    assert sum(s.draws["rejected"].get("uneven_ground", 0) for s in drawn) >= 4
+    for s in drawn:
+        xy, _ = s.camera.project(np.array([s.objects[0].position_m]))
+        assert xy[0, 0] > 318
+    assert is_even(relief_of(FLAT), np.array([10.0, 10, 20, 20]), 1.0)
+    # A drone may be over anything.
+    flying = [draw(load_recipe("hit-uav-drone-physical"), rough, number=n) for n in range(4)]
+    assert not any(s.draws["rejected"].get("uneven_ground") for s in flying)
+
+
+def test_no_ground_in_the_frame_is_said():
+    spec = draw(load_recipe("hit-uav-person"), pitch=-20.0)
+    assert not spec.objects
+    assert set(spec.draws["rejected"]) == {"no_ground"}
+    assert spec.draws["absent"] == {"no_place": 1}
+
+
+def test_the_same_frame_twice_and_through_json():
+    recipe = load_recipe("hit-uav-drone-physical", ["camera.roll_deg=[-5, 5]"])
+    a, b = draw(recipe), draw(recipe)
+    assert a == b
+    assert type(a).from_json(a.to_json()) == a
