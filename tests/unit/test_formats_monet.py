@@ -307,6 +307,17 @@ def test_splits_are_read_one_by_one(tmp_path: Path) -> None:
         detection.read(tmp_path, splits=["test"])
 
 
+def test_regions_to_ignore_are_told_by_their_name(tmp_path: Path) -> None:
+    def ignore(top: dict[str, Any]) -> None:
+        top["categories"].append({"id": 7, "name": "don't care"})
+
+    sequence(tmp_path, "runway_04", down(-35), change=ignore)
+    d = detection.read(tmp_path)
+    assert [(c.id, c.name, c.ignore) for c in d.categories] == [
+        (1, "person", False), (2, "vehicle", False), (7, "don't care", True),
+    ]  # fmt: skip
+
+
 # ---- bad input
 
 

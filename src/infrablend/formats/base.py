@@ -175,8 +175,8 @@ def check_splits(splits: Iterable[str] | None) -> tuple[Split, ...]:
 
 
 def is_ignored_name(name: str) -> bool:
-    """True for the name of an ignore region, such as HIT-UAV's DontCare."""
-    return name.replace("_", "").replace("-", "").replace(" ", "").casefold() == "dontcare"
+    """True for the name of an ignore region, such as HIT-UAV's DontCare or "don't care"."""
+    return "".join(c for c in name if c.isalnum()).casefold() == "dontcare"
 
 
 def few(problems: Sequence[Problem], each: int = 5) -> list[Problem]:
