@@ -33,6 +33,7 @@ from infrablend.pipeline import world
 from infrablend.pipeline.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
+from infrablend.pipeline.realism import RealismReport, Time, compare
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 
@@ -45,6 +46,7 @@ __all__ = [
     "ConvertReport",
     "FetchReport",
     "PlanReport",
+    "RealismReport",
     "RunReport",
     "check",
     "convert",
@@ -61,6 +63,7 @@ __all__ = [
     "preview",
     "preview_ground",
     "read_dataset",
+    "realism",
     "rerender",
     "show_model",
     "show_recipe",
@@ -547,6 +550,51 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
 def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
     """Make one frame of a run again, alone; the same bytes as the first time."""
     return rerender_frame(Path(run), frame_id, None if out is None else Path(out), None if data is None else Path(data))
+
+
+def realism(
+    run: str | Path,
+    against: str | Path,
+    out: str | Path | None = None,
+    *,
+    categories: Sequence[str] | None = None,
+    time_of_day: Time = "all",
+    pairs: int = 1000,
+    workers: int | None = None,
+    options: Mapping[str, str] | None = None,
+    on_progress: OnProgress | None = None,
+    in_process: bool = False,
+) -> RealismReport:
+    """Compare a run's inserted objects with the real ones of the same class; needs the extra `infrablend[realism]`.
+
+    Args:
+        run: Folder of a finished run whose objects have the class of real ones.
+        against: The dataset that it was made from.
+        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run's folder by default.
+        categories: Classes; all that are both inserted and annotated by default.
+        time_of_day: Only images of that time.
+        pairs: At most so many pairs of each class.
+        workers: Processes; one per processor core by default.
+        options: Options of the dataset's reader.
+        on_progress: Called after each picture.
+        in_process: Do it all in this process; only for runs made with `renderer="fake"`.
+
+    Raises:
+        MissingDependencyError: scikit-learn is not installed.
+        OutputError, DatasetError, RenderError, Interrupted: See `infrablend.errors`.
+    """
+    folder = Path(run)
+    return compare(
+        folder,
+        read_dataset(against, options=options),
+        folder / "realism" if out is None else Path(out),
+        categories=categories,
+        time_of_day=time_of_day,
+        most_pairs=pairs,
+        workers=_affordable_workers(workers),
+        in_process=in_process,
+        on_progress=on_progress,
+    )
 
 
 def make_world(

@@ -20,6 +20,7 @@ from infrablend.cli import (
     inspect,
     models,
     preview,
+    realism,
     recipes,
     rerender,
     split,
@@ -102,6 +103,7 @@ def build_app() -> typer.Typer:
     app.command("inspect")(inspect.inspect)
     app.command("check")(check.check)
     app.command("split")(split.split)
+    app.command("realism")(realism.realism)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)

@@ -17,7 +17,7 @@ from infrablend.formats import writing
 from infrablend.report.card import CARD_FILE, is_own
 
 # What `--overwrite` may delete: these names and nothing else.
-OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "log")
+OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "realism", "log")
 RUN_FILE = "run.json"
 
 

@@ -62,7 +62,7 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     if sha256_of(background) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the picture the frame was made from (its sha256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
-    recipe = Recipe.model_validate_json(_recipe_json(record_run))
+    recipe = Recipe.model_validate_json(recipe_json(record_run))
     for o in recipe.objects:
         ready_model(o.model)
     job = Rerender(
@@ -77,7 +77,8 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     return target
 
 
-def _recipe_json(record_run: dict[str, Any]) -> str:
+def recipe_json(record_run: dict[str, Any]) -> str:
+    """The recipe of a run, from its record."""
     recipe = dict(record_run["recipe"])
     recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
     return json.dumps(recipe)

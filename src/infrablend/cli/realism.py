@@ -1,0 +1,88 @@
+"""`infrablend realism`: how well inserted objects can be told from real ones."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from infrablend.cli.options import JsonOption, ReadingOption, RunArgument, WorkersOption, comma_list, key_values
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+
+class TimeOfDay(StrEnum):
+    """Which images."""
+
+    NIGHT = "night"
+    DAY = "day"
+    ALL = "all"
+
+
+def realism(
+    ctx: typer.Context,
+    run: RunArgument,
+    against: Annotated[Path, typer.Option(metavar="DATASET", help="The dataset that the run was made from.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to write the report [default: RUN/realism].")
+    ] = None,
+    classes: Annotated[
+        str | None,
+        typer.Option("--class", metavar="A,B", help="Classes [default: all both inserted and annotated]."),
+    ] = None,
+    time: Annotated[TimeOfDay, typer.Option(help="Only images of that time.")] = TimeOfDay.ALL,
+    pairs: Annotated[int, typer.Option(min=10, help="At most so many pairs of each class.")] = 1000,
+    workers: WorkersOption = None,
+    reading: ReadingOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare inserted objects with the real ones of their class: classifiers, controls, medians, sheets of crops."""
+    session: Session = ctx.obj
+    session.json = as_json
+    chosen = comma_list(classes, "--class")
+
+    from infrablend import api
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import say, say_json, table
+
+    with shown_progress(session, "comparing") as on_progress:
+        report = api.realism(
+            run,
+            against,
+            out,
+            categories=chosen,
+            time_of_day=time.value,
+            pairs=pairs,
+            workers=workers,
+            options=key_values(reading, "--read"),
+            on_progress=on_progress,
+        )
+    if as_json:
+        say_json(report.to_json())
+        return
+    for name, facts in report.facts["classes"].items():
+        say(table({name: "", **_lines(facts)}))
+    say(str(report.out / "realism.html"))
+
+
+def _lines(facts: dict[str, Any]) -> dict[str, str]:
+    def show(key: str) -> str:
+        value = facts.get(key)
+        return "-" if value is None else f"{value:.3f}"
+
+    interval = facts["ci"]
+    span = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
+    return {
+        "  pairs": str(facts["n"]),
+        "  AUC, logistic": show("auc_logistic") + span,
+        "  AUC, boosting": show("auc_boosting"),
+        "  floor, logistic": show("floor_logistic"),
+        "  floor, boosting": show("floor_boosting"),
+        "  hard paste, logistic": show("hard_paste_logistic"),
+        "  chain off, logistic": show("chain_off_logistic"),
+        "  counts": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
+        "  told by": ", ".join(t["feature"] for t in facts["tells"][:5]),
+    }

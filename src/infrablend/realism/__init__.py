@@ -1,0 +1,1 @@
+"""Telling inserted objects from real ones: measurements, controls, classifiers. Pictures in, numbers out."""

@@ -1,0 +1,385 @@
+"""What is measured of one object in one picture: the same for real and inserted ones.
+
+All follows from the saved picture and the label's box. Nothing that only an insert knows (its mask, its alpha, its
+scene) gets in, or a classifier would tell labels apart and not pictures.
+
+Pictures are taken in 8-bit levels. For HIT-UAV's night people the definitions give the medians published with the
+method (docs/explanation/realism.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import Instance
+
+Picture = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+FEATURES = (
+    "max",
+    "p99",
+    "mean",
+    "std",
+    "highpass_inside",
+    "highpass_outside",
+    "gradient_max",
+    "gradient_p90",
+    "laplacian_max",
+    "laplacian_p90",
+    "dark_ring",
+    "levels",
+    "share_231",
+    "share_236",
+)
+"""The classifier's 14 features, in order; see `Measured.features`."""
+
+MEASURES = (
+    "p95_minus_ring",
+    "centre_minus_ring",
+    "edge_width_px",
+    "overshoot",
+    "noise_inside",
+    "noise_outside",
+    "noise_ratio",
+    "share_above_245",
+    "height_px",
+    "width_px",
+)
+"""What is reported beside the features; NaN where it cannot be read."""
+
+PATCH_PX = 48
+RING_SHARE = 0.5  # of the longer side: how far the ring reaches
+LEAST_PX = 8  # of the longer side
+MOST_COVERED = 0.1  # of the box, by other labels
+LEAST_CONTRAST = 10.0
+LEAST_INTERIOR_PX = 6
+EDGE_MARGIN_PX = 4  # a border nearer to the frame's edge has no ring
+_CLIPPED = (19.0, 232.0)  # grain is read between these levels only
+_THREE = np.ones((3, 3), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One object.
+
+    Attributes:
+        key: `<image>#<number>`: unique among the objects it is compared with.
+        group: The background it stands on; objects of one background never part over folds.
+        category: Its class.
+        box_xyxy: (4,) the label's box.
+        altitude_m: Of the camera; None if unknown.
+        flaw: Why its outline cannot be made out (`no_ring`, `no_contrast`, `thin`); empty if it can. With a flaw the
+            features are NaN, and so are the measures that need the outline.
+        features: (14,) float64, see `FEATURES`.
+        measures: (10,) float64, see `MEASURES`.
+        histogram: (64,) counts of the box's pixels, four levels a bin.
+        patch: (48, 48) uint8, the object and its surroundings; larger ones are scaled down.
+    """
+
+    key: str
+    group: str
+    category: str
+    box_xyxy: NDArray[np.float64]
+    altitude_m: float | None
+    flaw: str
+    features: NDArray[np.float64]
+    measures: NDArray[np.float64]
+    histogram: NDArray[np.int64] = field(repr=False)
+    patch: NDArray[np.uint8] = field(repr=False)
+
+    @property
+    def height_px(self) -> float:
+        """Of the box."""
+        return float(self.box_xyxy[3] - self.box_xyxy[1])
+
+
+def eight_bit(pixels: NDArray[np.uint8] | NDArray[np.uint16], levels: tuple[float, float]) -> Picture:
+    """The picture in 8-bit levels: as it is, or for 16 bit with the dataset's `levels` at 16 and 235."""
+    if pixels.dtype == np.uint8:
+        return pixels.astype(np.float32)
+    low, high = levels
+    return ((pixels.astype(np.float32) - np.float32(low)) * np.float32(219.0 / (high - low)) + 16).astype(np.float32)
+
+
+class Labels:
+    """Where a picture's labels are: which pixels are free, which boxes overlap."""
+
+    def __init__(self, shape_hw: tuple[int, ...], labels: Sequence[Instance]) -> None:
+        count = np.zeros(shape_hw, np.uint8)
+        for i in labels:
+            x0, y0, x1, y1 = pixel_box(i.box_xyxy, shape_hw)
+            part = count[y0:y1, x0:x1]
+            part[part < 2] += 1
+        self.free: Bool = count == 0
+        self._twice: Bool = count > 1
+
+    def overlaps(self, box_xyxy: NDArray[np.float64]) -> bool:
+        """True if other labels cover more than a tenth of this label's box."""
+        x0, y0, x1, y1 = pixel_box(box_xyxy, self.free.shape)
+        return bool(self._twice[y0:y1, x0:x1].mean() > MOST_COVERED)
+
+
+def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """The box on whole pixels, within the frame."""
+    h, w = shape_hw
+    x0, y0, x1, y1 = (round(float(v)) for v in box_xyxy)
+    return min(max(x0, 0), w), min(max(y0, 0), h), min(max(x1, 0), w), min(max(y1, 0), h)
+
+
+def unfit(instance: Instance, labels: Labels) -> str | None:
+    """Why an object is not measured, before looking at its pixels; None if it is."""
+    h, w = labels.free.shape
+    x0, y0, x1, y1 = instance.box_xyxy
+    if max(x1 - x0, y1 - y0) < LEAST_PX:
+        return "small"
+    if instance.truncated or min(x0, y0, w - x1, h - y1) < EDGE_MARGIN_PX:
+        return "truncated"
+    if labels.overlaps(instance.box_xyxy):
+        return "overlapping"
+    return None
+
+
+def ring(picture: Picture, box_xyxy: NDArray[np.float64], free: Bool) -> float | None:
+    """Median level of the free pixels around a box, out to half of its longer side; None if hardly one is free."""
+    x0, y0, x1, y1 = pixel_box(box_xyxy, picture.shape)
+    reach = max(round(RING_SHARE * max(x1 - x0, y1 - y0)), 3)
+    part = (slice(max(y0 - reach, 0), y1 + reach), slice(max(x0 - reach, 0), x1 + reach))
+    use = free[part].copy()
+    use[y0 - part[0].start : y1 - part[0].start, x0 - part[1].start : x1 - part[1].start] = False
+    return float(np.median(picture[part][use])) if use.sum() >= 30 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """An object as its pixels show it.
+
+    Attributes:
+        part: Rows and columns of the window.
+        level: Of the ring.
+        contrast: Of the brighter (positive) or darker (negative) end of the object to the ring, whichever is larger.
+        silhouette: Window's pixels beyond half of the contrast: the largest connected part of those in the box.
+    """
+
+    part: tuple[slice, slice]
+    level: float
+    contrast: float
+    silhouette: Bool
+
+
+def outline(picture: Picture, box_xyxy: NDArray[np.float64], free: Bool) -> Outline | str:
+    """The object in a box, or why none can be made out: `no_ring`, `no_contrast`, `thin`."""
+    level = ring(picture, box_xyxy, free)
+    if level is None:
+        return "no_ring"
+    x0, y0, x1, y1 = pixel_box(box_xyxy, picture.shape)
+    inside = picture[y0:y1, x0:x1]
+    dark, bright = (float(v) for v in np.percentile(inside, [5, 95]))
+    contrast = bright - level if bright - level >= level - dark else dark - level
+    if abs(contrast) < LEAST_CONTRAST:
+        return "no_contrast"
+    reach = 12
+    part = (slice(max(y0 - reach, 0), y1 + reach), slice(max(x0 - reach, 0), x1 + reach))
+    rows, columns = picture[part].shape
+    beyond = np.zeros((rows, columns), np.uint8)
+    at = (slice(y0 - part[0].start, y1 - part[0].start), slice(x0 - part[1].start, x1 - part[1].start))
+    beyond[at] = (inside - level) / contrast > 0.5
+    count, names, facts, _ = cv2.connectedComponentsWithStats(beyond, connectivity=8)
+    if count < 2:
+        return "no_contrast"
+    largest = names == 1 + int(np.argmax(facts[1:, cv2.CC_STAT_AREA]))
+    return Outline(part, level, contrast, largest)
+
+
+def measure(
+    picture: Picture,
+    instance: Instance,
+    free: Bool,
+    *,
+    key: str,
+    group: str,
+    altitude_m: float | None = None,
+) -> Measured:
+    """All that is measured of one object.
+
+    Args:
+        picture: (h, w) in 8-bit levels.
+        instance: Its label; only box and category are looked at.
+        free: (h, w) pixels in no label's box.
+        key: See `Measured`.
+        group: See `Measured`.
+        altitude_m: See `Measured`.
+    """
+    box = np.array(instance.box_xyxy, np.float64)
+    x0, y0, x1, y1 = pixel_box(box, picture.shape)
+    inside = picture[y0:y1, x0:x1]
+    h, w = inside.shape
+    centre = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
+    level = ring(picture, box, free)
+    level = math.nan if level is None else level
+    features, outlined = np.full(len(FEATURES), math.nan), (math.nan,) * 4
+    found = outline(picture, box, free)
+    flaw = found if isinstance(found, str) else ""
+    if isinstance(found, Outline):
+        mask = found.silhouette.astype(np.uint8)
+        inner = cv2.erode(mask, _THREE).astype(np.bool_)
+        if inner.sum() < LEAST_INTERIOR_PX:
+            flaw = "thin"
+        else:
+            window = picture[found.part]
+            features = _features(window, found, mask, inner, free[found.part])
+            outlined = (*edge(window, found), *_grains(window, found, inner, free[found.part]))
+    measures = np.array(
+        [
+            float(np.percentile(inside, 95)) - level,
+            centre - level,
+            *outlined,
+            outlined[2] / outlined[3] if outlined[3] > 0 else math.nan,
+            (inside > 245).mean(),
+            box[3] - box[1],
+            box[2] - box[0],
+        ],
+        np.float64,
+    )
+    histogram = np.bincount((np.clip(inside, 0, 255) // 4).astype(np.int64).ravel(), minlength=64)
+    return Measured(
+        key, group, instance.category, box, altitude_m, flaw, features, measures, histogram, patch(picture, box)
+    )
+
+
+def _features(window: Picture, found: Outline, mask: NDArray[np.uint8], inner: Bool, free: Bool) -> NDArray[np.float64]:
+    outer = cv2.dilate(mask, _THREE)
+    border = outer.astype(np.bool_) & ~inner
+    near = cv2.dilate(outer, _THREE, iterations=2).astype(np.bool_) & ~outer.astype(np.bool_)
+    apart = cv2.dilate(mask, _THREE, iterations=10) - cv2.dilate(mask, _THREE, iterations=4)
+    outside = apart.astype(np.bool_) & free
+    if outside.sum() < 10:
+        outside = apart.astype(np.bool_)
+    fine = window - cv2.GaussianBlur(window, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE)
+    gx = cv2.Sobel(window, cv2.CV_32F, 1, 0, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    gy = cv2.Sobel(window, cv2.CV_32F, 0, 1, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    gradient = np.hypot(gx, gy)[border] / abs(found.contrast)
+    bend = np.abs(cv2.Laplacian(window, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))[border] / abs(found.contrast)
+    inside = window[inner]
+    # The tenth part of the surroundings that is farthest beyond the ring's level, away from the object.
+    away = np.percentile((found.level - window[near]) / found.contrast, 90)
+    return np.array(
+        [
+            window[found.silhouette].max(),
+            np.percentile(inside, 99),
+            inside.mean(),
+            inside.std(),
+            fine[inner].std(),
+            fine[outside].std() if outside.any() else 0.0,
+            gradient.max(),
+            np.percentile(gradient, 90),
+            bend.max(),
+            np.percentile(bend, 90),
+            away,
+            len(np.unique(np.rint(window[found.silhouette]))),
+            (inside >= 231).mean(),
+            (inside >= 236).mean(),
+        ],
+        np.float64,
+    )
+
+
+def _grains(window: Picture, found: Outline, inner: Bool, free: Bool) -> tuple[float, float]:
+    """Grain of the unclipped pixels inside and outside an object."""
+    unclipped = (window > _CLIPPED[0]) & (window < _CLIPPED[1])
+    apart = ~cv2.dilate(found.silhouette.astype(np.uint8), _THREE, iterations=4).astype(np.bool_)
+    return grain(window, inner & unclipped), grain(window, apart & unclipped & free)
+
+
+def edge(window: Picture, found: Outline) -> tuple[float, float]:
+    """Median width from 10 to 90 % of the profiles across an object's outline, px, and what they undershoot by.
+
+    The undershoot is how far the median profile goes beyond the ring's level beside the object, as a share of the
+    contrast: the halo of detail enhancement. On the object's side clipping would hide it.
+    """
+    soft = cv2.GaussianBlur(window, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE) * np.sign(found.contrast)
+    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, borderType=cv2.BORDER_REPLICATE)
+    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1, borderType=cv2.BORDER_REPLICATE)
+    mask = found.silhouette.astype(np.uint8)
+    ys, xs = np.nonzero(mask & ~cv2.erode(mask, _THREE))
+    length = np.maximum(np.hypot(gx[ys, xs], gy[ys, xs]), np.float32(1e-6))
+    nx, ny = (gx[ys, xs] / length)[:, None], (gy[ys, xs] / length)[:, None]
+    t = np.arange(-4, 4.001, 0.25, dtype=np.float32)
+    lines = cv2.remap(
+        window,
+        (xs[:, None] + t * nx).astype(np.float32),
+        (ys[:, None] + t * ny).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    relative = (lines.astype(np.float64) - found.level) / found.contrast
+    low, high = np.median(relative[:, t <= -2.5], axis=1), relative[:, (t >= 0) & (t <= 3)].max(axis=1)
+    step = high - low
+    keep = (step > 0.5) & (np.abs(low) < 0.25)
+    if not keep.any():
+        return math.nan, math.nan
+    profiles = (relative[keep] - low[keep, None]) / step[keep, None]
+    widths = [w for w in (_width_10_90(p) for p in profiles) if w is not None]
+    under = -float(np.median(relative[keep], axis=0)[t <= -0.5].min())
+    return (float(np.median(widths)) if widths else math.nan), under
+
+
+def _width_10_90(profile: NDArray[np.float64]) -> float | None:
+    """Distance between the last crossing of 10 % before, and the first of 90 % after the first of 50 %, px."""
+    half = int(np.argmax(profile >= 0.5))
+    above = np.flatnonzero(profile[half:] >= 0.9)
+    below = np.flatnonzero(profile[: half + 1] <= 0.1)
+    if half == 0 or not len(above) or not len(below):
+        return None
+    i, j = half + int(above[0]), int(below[-1])
+    right = i - (profile[i] - 0.9) / (profile[i] - profile[i - 1])
+    left = j + (0.1 - profile[j]) / (profile[j + 1] - profile[j])
+    return float(0.25 * (right - left))
+
+
+def _quadratic_basis(side: int) -> NDArray[np.float64]:
+    y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j].reshape(2, -1)
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1))
+    return np.asarray(basis.T.reshape(6, side, side), np.float64)
+
+
+_GRAIN_SIDE = 5
+_BASIS = _quadratic_basis(_GRAIN_SIDE)
+
+
+def grain(window: Picture, usable: Bool) -> float:
+    """Deviation of the flattest places from a quadratic surface, levels; NaN where no place is usable.
+
+    The places are all 5 px blocks of usable pixels, an object being too small for the 32 px blocks that a picture's
+    grain is read from; flattest is the fifth of least deviation. So small a block takes much of the grain for a
+    surface: the number is for comparison between places only. Differences of neighbours (Haar) would be quantised to
+    nothing on compressed 8-bit pictures.
+    """
+    whole = cv2.erode(usable.astype(np.uint8), np.ones((_GRAIN_SIDE, _GRAIN_SIDE), np.uint8), borderValue=0)
+    if not whole.any():
+        return math.nan
+    level = window.astype(np.float64) - float(window.mean())
+    rest = cv2.boxFilter(level * level, cv2.CV_64F, (_GRAIN_SIDE, _GRAIN_SIDE), normalize=False)
+    for kernel in _BASIS:
+        rest -= cv2.filter2D(level, cv2.CV_64F, kernel) ** 2
+    variance = np.maximum(rest[whole > 0], 0) / (_GRAIN_SIDE**2 - len(_BASIS))
+    return float(np.sqrt(np.percentile(variance, 20)))
+
+
+def patch(picture: Picture, box_xyxy: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(48, 48) crop around a box; half as much again as the box where that is more than 48 px, scaled down."""
+    x0, y0, x1, y1 = box_xyxy
+    side = max(PATCH_PX, round(1.5 * max(x1 - x0, y1 - y0)))
+    left, top = round((x0 + x1 - side) / 2), round((y0 + y1 - side) / 2)
+    pad = (max(-top, 0), max(top + side - picture.shape[0], 0), max(-left, 0), max(left + side - picture.shape[1], 0))
+    cut = picture[max(top, 0) : top + side, max(left, 0) : left + side]
+    whole = cv2.copyMakeBorder(cut, *pad, cv2.BORDER_REFLECT_101) if any(pad) else cut
+    if side > PATCH_PX:
+        whole = cv2.resize(whole, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_AREA)
+    return np.asarray(np.clip(np.rint(whole), 0, 255), np.uint8)

@@ -1,0 +1,37 @@
+"""Pairs of like size: how large an object is must not tell whether it is real."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+
+from infrablend.core.rng import stream
+from infrablend.realism.features import Measured
+
+CALIPER_OCTAVES = 0.25
+
+
+def pair_by_size(real: Sequence[Measured], inserted: Sequence[Measured], most: int) -> list[tuple[Measured, Measured]]:
+    """(real, inserted) pairs whose box heights differ by at most a quarter of an octave; each object once.
+
+    Inserted objects choose in an order drawn at random, each the unused real one nearest in height, so that both
+    sides have the same distribution of sizes. Objects without a partner are left out.
+    """
+    rest = sorted((math.log2(m.height_px), m.key, m) for m in real if not m.flaw)
+    usable = sorted((m for m in inserted if not m.flaw), key=lambda m: m.key)
+    order = stream(0, "pairs").permutation(len(usable))
+    pairs: list[tuple[Measured, Measured]] = []
+    for k in order:
+        if len(pairs) == most:
+            break
+        m = usable[int(k)]
+        size = math.log2(m.height_px)
+        at = bisect.bisect_left(rest, (size, ""))
+        near = [i for i in (at - 1, at) if 0 <= i < len(rest)]
+        if not near:
+            break
+        best = min(near, key=lambda i: abs(rest[i][0] - size))
+        if abs(rest[best][0] - size) <= CALIPER_OCTAVES:
+            pairs.append((rest.pop(best)[2], m))
+    return pairs

@@ -1,0 +1,239 @@
+"""From measured objects to figures: what is told apart, how well, by what, and whether the figures count."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from infrablend.realism.classify import FOLDS, Score, auc, score, weights
+from infrablend.realism.distance import SUBSET, dct_features, mmd, standardised
+from infrablend.realism.features import FEATURES, MEASURES, Measured
+
+LEAST_PAIRS = 500
+HARD_AT_LEAST = 0.99
+FLOOR_RANGE = (0.70, 0.80)
+
+Pairs = Sequence[tuple[Measured, Measured]]
+
+
+@dataclass(frozen=True, eq=False)
+class ClassVerdict:
+    """What is to be said of one class.
+
+    Attributes:
+        category: The class.
+        facts: Plain JSON values, documented in docs/how_to/measure_realism.md.
+        ablation: Of the sensor chain's steps; empty if there are none.
+        pairs: (real, inserted), as scored.
+        logistic: Of these pairs; None if they are too few for folds.
+        boosting: Likewise.
+    """
+
+    category: str
+    facts: dict[str, Any]
+    ablation: dict[str, Any]
+    pairs: Pairs
+    logistic: Score | None
+    boosting: Score | None
+
+
+def judge_class(
+    category: str,
+    real: Sequence[Measured],
+    inserted: Sequence[Measured],
+    pairs: Pairs,
+    redone: Mapping[str, Sequence[Measured]],
+) -> ClassVerdict:
+    """The verdict on one class.
+
+    Args:
+        category: Its name.
+        real: All that was measured of the dataset's objects.
+        inserted: All that was measured of the run's.
+        pairs: Those of like size.
+        redone: `floor` and `hard_paste` (keys of the pairs' real objects), steps of the chain (keys of the inserted).
+    """
+    reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
+    logistic, boosting = _both(pairs)
+    facts: dict[str, Any] = {"n": len(pairs), "n_real": len(real), "n_inserted": len(inserted)}
+    facts |= _scores("auc", logistic, boosting)
+    facts["ci"] = facts.pop("auc_ci")
+    for name in ("floor", "hard_paste"):
+        facts |= judge_control(name, reals, redone.get(name, ()))
+    partner = {i.key: r for r, i in pairs}
+    steps: dict[str, Any] = {}
+    for step, objects in redone.items():
+        if step in ("floor", "hard_paste"):
+            continue
+        usable = [(partner[m.key], m) for m in objects if not m.flaw]
+        a, b = _both(usable)
+        steps[step] = {
+            "n": len(usable),
+            "auc_logistic": _of(a),
+            "auc_boosting": _of(b),
+            "ci": _interval(a),
+            "medians": _medians([m for _, m in usable]),
+        }
+    if "chain_off" in steps:
+        facts["chain_off_logistic"] = steps["chain_off"]["auc_logistic"]
+        facts["chain_off_boosting"] = steps["chain_off"]["auc_boosting"]
+    facts["medians"] = {
+        "real": _medians(reals),
+        "inserted": _medians(inserts),
+        "floor": _medians([m for m in redone.get("floor", ()) if not m.flaw]),
+        "hard_paste": _medians([m for m in redone.get("hard_paste", ()) if not m.flaw]),
+    }
+    facts["all_sizes"] = {"real": _box_measures(real), "inserted": _box_measures(inserted)}
+    facts["size_by_altitude"] = _sizes(real, inserted)
+    facts["tells"] = _tells(reals, inserts) if logistic is not None else []
+    facts["mmd_dct"] = _distances(reals, inserts)
+    return ClassVerdict(category, facts, steps, pairs, logistic, boosting)
+
+
+def judge_control(name: str, real: Sequence[Measured], made: Sequence[Measured]) -> dict[str, Any]:
+    """AUCs of untouched objects against a control made of them."""
+    by_key = {m.key: m for m in real}
+    usable = [(by_key[m.key], m) for m in made if not m.flaw and m.key in by_key]
+    facts = _scores(name, *_both(usable))
+    return {f"{name}_n": len(usable), **facts}
+
+
+def validity(facts: Mapping[str, Any], person_floor: float | None) -> dict[str, Any]:
+    """Whether a class's figures count, and why not."""
+    why = []
+    if facts["n"] < LEAST_PAIRS:
+        why.append(f"{facts['n']} pairs of real and inserted objects, at least {LEAST_PAIRS} are needed")
+    hard = facts["hard_paste_logistic"]
+    if hard is None or hard < HARD_AT_LEAST:
+        why.append(f"the hard paste is told from real objects with {_show(hard)}, at least {HARD_AT_LEAST} is needed")
+    low, high = FLOOR_RANGE
+    if person_floor is None or not low <= person_floor <= high:
+        why.append(f"the floor of people is {_show(person_floor)}, expected {low:.2f} to {high:.2f}")
+    return {"valid": not why, "invalid_because": why}
+
+
+def contrast_ratio(cars: Mapping[str, Any], people: Mapping[str, Any]) -> dict[str, float | None]:
+    """Median contrast of cars' middles over that of people's bright ends, by population: free of the gain."""
+    found = {}
+    for population in ("real", "inserted"):
+        car = cars["all_sizes"][population]["centre_minus_ring"]
+        person = people["all_sizes"][population]["p95_minus_ring"]
+        found[population] = None if car is None or person is None else round(car[2] / person[2], 4)
+    return found
+
+
+def _show(value: float | None) -> str:
+    return "not known" if value is None else f"{value:.3f}"
+
+
+def _both(pairs: Pairs) -> tuple[Score | None, Score | None]:
+    """Both classifiers; None where there are too few pairs or backgrounds for the folds."""
+    if len(pairs) < 2 * FOLDS or min(len({m.group for m in side}) for side in zip(*pairs, strict=True)) < FOLDS:
+        return None, None
+    real, other = [r for r, _ in pairs], [o for _, o in pairs]
+    return score(real, other, "logistic"), score(real, other, "boosting")
+
+
+def _of(s: Score | None) -> float | None:
+    return None if s is None else round(s.auc, 4)
+
+
+def _interval(s: Score | None) -> list[float] | None:
+    return None if s is None else [round(v, 4) for v in s.interval]
+
+
+def _scores(name: str, logistic: Score | None, boosting: Score | None) -> dict[str, Any]:
+    return {
+        f"{name}_logistic": _of(logistic),
+        f"{name}_boosting": _of(boosting),
+        f"{name}_ci": _interval(logistic),
+        f"{name}_boosting_ci": _interval(boosting),
+    }
+
+
+def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
+    """Of every feature and measure, over the objects for which it is known."""
+    found: dict[str, float | None] = {}
+    for names, rows in ((FEATURES, [m.features for m in objects]), (MEASURES, [m.measures for m in objects])):
+        for k, name in enumerate(names):
+            values = [float(r[k]) for r in rows if not math.isnan(r[k])]
+            found[name] = round(float(np.median(values)), 4) if values else None
+    return found
+
+
+def _box_measures(objects: Sequence[Measured]) -> dict[str, Any]:
+    """What needs no outline, of all objects whatever their size: contrasts, levels."""
+    contrast = {
+        name: [float(m.measures[k]) for m in objects if not math.isnan(m.measures[k])]
+        for k, name in enumerate(MEASURES[:2])
+    }
+    histogram = np.sum([m.histogram for m in objects], axis=0) if objects else np.zeros(64, np.int64)
+    pixels = [m.histogram.sum() for m in objects]
+    above = sum(float(m.measures[MEASURES.index("share_above_245")]) * n for m, n in zip(objects, pixels, strict=True))
+    return {
+        **{
+            name: None if not v else [round(float(q), 2) for q in np.percentile(v, [5, 25, 50, 75, 95])]
+            for name, v in contrast.items()
+        },
+        "share_pixels_above_245": round(above / sum(pixels), 7) if objects else None,
+        "level_histogram": [int(n) for n in histogram],
+        "flaws": {f: sum(m.flaw == f for m in objects) for f in sorted({m.flaw for m in objects} - {""})},
+    }
+
+
+def _sizes(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
+    heights = sorted({m.altitude_m for m in (*real, *inserted) if m.altitude_m is not None})
+    return {
+        f"{a:g}": {
+            f"{name}_{what}": value
+            for name, objects in (("real", real), ("inserted", inserted))
+            for what, value in _size([m for m in objects if m.altitude_m == a]).items()
+        }
+        for a in heights
+    }
+
+
+def _size(objects: Sequence[Measured]) -> dict[str, Any]:
+    sides = [max(m.box_xyxy[2] - m.box_xyxy[0], m.box_xyxy[3] - m.box_xyxy[1]) for m in objects]
+    return {"n": len(sides), "long_side_px": round(float(np.median(sides)), 2) if sides else None}
+
+
+def _tells(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str, Any]]:
+    """The features by how well each alone tells the two apart, best first."""
+    a, b = (np.array([m.features for m in objects], np.float64) for objects in (real, other))
+    y = np.repeat([0, 1], [len(a), len(b)])
+    by_weight = weights(real, other)
+    found = []
+    for k, name in enumerate(FEATURES):
+        alone = auc(y, np.concatenate([a[:, k], b[:, k]]))
+        found.append(
+            {
+                "feature": name,
+                "auc": round(max(alone, 1 - alone), 4),
+                "inserted_is": "larger" if alone >= 0.5 else "smaller",
+                "real": [round(float(v), 4) for v in np.percentile(a[:, k], [25, 50, 75])],
+                "inserted": [round(float(v), 4) for v in np.percentile(b[:, k], [25, 50, 75])],
+                "weight": round(by_weight[name], 3),
+            }
+        )
+    return sorted(found, key=lambda f: (-f["auc"], f["feature"]))
+
+
+def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
+    """MMD on cosine coefficients of the crops, with halves of the real ones against each other as its floor."""
+    if min(len(real) // 2, len(inserted)) < SUBSET:
+        return {"skipped": f"{len(real)} pairs; {2 * SUBSET} are needed"}
+    a, b = dct_features(real), dct_features(inserted)
+    b, a = standardised(b, a), standardised(a, a)
+    groups = {g: n for n, g in enumerate(sorted({m.group for m in real}))}
+    half = np.array([groups[m.group] % 2 == 0 for m in real])
+    apart = mmd(a, b)
+    facts = {"inserted": [round(apart.mean, 6), round(apart.sd, 6)]}
+    if min(half.sum(), (~half).sum()) >= SUBSET:
+        floor = mmd(a[half], a[~half])
+        facts["real_halves"] = [round(floor.mean, 6), round(floor.sd, 6)]
+    return facts

@@ -1,0 +1,409 @@
+"""Measuring realism on pictures made here: what a known disc gives, what the controls and the classifiers must say."""
+
+import builtins
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend import api
+from infrablend.compositing.sensor import Sensor, grain
+from infrablend.core.dataset import Instance
+from infrablend.core.rng import stream
+from infrablend.errors import DatasetError, MissingDependencyError
+from infrablend.pipeline.realism import STEPS, chain_steps
+from infrablend.realism import classify, controls, features
+from infrablend.realism.distance import dct_features, mmd, standardised
+from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, unfit
+from infrablend.realism.matching import CALIPER_OCTAVES, pair_by_size
+from infrablend.realism.verdict import judge_class, validity
+
+BOX = np.array([52.0, 52.0, 76.0, 76.0])
+
+
+def instance(box=BOX, category="Person", **more) -> Instance:
+    return Instance(category, np.asarray(box, np.float64), **more)
+
+
+def disc(ground=100.0, level=200.0, sigma=0.9, radius=10.0, shape=(128, 128)) -> np.ndarray:
+    """A disc around (64, 64), blurred; exact by 8 x 8 samples a pixel."""
+    y, x = ((np.arange(n * 8) + 0.5) / 8 - 64 for n in shape)
+    inside = (np.hypot(*np.meshgrid(x, y)) <= radius).reshape(shape[0], 8, shape[1], 8).mean(axis=(1, 3))
+    soft = cv2.GaussianBlur(inside, (0, 0), sigma) if sigma else inside
+    return (ground + (level - ground) * soft).astype(np.float32)
+
+
+def measured(picture, box=BOX, key="a#0", group="a", category="Person"):
+    labels = Labels(picture.shape, [instance(box)])
+    return measure(picture, instance(box, category), labels.free, key=key, group=group)
+
+
+def values(m) -> dict[str, float]:
+    return {**dict(zip(FEATURES, m.features, strict=True)), **dict(zip(MEASURES, m.measures, strict=True))}
+
+
+def test_features_of_a_known_disc():
+    v = values(measured(disc()))
+    assert v["max"] == pytest.approx(200, abs=0.1)
+    assert v["p95_minus_ring"] == pytest.approx(100, abs=1)
+    assert v["centre_minus_ring"] == pytest.approx(100, abs=0.1)
+    # A Gaussian edge: slope 1 / (sigma sqrt(2 pi)), read over two pixels; width 2.563 sigma, the pixel included.
+    seen = np.hypot(0.9, np.sqrt(1 / 12))
+    assert v["gradient_max"] == pytest.approx(1 / (np.hypot(seen, 0.6) * np.sqrt(2 * np.pi)), rel=0.08)
+    assert v["edge_width_px"] == pytest.approx(2.563 * seen, rel=0.1)
+    assert v["overshoot"] == pytest.approx(0, abs=0.01)
+    assert v["dark_ring"] == pytest.approx(0, abs=0.01)
+    assert v["highpass_outside"] == pytest.approx(0, abs=0.01)
+    assert v["share_231"] == v["share_236"] == 0
+    assert v["height_px"] == v["width_px"] == 24
+
+
+def test_a_halo_shows_as_dark_ring_and_undershoot():
+    picture = disc()
+    sharp = picture + 0.6 * (picture - cv2.GaussianBlur(picture, (0, 0), 1.6))
+    v = values(measured(sharp))
+    assert 0.03 < v["dark_ring"] < 0.25
+    assert 0.03 < v["overshoot"] < 0.25
+    assert v["gradient_max"] > values(measured(picture))["gradient_max"]
+
+
+def test_a_dark_object_is_measured_like_a_bright_one():
+    bright, dark = values(measured(disc(100, 160))), values(measured(disc(160, 100)))
+    for name in ("gradient_max", "gradient_p90", "laplacian_max", "dark_ring", "edge_width_px", "std"):
+        assert dark[name] == pytest.approx(bright[name], abs=1e-3), name
+    assert dark["centre_minus_ring"] == pytest.approx(-bright["centre_minus_ring"], abs=1e-3)
+    assert dark["max"] == pytest.approx(128, abs=3)  # the edge's darker half is all that counts
+
+
+def test_levels_count_as_shares_of_the_interior():
+    v = values(measured(disc(100, 240, sigma=0.0)))
+    assert v["share_231"] == v["share_236"] == 1
+    assert v["share_above_245"] == 0
+    assert values(measured(disc(100, 250, sigma=0.0)))["share_above_245"] == pytest.approx(np.pi * 100 / 576, abs=0.06)
+
+
+def test_grain_is_the_same_inside_and_outside():
+    picture = disc(100, 160, radius=22) + grain((128, 128), 2.0, 1.05, 7).astype(np.float32)
+    v = values(measured(picture, np.array([40.0, 40.0, 88.0, 88.0])))
+    assert 0.7 < v["noise_ratio"] < 1.3
+    quiet = disc(100, 160, radius=22)
+    quiet = np.where(quiet > 130, quiet, picture)
+    assert values(measured(quiet, np.array([40.0, 40.0, 88.0, 88.0])))["noise_ratio"] < 0.3
+
+
+def test_what_cannot_be_made_out_is_said():
+    flat = np.full((128, 128), 100, np.float32)
+    assert measured(flat).flaw == "no_contrast"
+    assert np.isnan(measured(flat).features).all()
+    assert measured(flat).measures[0] == 0
+    thin = flat.copy()
+    thin[52:76, 64] = 200
+    assert measured(thin, np.array([62.0, 52.0, 67.0, 76.0])).flaw == "thin"
+
+
+def test_unfit_objects():
+    labels = Labels((128, 128), [instance(), instance([60, 60, 80, 80]), instance([2, 40, 20, 60])])
+    assert unfit(instance(), labels) == "overlapping"
+    assert unfit(instance([2, 40, 20, 60]), labels) == "truncated"
+    assert unfit(instance([30, 90, 36, 97]), labels) == "small"
+    assert unfit(instance([30, 90, 46, 107], truncated=True), labels) == "truncated"
+    assert unfit(instance([30, 90, 46, 107]), labels) is None
+    touching = Labels((128, 128), [instance([10, 10, 30, 30]), instance([29, 10, 49, 30])])
+    assert unfit(instance([10, 10, 30, 30]), touching) is None
+
+
+def test_sixteen_bit_pictures_are_brought_to_eight_bit_levels():
+    deep = np.array([[7000, 9190]], np.uint16)
+    np.testing.assert_allclose(features.eight_bit(deep, (7000.0, 9190.0)), [[16, 235]], atol=1e-3)
+
+
+def test_patches_keep_the_grid_or_are_scaled_down():
+    picture = disc()
+    assert (measured(picture).patch == np.rint(picture[40:88, 40:88])).all()
+    large = measured(picture, np.array([4.0, 4.0, 124.0, 124.0]))
+    assert large.patch.shape == (48, 48)
+    at_the_edge = features.patch(picture, np.array([0.0, 0.0, 20.0, 20.0]))
+    assert at_the_edge.shape == (48, 48)
+
+
+# ---- controls
+
+
+def scene(seed: int, count: int = 4, shape=(256, 320)) -> tuple[np.ndarray, list[Instance]]:
+    """A textured ground with warm ellipses, as one camera would show it."""
+    rng = stream(seed, "scene")
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    ground = 100 + 12 * np.sin(x / 40 + seed) + 10 * np.cos(y / 50 + 2 * seed)
+    alpha, labels = np.zeros(shape), []
+    for k in range(count):
+        cx, cy = 40 + 75 * k + rng.uniform(-6, 6), 60 + rng.uniform(0, 130)
+        a, b = rng.uniform(5, 8), rng.uniform(8, 12)
+        alpha += ((x + 0.5 - cx) / a) ** 2 + ((y + 0.5 - cy) / b) ** 2 <= 1
+        labels.append(instance([cx - a - 1, cy - b - 1, cx + a + 1, cy + b + 1]))
+    warm = 180 + 12 * cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), 2) * 4 + rng.uniform(-15, 15)
+    picture = cv2.GaussianBlur(ground * (1 - alpha) + warm * alpha, (0, 0), 0.9)
+    picture = picture + 0.6 * (picture - cv2.GaussianBlur(picture, (0, 0), 1.6))
+    picture = np.minimum(picture, 235) + grain(shape, 1.6, 1.05, 100 + seed)
+    return np.clip(np.rint(picture), 0, 255).astype(np.float32), labels
+
+
+def both_controls(count: int):
+    real, pasted, flat = [], [], []
+    for seed in range(count):
+        picture, labels = scene(seed)
+        where = Labels(picture.shape, labels)
+        chosen = [(n, i) for n, i in enumerate(labels) if unfit(i, where) is None]
+        soft, hard, placed, free = controls.paste_controls(picture, where, chosen, str(seed))
+        for n, i in placed.items():
+            key, group = f"{seed}#{n}", str(seed)
+            real.append(measure(picture, labels[n], where.free, key=key, group=group))
+            pasted.append(measure(np.rint(soft), i, free, key=key, group=group))
+            flat.append(measure(np.rint(hard), i, free, key=key, group=group))
+    return real, pasted, flat
+
+
+def test_the_controls_bound_the_classifier():
+    real, pasted, flat = both_controls(30)
+    assert len(real) > 80
+    ok = [(r, p, f) for r, p, f in zip(real, pasted, flat, strict=True) if not (r.flaw or p.flaw or f.flaw)]
+    assert len(ok) > 0.9 * len(real)
+    real, pasted, flat = (list(column) for column in zip(*ok, strict=True))
+    for kind in ("logistic", "boosting"):
+        assert classify.score(real, flat, kind).auc > 0.99
+        assert classify.score(real, pasted, kind).auc < 0.8
+
+
+def test_a_paste_touches_its_place_and_nothing_else():
+    picture, labels = scene(3)
+    where = Labels(picture.shape, labels)
+    soft, hard, placed, free = controls.paste_controls(picture, where, [(0, labels[0])], "x")
+    (new,) = placed.values()
+    x0, y0, x1, y1 = features.pixel_box(new.box_xyxy, picture.shape)
+    np.testing.assert_allclose(new.box_xyxy[2:] - new.box_xyxy[:2], labels[0].box_xyxy[2:] - labels[0].box_xyxy[:2])
+    assert not free[y0:y1, x0:x1].any()
+    assert where.free[y0:y1, x0:x1].all()
+    for made in (soft, hard):
+        changed = np.argwhere(made != picture)
+        assert len(changed)
+        assert (changed.min(axis=0) >= [y0 - 8, x0 - 8]).all()
+        assert (changed.max(axis=0) < [y1 + 8, x1 + 8]).all()
+    assert len(np.unique(hard[hard != picture])) == 1
+    assert controls.paste_controls(picture, where, [(0, labels[0])], "x")[2][0].equals(new)
+
+
+def test_no_place_is_found_where_all_is_taken():
+    picture, labels = scene(1)
+    nothing = np.ones(picture.shape, np.bool_)
+    assert controls.free_place(picture, labels[0], 100.0, nothing, nothing, stream(0, "t")) is None
+    huge = instance([1, 1, 300, 250])
+    assert controls.free_place(picture, huge, 100.0, nothing, ~nothing, stream(0, "t")) is None
+
+
+# ---- classifiers, pairs, distances
+
+
+def made_up(count: int, shift: float, seed: int, groups: int = 50):
+    """Objects with random features; `shift` moves one of them by so many deviations."""
+    rng = stream(seed, "made up")
+    picture = disc()
+    base = measured(picture)
+    found = []
+    for k in range(count):
+        x = rng.standard_normal(len(FEATURES))
+        x[3] += shift
+        patch = np.clip(base.patch + 20 * shift + rng.normal(0, 5, (48, 48)), 0, 255).astype(np.uint8)
+        height = float(rng.uniform(10, 40))
+        m = measured(picture, np.array([52.0, 52.0, 76.0, 52.0 + height]), f"{seed}-{k % groups}#{k}", f"g{k % groups}")
+        found.append(features.Measured(**{**vars(m), "features": x, "flaw": "", "patch": patch}))
+    return found
+
+
+def test_equal_distributions_cannot_be_told_apart_and_shifted_ones_can():
+    same = [classify.score(made_up(200, 0, k), made_up(200, 0, 10 + k), "logistic") for k in range(5)]
+    assert abs(np.mean([s.auc for s in same]) - 0.5) < 0.06
+    assert all(s.interval[0] < s.auc < s.interval[1] for s in same)
+    apart = classify.score(made_up(200, 0, 1), made_up(200, 4, 2), "boosting")
+    assert apart.auc > 0.98
+    assert len(apart.predictions) == 400
+
+
+def test_the_area_under_the_curve_is_scikit_learns():
+    from sklearn.metrics import roc_auc_score
+
+    rng = stream(0, "auc")
+    y, p, w = rng.integers(0, 2, 200), np.round(rng.normal(0, 1, 200), 1), rng.integers(0, 4, 200).astype(float)
+    assert classify.auc(y, p) == pytest.approx(roc_auc_score(y, p))
+    assert classify.auc(y, p, w) == pytest.approx(roc_auc_score(y, p, sample_weight=w))
+
+
+def test_objects_of_one_background_stay_in_one_fold():
+    """A feature that names the background tells nothing: each model meets backgrounds it has not seen."""
+    rng = stream(0, "folds")
+    n, groups = 400, np.repeat(np.arange(20), 20)
+    y = np.tile([0, 1], n // 2)
+    secret = rng.standard_normal(20)[groups] * np.where(y == 1, 1, -1)
+    p = classify.out_of_fold(np.stack([secret, secret**2], axis=1), y, groups, "boosting")
+    assert abs(classify.auc(y, p) - 0.5) < 0.15
+
+
+def test_pairs_are_of_like_size_and_unique():
+    real, inserted = made_up(200, 0, 1), made_up(80, 0, 2)
+    pairs = pair_by_size(real, inserted, 60)
+    assert len(pairs) == 60
+    assert len({r.key for r, _ in pairs}) == len({i.key for _, i in pairs}) == 60
+    assert all(abs(np.log2(r.height_px / i.height_px)) <= CALIPER_OCTAVES for r, i in pairs)
+    assert [i.key for _, i in pair_by_size(real[::-1], inserted[::-1], 60)] == [i.key for _, i in pairs]
+
+
+def test_distance_is_nothing_for_equals_and_grows_with_the_shift():
+    a, b, c = (made_up(250, s, k) for k, s in enumerate((0, 0, 2)))
+    like = dct_features(a)
+    x, y, z = (standardised(dct_features(m), like) for m in (a, b, c))
+    assert abs(mmd(x, y).mean) < 3 * mmd(x, y).sd
+    assert mmd(x, z).mean > 10 * abs(mmd(x, y).mean)
+    with pytest.raises(ValueError, match="needs 100 crops"):
+        mmd(x[:50], y)
+
+
+def test_figures_count_only_with_controls_that_behave():
+    facts = {"n": 600, "hard_paste_logistic": 0.999}
+    assert validity(facts, 0.74) == {"valid": True, "invalid_because": []}
+    bad = validity({"n": 40, "hard_paste_logistic": 0.9}, None)
+    assert not bad["valid"]
+    assert len(bad["invalid_because"]) == 3
+    assert validity(facts, 0.65)["invalid_because"] == ["the floor of people is 0.650, expected 0.70 to 0.80"]
+
+
+def test_a_verdict_ranks_what_tells():
+    real, inserted = made_up(120, 0, 1), made_up(120, 1.5, 2)
+    v = judge_class("Person", real, inserted, list(zip(real, inserted, strict=True)), {"floor": real})
+    assert v.facts["tells"][0]["feature"] == "std"
+    assert v.facts["tells"][0]["inserted_is"] == "larger"
+    assert v.facts["auc_logistic"] > 0.75
+    assert v.facts["floor_logistic"] == 0.5  # the same objects, so nothing to tell
+    assert v.facts["hard_paste_logistic"] is None
+    json.dumps(v.facts, allow_nan=False)
+
+
+def test_the_chain_comes_back_step_by_step():
+    whole = Sensor("hit-uav", 0.8, 0.6, 1.6, 1.5, 1.05, 3, (16.0, 235.0), 68, 0.7, 9, 5, 80.0, 0.4)
+    steps = chain_steps(whole)
+    assert tuple(steps) == STEPS
+    assert steps["codec"] == whole
+    off = steps["chain_off"]
+    assert (off.blur_sigma_px, off.halo_gain, off.noise_grey, off.limits, off.codec_quality) == (None, 0, 0, None, None)
+    assert off.defocus_sigma_px == 0
+    assert (steps["psf"].blur_sigma_px, steps["psf"].defocus_sigma_px, steps["psf"].halo_gain) == (0.8, 0.4, 0)
+    assert (steps["noise"].noise_grey, steps["noise"].codec_quality) == (1.5, None)
+
+
+def test_without_scikit_learn_it_says_what_to_install(monkeypatch, tmp_path):
+    real_import = builtins.__import__
+
+    def refuse(name, *rest, **more):
+        if name.partition(".")[0] == "sklearn":
+            raise ImportError(name)
+        return real_import(name, *rest, **more)
+
+    monkeypatch.setattr(classify.importlib, "import_module", refuse)
+    with pytest.raises(MissingDependencyError, match=r'pip install "infrablend\[realism\]"'):
+        classify.require_sklearn()
+
+
+# ---- from end to end
+
+
+@pytest.fixture(scope="module")
+def crowd(tmp_path_factory):
+    """Twelve night pictures with four annotated blobs each, and a run that inserts people into them."""
+    root = tmp_path_factory.mktemp("crowd")
+    data = root / "data" / "normal_json"
+    for split in ("train", "val", "test"):
+        (data / split).mkdir(parents=True)
+        images, labels = [], []
+        for k in range(12 if split == "train" else 1):
+            picture, objects = scene(k, 8, (512, 640))
+            name = f"1_60_60_0_{k:05}.jpg" if split == "train" else f"1_60_60_0_9{k:04}{split}.jpg"
+            Image.fromarray(picture.astype(np.uint8)).save(data / split / name, quality=95)
+            images.append({"filename": name, "height": 512, "width": 640, "id": k, "date_captured": "20210116"})
+            for n, o in enumerate(objects):
+                x0, y0, x1, y1 = (round(float(v)) for v in o.box_xyxy)
+                labels.append(
+                    {
+                        "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],
+                        "area": (x1 - x0) * (y1 - y0),
+                        "image_id": k,
+                        "bbox": [x0, y0, x1 - x0, y1 - y0],
+                        "category_id": 0,
+                        "id": 100 * k + n,
+                    }
+                )
+        document = {"info": {}, "licenses": [], "images": images, "annotation": labels}
+        names = ["Person", "Car", "Bicycle", "OtherVehicle", "DontCare"]
+        document["categories"] = [{"id": i, "name": n, "supercategory": n} for i, n in enumerate(names)]
+        (data / "annotations").mkdir(exist_ok=True)
+        (data / "annotations" / f"{split}.json").write_text(json.dumps(document))
+    person = {"model": "person", "category": "Person", "count": 3, "x_m": [-14, 14], "y_m": [-12, 12]}
+    settings = {
+        "name": "twins",
+        "objects": [person],
+        "configurations": 1,
+        "appearance.mode": "physical",
+        "matching.mode": "local",
+        "sensor.profile": "hit-uav",
+        "camera.focal_length_mm": 35.0,
+        "camera.sensor_width_mm": 10.88,
+        "camera.distance_m": [90, 130],
+    }
+    run = root / "run"
+    api.generate(
+        "hit-uav-drone", data.parent, run, splits=["train"], settings=settings, renderer="fake", in_process=True
+    )
+    return run, data.parent
+
+
+def test_a_run_is_compared(crowd, tmp_path):
+    run, data = crowd
+    seen = []
+    report = api.realism(run, data, tmp_path / "a", in_process=True, on_progress=seen.append)
+    facts = json.loads((tmp_path / "a" / "realism.json").read_text())
+    person = facts["classes"]["Person"]
+    assert person["n"] >= 20
+    assert not person["valid"]
+    assert "pairs of real and inserted objects" in person["invalid_because"][0]
+    assert not report.valid
+    # The whole chain, made again from the record, is the picture that was saved.
+    assert facts["ablation"]["Person"]["codec"]["medians"] == person["medians"]["inserted"]
+    assert set(facts["ablation"]["Person"]) == set(STEPS)
+    assert facts["ablation"]["Person"]["chain_off"]["medians"] != person["medians"]["inserted"]
+    assert person["hard_paste_logistic"] > 0.95
+    assert seen[-1].done == seen[-1].total
+    page = (tmp_path / "a" / "realism.html").read_text()
+    assert "http" not in page
+    assert page.count("data:image/png") == 4
+    assert {p.name for p in (tmp_path / "a").iterdir()} == {
+        "realism.json",
+        "realism.html",
+        "person_told.png",
+        "person_passed.png",
+        "person_random.png",
+    }
+    api.realism(run, data, tmp_path / "b", in_process=True)
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
+    run, data = crowd
+    with pytest.raises(DatasetError, match=r"Car: expected classes that are both inserted \(Person\) and annotated"):
+        api.realism(run, data, tmp_path, categories=["Car"], in_process=True)
+    with pytest.raises(DatasetError, match="no frame with an inserted object by day"):
+        api.realism(run, data, tmp_path, time_of_day="day", in_process=True)
+
+
+def test_a_run_of_other_backgrounds_is_refused(crowd, tmp_path, write_tiny_hit_uav):
+    run, _ = crowd
+    with pytest.raises(DatasetError, match="does not hold 12 of the backgrounds"):
+        api.realism(run, write_tiny_hit_uav(tmp_path / "tiny"), tmp_path / "out", in_process=True)
