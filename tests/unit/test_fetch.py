@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import hashlib
 import http.server
@@ -647,6 +648,56 @@ def test_a_full_disk_while_unpacking(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="not enough room"):
         unpack(tmp_path / "a.zip", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_zip_that_points_before_its_start_is_no_fault_of_the_disk(tmp_path):
+    data = bytearray(zipped(FILES))
+    end = data.rindex(b"PK\x05\x06")
+    data[end + 16 : end + 20] = (2**31 - 1).to_bytes(4, "little")  # where its list begins
+    (tmp_path / "a.zip").write_bytes(data)
+    with pytest.raises(DatasetError, match="damaged"):
+        unpack(tmp_path / "a.zip", tmp_path / "out")
+
+
+def test_a_disk_that_fills_up_while_a_file_is_written(tmp_path, monkeypatch):
+    (tmp_path / "a.zip").write_bytes(zipped(FILES))
+    opened = Path.open
+
+    def full(self: Path, mode: str = "r", *rest: object, **more: object):
+        if mode != "xb":
+            return opened(self, mode, *rest, **more)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(OutputError) as caught:
+        unpack(tmp_path / "a.zip", tmp_path / "out")
+    assert [p.code for p in caught.value.problems] == ["disk-full"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_archives_with_random_damage(tmp_path, seed):
+    """Whatever is broken in it: it is refused in our words, or what comes out are plain files inside the folder."""
+    draw = random.Random(seed)
+    entries = [(member(n), c) for n, c in FILES.items()]
+    data = bytearray(draw.choice([zipped(FILES), tarred(entries), tarred(entries, "w")]))
+    for _ in range(draw.choice([1, 2, 5, 30])):
+        at = draw.randrange(len(data) - 40)
+        if draw.random() < 0.6:
+            data[at] = draw.randrange(256)
+        elif draw.random() < 0.5:
+            data[at : at + 4] = draw.choice([b"\xff" * 4, b"../.", bytes(4)])
+        else:
+            del data[at : at + draw.randrange(1, 30)]
+    (tmp_path / "a.bin").write_bytes(data)
+    try:
+        unpack(tmp_path / "a.bin", tmp_path / "in" / "out")
+    except DatasetError:
+        assert not (tmp_path / "in" / "out").exists()
+    else:
+        found = list((tmp_path / "in" / "out").rglob("*"))
+        assert all((p.is_file() or p.is_dir()) and not p.is_symlink() for p in found)
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name != "in") == ["a.bin"]
 
 
 # -- the whole -------------------------------------------------------------------------------------------------------

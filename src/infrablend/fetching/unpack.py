@@ -104,7 +104,8 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
             if size_bytes is not None:
                 _require_growth(archive, size_bytes, most, packed_bytes)
                 require_room(folder.parent, size_bytes)
-            folder.mkdir(parents=True)
+            with _disk(folder):
+                folder.mkdir(parents=True)
             try:
                 files, written = _write(archive, folder, entries, count, most, packed_bytes, limits, on_files)
             except BaseException:
@@ -118,8 +119,8 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
     except OSError as error:
         if isinstance(error, InfraBlendError):
             raise
-        # gzip's own complaint is an OSError without a number.
-        raise (_damaged(archive, str(error)) if error.errno is None else output_error(folder, error)) from error
+        # Errors of the disk are OutputErrors by now: this is a place outside the archive, or gzip's own complaint.
+        raise _damaged(archive, error.strerror or str(error)) from error
 
 
 def _write(
@@ -144,17 +145,19 @@ def _write(
         _require_growth(archive, written + entry.size_bytes, most, packed_bytes)
         target = folder.joinpath(*_parts(entry.name))
         try:
-            if entry.folder:
-                target.mkdir(parents=True, exist_ok=True)
-                continue
-            target.parent.mkdir(parents=True, exist_ok=True)
-            out = target.open("xb")
+            with _disk(target):
+                (target if entry.folder else target.parent).mkdir(parents=True, exist_ok=True)
+                if entry.folder:
+                    continue
+                out = target.open("xb")
         except (FileExistsError, NotADirectoryError) as error:
             raise _refusal(
                 archive, "archive-duplicate", f"{entry.name!r} collides with an earlier entry", "each name once"
             ) from error
-        with out, entry.open() as source:
-            shutil.copyfileobj(source, out, CHUNK_BYTES)
+        with _closing(out, target), entry.open() as source:
+            while chunk := source.read(CHUNK_BYTES):
+                with _disk(target):
+                    out.write(chunk)
             if out.tell() != entry.size_bytes:
                 raise _damaged(archive, f"{entry.name!r} has {out.tell()} bytes, {entry.size_bytes} were announced")
         written += entry.size_bytes
@@ -162,6 +165,30 @@ def _write(
         if on_files is not None:
             on_files(files, count)
     return files, written
+
+
+@contextlib.contextmanager
+def _disk(path: Path) -> Iterator[None]:
+    """What goes wrong here is the disk's fault, not the archive's; a name that is taken stays what it is."""
+    try:
+        yield
+    except (FileExistsError, NotADirectoryError):
+        raise
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+@contextlib.contextmanager
+def _closing(out: IO[bytes], path: Path) -> Iterator[None]:
+    """Close a file that was written; the last bytes may find the disk full."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            out.close()
+        raise
+    with _disk(path):
+        out.close()
 
 
 @contextlib.contextmanager
