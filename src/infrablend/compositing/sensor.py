@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
-from infrablend.compositing.measure import edge_sigma, flat_noise, sharpened_sigma, true_grain, unsharpened_sigma
+from infrablend.compositing.measure import (
+    CODEC_BLOCK,
+    edge_sigma,
+    flat_noise,
+    sharpened_sigma,
+    true_grain,
+    unsharpened_sigma,
+)
 from infrablend.compositing.overlay import Layer, blur_radius_px
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 
@@ -26,7 +33,6 @@ PIXEL_BOX_VARIANCE = 1 / 12
 # How many edges the profile's own sharpness is worth. Much, as the bounds are narrow: a camera's optics hardly change,
 # and a picture without sharp edges (sunlit ground) says more of its scene than of its camera.
 _PRIOR_EDGES = 100.0
-_CODEC_BLOCK = 8
 
 
 @dataclass(frozen=True)
@@ -255,7 +261,7 @@ def recode(
     changed = picture != background
     if not changed.any():
         return picture
-    b = _CODEC_BLOCK
+    b = CODEC_BLOCK
     padded = np.pad(changed, ((0, -height % b), (0, -width % b)))
     touched = padded.reshape(padded.shape[0] // b, b, padded.shape[1] // b, b).any(axis=(1, 3))
     block_rows, block_columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
@@ -263,8 +269,8 @@ def recode(
     x0, x1 = int(block_columns[0]) * b, min((int(block_columns[-1]) + 1) * b, width)
     part = (slice(y0, y1), slice(x0, x1))
     # Blocks of a grey JPEG are independent: encoding a block-aligned part gives the same blocks as the whole.
-    new = _through_jpeg(picture[part], quality).astype(np.float64)
-    lost = background[part].astype(np.float64) - _through_jpeg(background[part], quality)
+    new = through_jpeg(picture[part], quality).astype(np.float64)
+    lost = background[part].astype(np.float64) - through_jpeg(background[part], quality)
     new += (1 - cover[part]) * lost
     inside = np.repeat(np.repeat(touched, b, axis=0), b, axis=1)[:height, :width][part]
     out = picture.copy()
@@ -272,7 +278,8 @@ def recode(
     return out
 
 
-def _through_jpeg(part: GreyImage, quality: int) -> NDArray[np.uint8]:
+def through_jpeg(part: GreyImage, quality: int) -> NDArray[np.uint8]:
+    """An 8-bit picture as a JPEG of that quality gives it back."""
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(part), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not ok:
         raise ValueError(f"a {part.shape} picture cannot be encoded as JPEG")

@@ -1,0 +1,339 @@
+"""A sensor profile from pictures alone: gather readings picture by picture (`Survey`), then fit the chain to them."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.compositing.mapping import GreyImage
+from infrablend.compositing.measure import (
+    EDGE_PX,
+    PLATEAU_PX,
+    PROFILE_SIGMA_PX,
+    block_steps,
+    blockiness,
+    edge_profiles,
+    flat_blocks,
+    grain_correlation,
+    overshoots,
+    profile_sigmas,
+    true_grain,
+    unsharpened_sigma,
+)
+from infrablend.compositing.overlay import Layer
+from infrablend.compositing.sensor import PIXEL_BOX_VARIANCE, Sensor, apply_sensor, through_jpeg
+from infrablend.config.sensor_profile import SensorProfile
+
+LAGS = (1, 2, 3, 4)
+MIN_EDGES = 30
+_KEPT_EDGES = 50_000  # of all pictures together: 13 MB, however many pictures there are
+_CODEC_SAMPLE = 12
+_TRIED_QUALITIES = (100, 95, 90, 85, 80, 75, 70, 65, 60, 50, 40, 30, 20)
+# Less than this above what the file's own JPEG does is taken for no further codec.
+_BLOCKY = 0.05
+# Detail enhancement as cameras do it; kept unless the edges say otherwise by a quarter of what they leave unexplained.
+_USUAL_RADIUS_PX = 1.6
+_GAINS = np.arange(0, 2.01, 0.05)
+_RADII = np.arange(1.0, 3.01, 0.2)
+
+
+@dataclass
+class Survey:
+    """Readings of pictures of one camera.
+
+    Attributes:
+        levels: Darkest and brightest level of all pictures; clipped places are no flat places.
+        pictures: How many there will be: sets how many edges of each are kept.
+        scale: Levels of the pictures per 8-bit level.
+    """
+
+    levels: tuple[float, float]
+    pictures: int
+    scale: float = 1.0
+    profiles: list[NDArray[np.float32]] = field(default_factory=list)
+    sharpest: list[float] = field(default_factory=list)
+    noise: list[float] = field(default_factory=list)
+    correlations: list[list[float]] = field(default_factory=list)
+    steps: list[NDArray[np.float64]] = field(default_factory=list)
+    qualities: list[int] = field(default_factory=list)
+    shifted: list[NDArray[np.uint8]] = field(default_factory=list)
+    read: int = 0
+
+    def add(self, picture: GreyImage, free: NDArray[np.bool_] | None, jpeg_quality: int | None) -> None:
+        """Read one picture; `free` (h, w) is false on annotated objects, `jpeg_quality` that of its file."""
+        self.read += 1
+        profiles, _ = edge_profiles(picture, self.scale, free)
+        sigma = profile_sigmas(profiles)
+        profiles, sigma = profiles[~np.isnan(sigma)], sigma[~np.isnan(sigma)]
+        if len(sigma) >= MIN_EDGES:
+            self.sharpest.append(float(np.percentile(sigma, 20)))
+        most = max(MIN_EDGES, _KEPT_EDGES // max(self.pictures, 1))
+        self.profiles.append(profiles[:: max(1, math.ceil(len(profiles) / most))].astype(np.float32))
+        blocks = flat_blocks(picture, self.levels, self.scale, free)
+        if len(blocks):
+            self.noise.append(float(np.median(blocks.std(axis=(1, 2)))))
+            found = [grain_correlation(blocks, lag) for lag in LAGS]
+            if found[0] is not None:
+                self.correlations.append([c or 0.0 for c in found])
+        steps = block_steps(picture)
+        if steps is not None and steps.mean() > 0:
+            self.steps.append(steps)
+        if jpeg_quality is not None:
+            self.qualities.append(jpeg_quality)
+        every = max(1, self.pictures // _CODEC_SAMPLE)
+        if picture.dtype == np.uint8 and min(picture.shape) >= 64 and self.read % every == 1 % every:
+            # Half a block aside: a second codec's grid then falls between the first one's.
+            self.shifted.append(np.array(picture[4:, 4:], np.uint8))
+
+    @property
+    def edges(self) -> NDArray[np.float64]:
+        """(n, 65) all profiles kept."""
+        kept = [p for p in self.profiles if len(p)]
+        return np.concatenate(kept).astype(np.float64) if kept else np.zeros((0, len(EDGE_PX)))
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What pictures show: those of a survey, or those that a profile's chain would make.
+
+    Attributes:
+        sigmas_px: (n,) of all clean edges.
+        sigma_px: Their 20th percentile.
+        edge: (65,) median profile of edges about that sharp (10th to 30th percentile), its middle moved to 0.
+        overshoot: Of that profile on the bright and on the dark side, share of the step.
+        typical_overshoot: Median over all edges, noise included; bright and dark side.
+        noise_grey: Median deviation of flat blocks, 8-bit levels.
+        correlations: At `LAGS`.
+        blockiness: Median over pictures; None where there are none large enough.
+        steps: (8,) mean of `block_steps`, relative to their mean; None likewise.
+    """
+
+    sigmas_px: NDArray[np.float64]
+    sigma_px: float
+    edge: NDArray[np.float64]
+    overshoot: tuple[float, float]
+    typical_overshoot: tuple[float, float]
+    noise_grey: float | None
+    correlations: tuple[float, ...] | None
+    blockiness: float | None
+    steps: NDArray[np.float64] | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The figures, rounded, as plain JSON values."""
+        plain: dict[str, Any] = {
+            "edges": len(self.sigmas_px),
+            "edge_sigma_px": _round(np.percentile(self.sigmas_px, [10, 20, 50]).tolist()),
+            "overshoot": _round(self.overshoot),
+            "typical_overshoot": _round(self.typical_overshoot),
+        }
+        if self.noise_grey is not None:
+            plain["noise_grey"] = round(self.noise_grey, 4)
+        if self.correlations is not None:
+            plain["noise_correlations"] = _round(self.correlations)
+        if self.blockiness is not None:
+            plain["blockiness"] = round(self.blockiness, 4)
+        return plain
+
+
+def readings(survey: Survey) -> Readings:
+    """What a survey's pictures show together.
+
+    Raises:
+        ValueError: Too few clean edges.
+    """
+    profiles = survey.edges
+    if len(profiles) < MIN_EDGES:
+        raise ValueError(f"{len(profiles)} clean edges")
+    sigmas = profile_sigmas(profiles)
+    low, high = np.percentile(sigmas, [10, 30])
+    edge = np.median(_centred(profiles[(sigmas >= low) & (sigmas <= high)]), axis=0)
+    bright, dark = overshoots(edge[None])[0]
+    typical = np.median(overshoots(profiles), axis=0)
+    steps = np.mean([s / s.mean() for s in survey.steps], axis=0) if survey.steps else None
+    return Readings(
+        sigmas_px=sigmas,
+        sigma_px=float(np.percentile(sigmas, 20)),
+        edge=edge,
+        overshoot=(max(float(bright), 0.0), max(float(dark), 0.0)),
+        typical_overshoot=(float(typical[0]), float(typical[1])),
+        noise_grey=float(np.median(survey.noise)) / survey.scale if survey.noise else None,
+        correlations=tuple(np.median(survey.correlations, axis=0).tolist()) if survey.correlations else None,
+        blockiness=statistics.median(blockiness(s) for s in survey.steps) if survey.steps else None,
+        steps=steps,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted profile and what it rests on: readings of the pictures, readings of its own chain, the codec's curve."""
+
+    profile: SensorProfile
+    found: Readings
+    chain: Readings
+    codec: tuple[tuple[int, float], ...]
+
+
+def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
+    """The chain whose pictures read as the survey's do.
+
+    Sharpening is fitted to the side of the edge that overshoots less: small warm things lift the other one. Its radius
+    is hardly to be seen in real scenes; it is 1.6 px unless another one explains the edge clearly better.
+
+    Raises:
+        ValueError: Too few clean edges.
+    """
+    found, curve = readings(survey), codec_curve(survey)
+    gain, radius = _fit_halo(found)
+    psf = min(max(unsharpened_sigma(found.sigma_px, gain, radius), 0.3), 6.0)
+    bounds = (0.8 * found.sigma_px, 1.25 * found.sigma_px)
+    if len(survey.sharpest) >= 8:
+        low, high = (float(v) for v in np.percentile(survey.sharpest, [10, 90]))
+        bounds = (min(bounds[0], low), max(bounds[1], min(high, 1.6 * found.sigma_px)))
+    noise, grain = 0.0, 0.5
+    if found.noise_grey is not None:
+        noise = found.noise_grey
+        if found.correlations is not None:
+            noise, grain = true_grain(noise, found.correlations[0], 1.0 if survey.scale == 1.0 else 0.0)
+    profile = SensorProfile(
+        name=name,
+        description=description,
+        psf_sigma_px=round(psf, 3),
+        edge_bounds_px=(round(max(bounds[0], 0.1), 3), round(min(bounds[1], 10.0), 3)),
+        halo_gain=round(gain, 3),
+        halo_radius_px=round(radius, 2),
+        noise_grey=round(noise, 3),
+        noise_grain_px=round(max(grain, 0.3), 3),
+        codec_quality=_fit_codec(survey, found, curve),
+        levels=survey.levels if survey.scale == 1.0 else None,
+        measured={"pictures": survey.read, "levels": list(survey.levels), **found.to_json()},
+    )
+    return Fit(profile, found, chain_readings(profile), curve)
+
+
+def chain_readings(profile: SensorProfile) -> Readings:
+    """What a profile's own chain makes of ideal steps of 80 levels and of a flat place, read as pictures are.
+
+    The steps have one sharpness, so that their median stands for the 20th percentile of a scene's. Blockiness depends
+    on what is shown and is not read of these.
+    """
+    size, fine = 512, 4
+    y, x = (np.mgrid[: size * fine, : size * fine].astype(np.float32) + np.float32(0.5)) / fine
+    turn = math.radians(8.0)
+    stripes = (np.floor((x * math.cos(turn) + y * math.sin(turn)) / 64) % 2).astype(np.float32)
+    stripes = cv2.resize(stripes, (size, size), interpolation=cv2.INTER_AREA)
+    blur = math.sqrt(max(profile.psf_sigma_px**2 - PIXEL_BOX_VARIANCE, 1e-4))
+    stripes = cv2.GaussianBlur(stripes, (0, 0), blur)
+    sensor = Sensor(
+        profile=profile.name,
+        halo_gain=profile.halo_gain,
+        halo_radius_px=profile.halo_radius_px,
+        noise_grey=profile.noise_grey,
+        noise_grain_px=profile.noise_grain_px,
+        codec_quality=profile.codec_quality,
+    )
+    survey = Survey((0.0, 255.0), 1)
+    # Five blocks in each flat picture: as many as are read, so that none is chosen for being flat by chance.
+    flat = [np.full((32, 160), 120.0, np.float32)] * 16
+    for seed, picture in enumerate([(80 + 80 * stripes).astype(np.float32), *flat]):
+        layer = Layer((0, 0), picture, np.ones(picture.shape, np.float32))
+        ground = np.zeros(picture.shape, np.uint8)
+        survey.add(apply_sensor(ground, layer, replace(sensor, noise_seed=seed)), None, None)
+    survey.noise, survey.correlations = survey.noise[-16:], survey.correlations[-16:]
+    found = readings(survey)
+    profiles = survey.edges
+    edge = np.median(_centred(profiles), axis=0)
+    bright, dark = overshoots(edge[None])[0]
+    return replace(
+        found,
+        sigma_px=float(np.median(found.sigmas_px)),
+        edge=edge,
+        overshoot=(max(float(bright), 0.0), max(float(dark), 0.0)),
+        blockiness=None,
+        steps=None,
+    )
+
+
+def _centred(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Profiles moved so that each crosses 50 % at 0: edges are found to a whole pixel only."""
+    middle = len(EDGE_PX) // 2
+    moved = np.empty_like(profiles)
+    for row, profile in enumerate(profiles):
+        near = np.flatnonzero((profile[middle - 8 : middle + 8] < 0.5) & (profile[middle - 7 : middle + 9] >= 0.5))
+        if not len(near):
+            moved[row] = profile
+            continue
+        i = middle - 8 + int(near[np.argmin(np.abs(near - 8))])
+        at = EDGE_PX[i] + 0.25 * (0.5 - profile[i]) / (profile[i + 1] - profile[i])
+        moved[row] = np.interp(EDGE_PX + at, EDGE_PX, profile)
+    return moved
+
+
+def edge_model(sigma_px: float, gain: float, radius_px: float) -> NDArray[np.float64]:
+    """(65,) profile of a sharpened Gaussian edge as `edge_profiles` reads it."""
+    narrow = math.hypot(sigma_px, PROFILE_SIGMA_PX) * math.sqrt(2)
+    wide = math.hypot(narrow, radius_px * math.sqrt(2))
+    edge = np.array([0.5 + 0.5 * ((1 + gain) * math.erf(t / narrow) - gain * math.erf(t / wide)) for t in EDGE_PX])
+    dark, bright = np.median(edge[EDGE_PX <= -PLATEAU_PX]), np.median(edge[EDGE_PX >= PLATEAU_PX])
+    return np.asarray((edge - dark) / (bright - dark), np.float64)
+
+
+def _fit_halo(found: Readings) -> tuple[float, float]:
+    """Gain and radius of the sharpening that give the edge its width and the overshoot of its calmer side."""
+    bright, dark = found.overshoot
+    edge = found.edge if dark <= bright else 1 - found.edge[::-1]
+    side = (EDGE_PX > -PLATEAU_PX) & (EDGE_PX <= 0)
+    seen = float(profile_sigmas(edge[None])[0])
+    if math.isnan(seen):
+        return 0.0, _USUAL_RADIUS_PX
+    misfit = np.array(
+        [
+            [
+                math.sqrt(float(((edge_model(unsharpened_sigma(seen, g, r), g, r) - edge)[side] ** 2).mean()))
+                for g in _GAINS.tolist()
+            ]
+            for r in _RADII.tolist()
+        ]
+    )
+    best = misfit.min(axis=1)
+    usual = np.abs(_RADII - _USUAL_RADIUS_PX)
+    usual[best > 1.25 * best.min() + 0.002] = np.inf
+    row = int(np.argmin(usual))
+    gain = float(_GAINS[int(np.argmin(misfit[row]))])
+    return (gain, float(_RADII[row])) if gain > 0 else (0.0, _USUAL_RADIUS_PX)
+
+
+def codec_curve(survey: Survey) -> tuple[tuple[int, float], ...]:
+    """(JPEG quality, blockiness) of the survey's pictures at each quality tried, 100 standing for none.
+
+    They are moved by half a block first, so that what they have been through does not count twice.
+    """
+
+    def blocky(quality: int) -> float:
+        tried = (p if quality == 100 else through_jpeg(p, quality) for p in survey.shifted)
+        return statistics.median(blockiness(s) for s in (block_steps(p) for p in tried) if s is not None)
+
+    return tuple((q, blocky(q)) for q in _TRIED_QUALITIES) if survey.shifted else ()
+
+
+def _fit_codec(survey: Survey, found: Readings, curve: Sequence[tuple[int, float]]) -> int | None:
+    """JPEG quality that makes such pictures as blocky as they are; None if their file's own JPEG explains it."""
+    if found.blockiness is None or not curve:
+        return None
+    # Coarser quantisation only adds blocks.
+    qualities, blocky = [q for q, _ in curve], np.maximum.accumulate([b for _, b in curve])
+    of_file = statistics.median(survey.qualities) if survey.qualities else 100
+    explained = float(np.interp(-of_file, [-q for q in qualities], blocky))
+    if found.blockiness <= explained + _BLOCKY:
+        return None
+    return round(float(np.interp(found.blockiness, blocky, qualities)))
+
+
+def _round(values: Any) -> list[float]:
+    return [round(float(v), 4) for v in values]

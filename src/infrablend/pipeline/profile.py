@@ -1,0 +1,231 @@
+"""`infrablend profile`: a sensor profile fitted to a dataset's own pictures, with plots of the fit."""
+
+from __future__ import annotations
+
+import functools
+import io
+import statistics
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from infrablend.compositing.fitting import Fit, Readings, Survey, chain_readings, fit_profile
+from infrablend.config.sensor_profile import SensorProfile, find_profile
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import write_bytes, write_json
+from infrablend.core.tasks import OnProgress, Progress
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import Background, load_background
+from infrablend.report.profile_plots import draw_profile
+
+# As `compositing.local.measure_levels`: what a dataset uses, a few stray pixels left out.
+LEVEL_PERCENT = (0.05, 99.95)
+# Least distance between darkest and brightest level that counts as contrast, by bit depth.
+LEAST_SPAN = {8: 8, 16: 64}
+BOX_MARGIN_PX = 2
+PROFILE_FILE, PLOT_FILE = "profile.json", "profile.png"
+
+
+@dataclass(frozen=True)
+class ProfileReport:
+    """A fitted profile, where it was written, and how it compares.
+
+    Attributes:
+        profile: Fitted.
+        path: Of its JSON file, for `sensor.profile`.
+        plot: Of the PNG.
+        columns: Titles of the comparison: found, the fitted chain's own, perhaps a shipped profile's.
+        rows: (what, a text for each column).
+        problems: Pictures left out, and why.
+    """
+
+    profile: SensorProfile
+    path: Path
+    plot: Path
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+    problems: tuple[Problem, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "profile": self.profile.model_dump(mode="json"),
+            "path": str(self.path),
+            "plot": str(self.plot),
+            "columns": list(self.columns),
+            "rows": {what: list(cells) for what, cells in self.rows},
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def profile_dataset(
+    dataset: Dataset,
+    out: Path,
+    *,
+    count: int = 64,
+    name: str | None = None,
+    against: str | None = None,
+    on_progress: OnProgress | None = None,
+) -> ProfileReport:
+    """Fit a profile to a dataset's pictures and write it with its plots.
+
+    Args:
+        dataset: Its pictures; annotated objects are left out of edges and grain, not of the levels.
+        out: Folder to write `profile.json` and `profile.png` into.
+        count: How many pictures to read, evenly spread.
+        name: Of the profile; the dataset folder's by default.
+        against: A shipped profile to compare with.
+        on_progress: Called after each picture.
+
+    Raises:
+        DatasetError: No picture can be used, 8 and 16 bit are mixed, there is no contrast, or too few clean edges.
+        RecipeError: No shipped profile of the name `against`.
+        OutputError: `out` cannot be written.
+    """
+    reference = None if against is None else find_profile(against)
+    total = len(dataset.images)
+    images = [dataset.images[i * total // min(count, total)] for i in range(min(count, total))]
+    problems: list[Problem] = []
+    usable, levels, histogram, bits = _levels(dataset, images, problems)
+    scale = 1.0 if bits == 8 else (levels[1] - levels[0]) / 220.0
+    survey = Survey(levels, len(usable), scale)
+    started = time.monotonic()
+    for done, image in enumerate(usable, start=1):
+        picture = load_background(image.path, image.size_wh)
+        survey.add(picture.pixels, _free(image, picture), jpeg_quality(picture))
+        if on_progress is not None:
+            rate = done / max(time.monotonic() - started, 1e-9)
+            on_progress(Progress(done, len(usable), rate, (len(usable) - done) / rate, {}))
+    name = name or dataset.root.resolve().name or "pictures"
+    try:
+        fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
+    except ValueError as error:
+        raise DatasetError(
+            f"{dataset.root}: {error} in {survey.read} picture(s); expected at least 30 steps of more than 35 levels "
+            "between two flat sides. Give more pictures (--count), or a scene with roofs, roads or cars",
+            problems,
+        ) from error
+    plot = io.BytesIO()
+    of_reference = None if reference is None else chain_readings(reference)
+    draw_profile(fit, histogram, plot, against, of_reference)
+    path = write_json(out / PROFILE_FILE, fit.profile.model_dump(mode="json"))
+    columns, rows = _table(fit, survey, reference, of_reference)
+    return ProfileReport(
+        fit.profile, path, write_bytes(out / PLOT_FILE, plot.getvalue()), columns, rows, tuple(problems)
+    )
+
+
+def _levels(
+    dataset: Dataset, images: Sequence[ImageRecord], problems: list[Problem]
+) -> tuple[list[ImageRecord], tuple[float, float], NDArray[np.int64], int]:
+    """The pictures that can be used, the levels they live in, how often each level occurs, their bit depth."""
+    usable, histogram, depths = [], np.zeros(65536, np.int64), set()
+    for image, picture in _load(images, problems):
+        usable.append(image)
+        depths.add(picture.bit_depth)
+        histogram += np.bincount(picture.pixels.ravel(), minlength=65536)
+    if not usable:
+        raise DatasetError(f"{dataset.root}: none of {len(images)} picture(s) can be used", problems)
+    if len(depths) > 1:
+        raise DatasetError(f"{dataset.root}: pictures of 8 and of 16 bits; expected one kind. Give them as two folders")
+    bits = depths.pop()
+    low, high = (float(np.searchsorted(np.cumsum(histogram), p / 100 * histogram.sum())) for p in LEVEL_PERCENT)
+    if high - low < LEAST_SPAN[bits]:
+        raise DatasetError(
+            f"{dataset.root}: no contrast: all but 0.1 % of the pixels lie between {low:g} and {high:g}; expected a span "
+            f"of at least {LEAST_SPAN[bits]} levels. Check that these are the camera's pictures",
+            problems,
+        )
+    return usable, (low, high), histogram[: 2**bits], bits
+
+
+def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tuple[ImageRecord, Background]]:
+    """Pictures that can be read and are grey, one at a time."""
+    for image in images:
+        try:
+            picture = load_background(image.path, image.size_wh)
+        except DatasetError as error:
+            problems.extend(error.problems)
+            continue
+        if any(p.code == "image-colour" for p in picture.problems):
+            found, expected = "a picture in colour, e.g. by a palette", "grey levels of a thermal camera"
+            problems.append(Problem(image.path.name, "profile-colour", found, expected, "export it as white-hot"))
+            continue
+        yield image, picture
+
+
+def _free(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
+    """(h, w) where nothing is annotated; None if nothing is."""
+    if not image.instances:
+        return None
+    free = np.ones(picture.pixels.shape, np.bool_)
+    for i in image.instances:
+        x0, y0, x1, y1 = i.box_xyxy
+        top, left = max(int(y0) - BOX_MARGIN_PX, 0), max(int(x0) - BOX_MARGIN_PX, 0)
+        free[top : max(int(np.ceil(y1)) + BOX_MARGIN_PX, 0), left : max(int(np.ceil(x1)) + BOX_MARGIN_PX, 0)] = False
+    return free
+
+
+def jpeg_quality(picture: Background) -> int | None:
+    """The quality (1 to 100) whose quantisation table is nearest to the file's; None if it is no JPEG."""
+    if not picture.quantization:
+        return None
+    table = np.array(picture.quantization[0])
+    return min(range(1, 101), key=lambda q: (int(np.abs(_quality_table(q) - table).sum()), -q))
+
+
+@functools.cache
+def _quality_table(quality: int) -> NDArray[np.int64]:
+    file = io.BytesIO()
+    Image.new("L", (8, 8)).save(file, "JPEG", quality=quality)
+    tables: Mapping[int, Any] = Image.open(file).quantization  # type: ignore[attr-defined]
+    return np.array(tables[0])
+
+
+def _table(
+    fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: Readings | None
+) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
+    """What was found against what the fitted chain gives, and a shipped profile's chain: readings, then settings."""
+    chains = [(fit.found, None), (fit.chain, fit.profile)]
+    columns = ["pictures", "fitted"]
+    if reference is not None and of_reference is not None:
+        chains.append((of_reference, reference))
+        columns.append(reference.name)
+
+    def number(value: float | None, digits: int = 2) -> str:
+        return "-" if value is None else f"{value:.{digits}f}"
+
+    def level(p: SensorProfile | None) -> str:
+        levels = survey.levels if p is None else p.levels
+        return "-" if levels is None else f"{levels[0]:g} to {levels[1]:g}"
+
+    def quality(p: SensorProfile | None) -> str:
+        return "" if p is None else "none" if p.codec_quality is None else str(p.codec_quality)
+
+    files = str(round(statistics.median(survey.qualities))) if survey.qualities else "no JPEG"
+    rows = [
+        ("levels", [level(p) for _, p in chains]),
+        ("edge sigma, px", [number(r.sigma_px) for r, _ in chains]),
+        ("overshoot, bright side, %", [number(100 * r.overshoot[0], 1) for r, _ in chains]),
+        ("overshoot, dark side, %", [number(100 * r.overshoot[1], 1) for r, _ in chains]),
+        ("noise, levels", [number(r.noise_grey) for r, _ in chains]),
+        *(
+            (f"noise correlation at {lag} px", [number(r.correlations[lag - 1] if r.correlations else None) for r, _ in chains])
+            for lag in (1, 2, 3, 4)
+        ),
+        ("blockiness", [number(fit.found.blockiness, 3), *("" for _ in chains[1:])]),
+        ("JPEG quality of the files", [files, *("" for _ in chains[1:])]),
+        ("psf_sigma_px", ["" if p is None else number(p.psf_sigma_px) for _, p in chains]),
+        ("halo_gain", ["" if p is None else number(p.halo_gain) for _, p in chains]),
+        ("halo_radius_px", ["" if p is None else number(p.halo_radius_px) for _, p in chains]),
+        ("noise_grey", ["" if p is None else number(p.noise_grey) for _, p in chains]),
+        ("noise_grain_px", ["" if p is None else number(p.noise_grain_px) for _, p in chains]),
+        ("codec_quality", [quality(p) for _, p in chains]),
+    ]
+    return tuple(columns), tuple((what, tuple(cells)) for what, cells in rows)
