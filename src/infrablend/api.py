@@ -13,7 +13,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -38,6 +38,7 @@ from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.split import SplitReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
@@ -62,6 +63,7 @@ __all__ = [
     "plan",
     "preview",
     "preview_ground",
+    "profile",
     "read_dataset",
     "realism",
     "rerender",
@@ -545,6 +547,48 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
     from infrablend.report.ground import ground_sheet
 
     return ground_sheet(Path(run), Path(out), count)
+
+
+def profile(
+    data: str | Path,
+    out: str | Path,
+    *,
+    count: int = 64,
+    splits: Sequence[str] | None = None,
+    time: str | None = None,
+    name: str | None = None,
+    against: str | None = None,
+    options: Mapping[str, str] | None = None,
+    on_progress: OnProgress | None = None,
+) -> ProfileReport:
+    """Fit a sensor profile to a folder of pictures or a dataset; writes `profile.json` and `profile.png`.
+
+    Args:
+        data: The folder; labels are not needed, annotated objects are left out of what is measured on edges and grain.
+        out: Folder to write, apart from `data`. Recipes take its `profile.json` as `sensor.profile`.
+        count: How many pictures to read, evenly spread.
+        splits: Some of train, val, test; all by default.
+        time: Only pictures of `day` or `night`.
+        name: Of the profile; the folder's by default.
+        against: A shipped profile to compare with.
+        options: Options of the dataset's reader.
+        on_progress: Called after each picture.
+
+    Raises:
+        DatasetError: No picture can be used, no contrast, or too few clean edges.
+        RecipeError: No shipped profile `against`.
+        OutputError: `out` cannot be written.
+    """
+    from infrablend.pipeline.profile import profile_dataset
+
+    _require_apart(Path(data), Path(out))
+    dataset = read_dataset(data, splits=splits, options=options)
+    if time is not None:
+        chosen = tuple(i for i in dataset.images if i.time_of_day == time)
+        if not chosen:
+            raise DatasetError(f"{data}: none of {len(dataset.images)} picture(s) is known to be taken by {time}")
+        dataset = replace(dataset, images=chosen)
+    return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
 
 
 def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:

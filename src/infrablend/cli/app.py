@@ -20,6 +20,7 @@ from infrablend.cli import (
     inspect,
     models,
     preview,
+    profile,
     realism,
     recipes,
     rerender,
@@ -99,6 +100,7 @@ def build_app() -> typer.Typer:
     app.command("generate")(generate.generate)
     app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)
+    app.command("profile")(profile.profile)
     app.command("rerender")(rerender.rerender)
     app.command("inspect")(inspect.inspect)
     app.command("check")(check.check)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from infrablend.compositing.fitting import Fit, Readings, Survey, chain_readings, fit_profile
+from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Readings, Survey, chain_readings, fit_profile
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json
@@ -103,14 +103,14 @@ def profile_dataset(
             rate = done / max(time.monotonic() - started, 1e-9)
             on_progress(Progress(done, len(usable), rate, (len(usable) - done) / rate, {}))
     name = name or dataset.root.resolve().name or "pictures"
-    try:
-        fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
-    except ValueError as error:
+    edges = len(survey.edges)
+    if edges < MIN_EDGES:
         raise DatasetError(
-            f"{dataset.root}: {error} in {survey.read} picture(s); expected at least 30 steps of more than 35 levels "
-            "between two flat sides. Give more pictures (--count), or a scene with roofs, roads or cars",
+            f"{dataset.root}: {edges} clean edges in {survey.read} picture(s); expected at least {MIN_EDGES} steps of "
+            "more than 35 levels between two flat sides. Give more pictures (--count), or scenes with roofs or roads",
             problems,
-        ) from error
+        )
+    fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
     plot = io.BytesIO()
     of_reference = None if reference is None else chain_readings(reference)
     draw_profile(fit, histogram, plot, against, of_reference)
@@ -138,8 +138,8 @@ def _levels(
     low, high = (float(np.searchsorted(np.cumsum(histogram), p / 100 * histogram.sum())) for p in LEVEL_PERCENT)
     if high - low < LEAST_SPAN[bits]:
         raise DatasetError(
-            f"{dataset.root}: no contrast: all but 0.1 % of the pixels lie between {low:g} and {high:g}; expected a span "
-            f"of at least {LEAST_SPAN[bits]} levels. Check that these are the camera's pictures",
+            f"{dataset.root}: no contrast: all but 0.1 % of the pixels lie between {low:g} and {high:g}; expected a "
+            f"span of at least {LEAST_SPAN[bits]} levels. Check that these are the camera's pictures",
             problems,
         )
     return usable, (low, high), histogram[: 2**bits], bits
@@ -184,7 +184,7 @@ def jpeg_quality(picture: Background) -> int | None:
 def _quality_table(quality: int) -> NDArray[np.int64]:
     file = io.BytesIO()
     Image.new("L", (8, 8)).save(file, "JPEG", quality=quality)
-    tables: Mapping[int, Any] = Image.open(file).quantization  # type: ignore[attr-defined]
+    tables: Mapping[int, Any] = Image.open(file).quantization
     return np.array(tables[0])
 
 
@@ -216,8 +216,11 @@ def _table(
         ("overshoot, dark side, %", [number(100 * r.overshoot[1], 1) for r, _ in chains]),
         ("noise, levels", [number(r.noise_grey) for r, _ in chains]),
         *(
-            (f"noise correlation at {lag} px", [number(r.correlations[lag - 1] if r.correlations else None) for r, _ in chains])
-            for lag in (1, 2, 3, 4)
+            (
+                f"noise correlation at {lag} px",
+                [number(r.correlations[lag - 1] if r.correlations else None) for r, _ in chains],
+            )
+            for lag in LAGS
         ),
         ("blockiness", [number(fit.found.blockiness, 3), *("" for _ in chains[1:])]),
         ("JPEG quality of the files", [files, *("" for _ in chains[1:])]),

@@ -45,7 +45,7 @@ def draw_profile(
     for ax in axes.flat:
         ax.spines[["top", "right"]].set_visible(False)
         if ax.get_legend_handles_labels()[1]:
-            ax.legend(frameon=False, fontsize=9)
+            ax.legend(frameon=False, fontsize=9, loc="upper left" if ax is axes[0, 0] else "best")
     figure.savefig(out, format="png", metadata={"Software": None})
 
 
@@ -55,7 +55,7 @@ def _edge(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
     ax.axhline(1, color=FAINT, lw=0.7)
     for name, r in others:
         ax.plot(EDGE_PX, r.edge, color=OTHER, lw=1.4, ls="--", label=f"{name}'s chain")
-    ax.plot(EDGE_PX, fit.found.edge, color=FOUND, lw=2.2, label="pictures (10th to 30th percentile)")
+    ax.plot(EDGE_PX, fit.found.edge, color=FOUND, lw=2.2, label="pictures, sharp edges")
     ax.plot(EDGE_PX, fit.chain.edge, color=FITTED, lw=1.6, label="fitted chain")
     ax.set(
         title=f"Edge: psf {p.psf_sigma_px:.2f} px, halo {p.halo_gain:.2f} at {p.halo_radius_px:.1f} px",
@@ -72,7 +72,9 @@ def _sigmas(ax: Any, fit: Fit) -> None:
     ax.axvspan(low, high, color=FITTED, alpha=0.15, lw=0, label="believed of a picture's sharpest")
     ax.axvline(fit.found.sigma_px, color=FOUND, lw=1.8, label=f"20th percentile, {fit.found.sigma_px:.2f} px")
     ax.axvline(fit.chain.sigma_px, color=FITTED, lw=1.4, ls="--", label=f"fitted chain, {fit.chain.sigma_px:.2f} px")
-    ax.set(title="Sharpness of all clean edges", xlabel="sigma, px (3 and more together)", ylabel="edges", xlim=(0, top))
+    ax.set(
+        title="Sharpness of all clean edges", xlabel="sigma, px (3 and more together)", ylabel="edges", xlim=(0, top)
+    )
 
 
 def _grain(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
@@ -84,7 +86,9 @@ def _grain(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
         if r.correlations is not None:
             label = f"{name}: {r.noise_grey:.2f} levels"
             ax.plot([0, *LAGS], [1, *r.correlations], color=colour, marker="o", ms=5, lw=1.8, label=label)
-    ax.set(title="Grain of flat places", xlabel="distance, px", ylabel="correlation", xticks=[0, *LAGS], ylim=(-0.1, 1.03))
+    ax.set(
+        title="Grain of flat places", xlabel="distance, px", ylabel="correlation", xticks=[0, *LAGS], ylim=(-0.1, 1.03)
+    )
 
 
 def _levels(ax: Any, fit: Fit, histogram: NDArray[np.int64]) -> None:
