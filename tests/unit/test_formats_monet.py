@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from infrablend import api
 from infrablend.core.dataset import Dataset, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
@@ -428,6 +429,29 @@ def test_what_was_read_is_written_with_every_field(tmp_path: Path) -> None:
         for a, b in zip(before.instances, after.instances, strict=True):
             assert replace(b, source_id=None).equals(replace(a, source_id=None), 1e-6)
     assert again.categories[-1].name == "deer"
+
+
+def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
+    """The paper's recipe without Blender: negative pitch is used, frames without are skipped, all is in the card."""
+    data = tmp_path / "data"
+    sequence(data, "runway_01", down(None))
+    sequence(data, "runway_04", down(-35, 12.5, None, -90))
+    for path in data.rglob("*.png"):
+        picture(path, (800, 600))
+    for path in data.rglob("*.json"):
+        path.write_text(path.read_text().replace('"width": 64, "height": 48', '"width": 800, "height": 600'))
+    settings = {"output.formats": ["native"]}
+    report = api.generate("monet-deer", data, tmp_path / "run", renderer="fake", in_process=True, settings=settings)
+    assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (3, 1)
+    again = detection.read(tmp_path / "run" / "native")
+    assert [i.pitch_deg for i in again.images] == [35, -12.5, 90]
+    assert [sum(o.inserted for o in i.instances) for i in again.images] == [1, 1, 1]
+    notes = json.loads((tmp_path / "run" / "run.json").read_text())["data"]["notes"]
+    assert notes["excluded"]["train/runway_01"]["images"] == 1 and notes["frames_without_pitch"] == {
+        "train/runway_04": 1
+    }
+    card = (tmp_path / "run" / "README.md").read_text()
+    assert "Sequences of the source left out: train/runway_01 (1 pictures, no telemetry in any frame)." in card
 
 
 def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:

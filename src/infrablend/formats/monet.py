@@ -104,7 +104,8 @@ def find_files(root: Path, pattern: str | None = None) -> list[Path]:
         folders[:] = sorted(
             d for d in folders if not is_hidden(d) and depth < _JSON_DEPTH and (d not in _SKIPPED_FOLDERS or pattern)
         )
-        files = [here / n for n in names if n.lower().endswith(".json") and not is_hidden(n)]
+        # No pipes or devices: they would be waited for.
+        files = [here / n for n in names if n.lower().endswith(".json") and not is_hidden(n) and (here / n).is_file()]
         if pattern is None:
             found += [p for p in files if p.name not in _NO_ANNOTATIONS]
         else:

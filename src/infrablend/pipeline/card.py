@@ -107,6 +107,9 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
     if left_out:
         found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
         texts.append(f"Left out of the source because something was wrong with it: {found}; `run.json` lists all.")
+    if excluded := plan.dataset.notes.get("excluded"):
+        found = ", ".join(f"{name} ({e['images']} pictures, {e['why']})" for name, e in excluded.items())
+        texts.append(f"Sequences of the source left out: {found}.")
     return texts
 
 
