@@ -104,6 +104,40 @@ def _written(folder: Path, write: Callable[[tuple[ImageRecord, ...], tuple[Categ
 # -- in alphabetical order -------------------------------------------------------------------------------------
 
 
+@sample("birdsai")
+def _birdsai(folder: Path) -> Path:
+    """Two sequences of different sizes in train, one in test; the things beside the tables that are none."""
+    rows = "0,1,3,4,17,13,0,1,0,0\n0,2,30,8,11,12,1,0,1,0\n"
+    for k, (split, sequence, frame, text) in enumerate(
+        (
+            ("Train", 67, 0, rows),
+            ("Train", 67, 1, None),
+            ("Train", 68, 0, "0,1,5,6,20,9,0,-1,0,1\n"),
+            ("Test", 70, 5, ""),
+        )
+    ):
+        name = f"{sequence:010d}_0000000025"
+        size = (58, 37) if sequence == 68 else SIZE_WH
+        picture(folder / f"{split}Real" / "images" / name / f"{name}_{frame:010d}.jpg", k, size)
+        table = folder / f"{split}Real" / "annotations" / f"{name}.csv"
+        table.parent.mkdir(parents=True, exist_ok=True)
+        if text is not None:
+            table.write_text(text)
+    beside = folder / "TrainReal" / "annotations"
+    (beside / "water_metadata_train.txt").write_text("no table")
+    (beside / "tracking").mkdir()
+    (beside / "._0000000067_0000000025.csv").write_text("no table")
+    return folder
+
+
+@sample("birdsai:frames")
+def _birdsai_frames(folder: Path) -> Path:
+    """Frames alone, of several sizes."""
+    for k, (sequence, size) in enumerate(((11, (63, 32)), (55, SIZE_WH), (55, SIZE_WH))):
+        picture(folder / f"{sequence:010d}_0000000000_{100 + k:010d}.jpg", k, size)
+    return folder
+
+
 @sample("coco")
 def _coco(folder: Path) -> Path:
     return _written(folder, lambda images, names: coco.write(folder, images, names, pictures=True))

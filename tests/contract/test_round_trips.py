@@ -169,6 +169,9 @@ def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_p
         "name_changed",
         "mask_absent",
         "box_clipped",
+        "class_unfit",
+        "track_made",
+        "empty_unsaid",
     }
 
 

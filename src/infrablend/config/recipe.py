@@ -303,7 +303,8 @@ class Labels(Strict):
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
 Format = Literal[
-    "yolo", "yolo-obb", "yolo-seg", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "monet", "voc", "native"
+    "yolo", "yolo-obb", "yolo-seg", "birdsai", "coco", "dota", "hit-uav", "hit-uav-xml", "masks", "monet", "voc",
+    "native",
 ]  # fmt: skip
 FORMATS: tuple[Format, ...] = ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
 

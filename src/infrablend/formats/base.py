@@ -45,6 +45,9 @@ LOSSES: Mapping[str, str] = {
     "telemetry_dropped": "picture with pitch, altitude or time of day known, the format holds none",
     "not_finite_dropped": "telemetry that is no finite number, written as null",
     "sequence_dropped": "picture with a known sequence or date, the format holds none",
+    "class_unfit": "object of a class the format does not have, written as the nearest or under a number of its own",
+    "track_made": "object without a track, given one of its own: the format demands it",
+    "empty_unsaid": "picture known to show no object: the format cannot tell it from one that nobody labelled",
     "name_changed": "picture renamed: the format knows no folders, or tells pictures by the stem alone",
     "class_name_changed": "class renamed: the format allows no blanks in it",
     "mask_overlap_px": "pixels of masks under a later object's: the format has one object for each pixel",
@@ -258,6 +261,12 @@ def check_box(
     box = np.array((max(x0, 0.0), max(y0, 0.0), min(x1, float(w)), min(y1, float(h))), np.float64)
     found = f"box {_show(xyxy)} reaches out of the frame, clipped to {_show(box.tolist())}"
     return box, Problem(where, "box-clipped", found, f"a box inside {w}x{h} px", severity="warning")
+
+
+def number_text(value: float) -> str:
+    """A coordinate as text: whole numbers as such, others with up to eight decimals."""
+    text = f"{value:.8f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def snap(value: float, size: int, tolerance: float = 1e-6) -> float:

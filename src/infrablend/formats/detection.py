@@ -35,6 +35,7 @@ class Format:
 FORMATS: tuple[Format, ...] = (
     Format("hit-uav", "infrablend.formats.hit_uav", True, "HIT-UAV in any of its four annotation forms"),
     Format("masks", "infrablend.formats.masks", True, "instance masks as 16-bit PNG with tables, of InfraBlend's own"),
+    Format("birdsai", "infrablend.formats.birdsai", True, "BIRDSAI: a CSV of tracks for each sequence, or bare frames"),
     Format("wisard", "infrablend.formats.wisard", False, "WiSARD: clips with YOLO text beside the frames"),
     Format("wit-uas", "infrablend.formats.wit_uas", False, "WIT-UAS: runs with .label files beside the frames"),
     Format("dut-anti-uav", "infrablend.formats.dut_anti_uav", False, "DUT-Anti-UAV: drones in visible light, VOC"),

@@ -36,6 +36,7 @@ from infrablend.formats.base import (
     check_box,
     check_splits,
     is_ignored_name,
+    number_text,
     overhang_px,
     read_text,
     read_xml,
@@ -416,11 +417,6 @@ def write(
     return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
 
 
-def _number(value: float) -> str:
-    text = f"{value:.8f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
-
-
 def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> str:
     w, h = require_size(image)
     lines = [
@@ -438,7 +434,7 @@ def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> 
         losses["mask_dropped"] += i.mask is not None
         losses["visibility_dropped"] += i.visibility is not None
         box = "".join(
-            f"<{k}>{_number(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
+            f"<{k}>{number_text(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
         )
         lines += [
             "  <object>",

@@ -124,6 +124,11 @@ WRITERS: tuple[Writer, ...] = (
         frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
     ),
     Writer(
+        "birdsai", "infrablend.formats.birdsai:write", "birdsai", "BIRDSAI: a CSV of tracks for each sequence",
+        frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult"}),
+        takes=frozenset({"dont_care", "pictures"}),
+    ),
+    Writer(
         "voc", "infrablend.formats.voc:write", "voc", "Pascal VOC, one XML file per picture",
         frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
         takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",

@@ -1,0 +1,593 @@
+"""BIRDSAI (Bondi et al. 2020): thermal video from fixed-wing aircraft, tracks of animals and people.
+
+    TrainReal/images/<sequence>/<sequence>_<frame>.jpg    TrainReal/annotations/<sequence>.csv    the same in TestReal
+
+A sequence is two numbers of ten digits, a frame one. A CSV line, without a header, has ten columns: frame, object, x,
+y, w, h (px, x and y the upper left corner), class (0 animal, 1 human), species, occlusion, noise. Frames without a
+line were not necessarily empty. A folder of frames alone is read as pictures without labels.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, write_text
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import (
+    Match,
+    Written,
+    check_box,
+    check_splits,
+    is_ignored_name,
+    number_text,
+    read_text,
+    require_options,
+    snap,
+    sort_images,
+    to_floats,
+    to_int,
+)
+from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures, read_size
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+
+NAME = "birdsai"
+OPTIONS = {
+    "category": "species (the default) or class (animal, human): what the categories are",
+    "noise": "keep (the default) or drop objects in frames flagged as noisy",
+    "unlabelled": "keep or drop frames without a line; keep is the default",
+    "frames": "number (the default): a line's frame is the number in the picture's name; order: its place, from 0",
+    "frame_offset": "whole number added to a line's frame to get the picture's, 0 by default",
+}
+SPECIES = {
+    0: "human", 1: "elephant", 2: "lion", 3: "giraffe", 4: "dog", 5: "crocodile", 6: "hippo", 7: "zebra", 8: "rhino",
+}  # fmt: skip
+# A category's id may not be negative: -1, unknown, gets the first free number.
+UNKNOWN = Category(9, "unknown", "animal")
+CATEGORIES = (*(Category(k, n, "human" if k == 0 else "animal") for k, n in SPECIES.items()), UNKNOWN)
+CLASSES = (Category(0, "animal", "animal"), Category(1, "human", "human"))
+_HUMAN = {"human", "person", "pedestrian", "people"}
+
+_FOLDERS: Mapping[str, Split] = {"TrainReal": "train", "ValReal": "val", "TestReal": "test"}
+_SEQUENCE = re.compile(r"\d{10}_\d{10}", re.ASCII)
+_FRAME = re.compile(r"(\d{10}_\d{10})_(\d{10})", re.ASCII)
+_COLUMNS = "frame, object, x, y, w, h, class, species, occlusion, noise"
+_SPECIES_FILE = "species.csv"
+_NAMES_FILE = "names.csv"
+_NAMES_COLUMNS = ("file", "name", "sequence", "captured")
+
+
+# -- finding ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A folder with `images` and, perhaps, `annotations`; or, without both, a folder of frames."""
+
+    split: Split
+    folder: Path
+    flat: bool = False
+
+    @cached_property
+    def pictures(self) -> dict[str, Path]:
+        """All pictures."""
+        if not self.flat:
+            return list_pictures(self.folder / "images")
+        return {p.name: p for p in sorted(self.folder.iterdir()) if is_picture_name(p.name) and p.is_file()}
+
+    @cached_property
+    def frames(self) -> dict[str, dict[int, Path]]:
+        """Pictures by sequence and frame number, those whose names say both."""
+        found: dict[str, dict[int, Path]] = defaultdict(dict)
+        for path in self.pictures.values():
+            named = _FRAME.fullmatch(path.stem)
+            if named is not None:
+                found[named[1]].setdefault(int(named[2]), path)
+        return dict(sorted(found.items()))
+
+    @property
+    def others(self) -> int:
+        """How many pictures are not among the frames."""
+        return len(self.pictures) - sum(map(len, self.frames.values()))
+
+    @cached_property
+    def tables(self) -> dict[str, Path]:
+        """CSV files by sequence; `tracking`, `water_metadata` and other things beside them are none."""
+        files = [] if self.flat else sorted((self.folder / "annotations").glob("*.csv"))
+        return {p.stem: p for p in files if p.is_file() and not is_hidden(p.name) and _SEQUENCE.fullmatch(p.stem)}
+
+
+def _parts(root: Path) -> list[_Part]:
+    """The splits' folders, or those in them of the same name; else the folder or its `Real`; else bare frames."""
+    named = [_Part(split, f) for name, split in _FOLDERS.items() for f in (root / name, root / name / name)]
+    found = [p for p in named if (p.folder / "images").is_dir() and (p.tables or p.frames)]
+    if not found:
+        name = root.absolute().name
+        split = _FOLDERS.get(name, "train")
+        others = [_Part(split, f) for f in (root, root / "Real", root / name) if (f / "images").is_dir()]
+        found = [p for p in others if p.tables or (name in _FOLDERS and p.frames)][:1]
+    # Frames of BIRDSAI in another format are not ours: a bare folder has nothing but pictures and our tables.
+    labels = (".txt", ".xml", ".json", ".yaml", ".yml", ".csv")
+    if not found and root.is_dir():
+        beside = [p for p in root.iterdir() if p.is_dir() or p.suffix.lower() in labels]
+        bare = all(p.stem == "metadata" or is_hidden(p.name) for p in beside)
+        found = [p for p in [_Part("train", root, True)] if bare and p.frames]
+    return found
+
+
+def detect(root: Path) -> Match:
+    """Whether `root` holds BIRDSAI's folders, or frames with its names and nothing that labels them otherwise."""
+    parts = _parts(root)
+    if not parts:
+        return Match(NAME, False, "no TrainReal or TestReal with images, and no pictures <10 digits>_<10>_<10>.jpg")
+    frames = sum(len(s) for p in parts for s in p.frames.values())
+    others = sum(p.others for p in parts)
+    if others > frames:
+        return Match(NAME, False, f"{others} of {others + frames} pictures are not named like its frames")
+    tables = sum(len(p.tables) for p in parts)
+    return Match(NAME, True, f"{frames} frame(s) and {tables} table(s) in {len(parts)} folder(s)")
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Reading:
+    """What is gathered while reading."""
+
+    root: Path
+    by_class: bool
+    drop_noise: bool
+    names: Mapping[int, str]
+    problems: list[Problem] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    # Rows with a picture, if the frame numbers were off by that much.
+    shifted: Counter[int] = field(default_factory=Counter)
+
+    def add(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
+        """Note an error: the item is left out."""
+        self.problems.append(Problem(where, code, found, expected, todo))
+
+    def warn(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
+        """Note a warning."""
+        self.problems.append(Problem(where, code, found, expected, todo, "warning"))
+
+
+@dataclass(frozen=True)
+class _Row:
+    where: str
+    frame: int
+    track: int
+    box: tuple[float, float, float, float]
+    class_: int
+    species: int
+    occlusion: int
+    noise: int
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    category: str = "species",
+    noise: str = "keep",
+    unlabelled: str = "keep",
+    frames: str = "number",
+    frame_offset: str = "0",
+) -> Dataset:
+    """Read the sequences below a folder. Every picture's size is taken from its header: it differs by sequence.
+
+    Args:
+        root: The folder of `TrainReal` and `TestReal`, one of them, or a folder of frames.
+        splits: The splits wanted; None reads all there are.
+        metadata: Table of pitch and altitude, by file or by sequence; None takes `metadata.csv` or `.json`.
+        category: What becomes the category.
+        noise: What happens to objects in noisy frames.
+        unlabelled: What happens to frames without a line.
+        frames: What a line's frame number counts.
+        frame_offset: Added to it.
+
+    Raises:
+        DatasetError: An option is unknown, or no picture can be read.
+    """
+    require_options(
+        root,
+        category=(category, ("species", "class")),
+        noise=(noise, KEEP_OR_DROP),
+        unlabelled=(unlabelled, KEEP_OR_DROP),
+        frames=(frames, ("number", "order")),
+    )
+    offset = to_int(frame_offset)
+    if offset is None:
+        problem = Problem("option frame_offset", "option-value", f"frame_offset={frame_offset}", "a whole number")
+        raise DatasetError(f"{root}: an option its reader does not know", [problem])
+    wanted = check_splits(splits)
+    further, problems = _further_species(root)
+    renamed = _read_names(root, problems)
+    reading = _Reading(root, category == "class", noise == "drop", {**SPECIES, **further, -1: "unknown"}, problems)
+    records: list[ImageRecord] = []
+    for part in _parts(root):
+        if part.split in wanted:
+            records += _read_part(reading, part, frames == "order", offset, unlabelled)
+    if (root / "TrainSimulation").is_dir():
+        reading.warn(root.name, "simulation-excluded", "TrainSimulation, left out", "thermal pictures of a camera")
+    _hint_at_offset(reading, offset)
+    keys = ("tables", "rows", "incomplete", "read", "without_picture", "noisy", "noise_dropped", "unlabelled")
+    notes = {
+        "labels": NAME,
+        "category": category,
+        "noise": noise,
+        "frames": f"{frames}{offset:+d}" if offset else frames,
+        "rows": {k: reading.counts[k] for k in keys},
+    }
+    further_categories = [Category(k, n, "", is_ignored_name(n)) for k, n in further.items()]
+    categories = CLASSES if reading.by_class else (*CATEGORIES, *further_categories)
+    records = [_renamed(r, renamed.get(r.path.relative_to(root).as_posix())) for r in records]
+    return make_dataset(
+        root, NAME, records, categories, reading.problems, notes, metadata=metadata, splits=wanted
+    )  # fmt: skip
+
+
+def _further_species(root: Path) -> tuple[dict[int, str], list[Problem]]:
+    """Species by number above BIRDSAI's own, from the table that our writer leaves."""
+    path = root / _SPECIES_FILE
+    if not path.is_file():
+        return {}, []
+    text, problem = read_text(path, path.name, "species,name")
+    problems = [problem] if problem else []
+    further: dict[int, str] = {}
+    for n, row in enumerate(_csv_rows(text, path.name, problems), 1):
+        number = to_int(row[0]) if len(row) == 2 else None
+        known = {*SPECIES.values(), UNKNOWN.name, *further.values()}
+        if number is not None and number > UNKNOWN.id and number not in further and row[1] not in {"", *known}:
+            further[number] = row[1]
+        elif n > 1 and row:
+            expected = f"a new number above {UNKNOWN.id} and a new name"
+            problems.append(Problem(f"{path.name}: line {n}", "species-malformed", repr(row)[:80], expected))
+    return further, problems
+
+
+def _csv_rows(text: str, where: str, problems: list[Problem]) -> list[list[str]]:
+    try:
+        return list(csv.reader(io.StringIO(text, newline="")))
+    except csv.Error as error:
+        problems.append(Problem(where, "table-unreadable", str(error), "a CSV table as it was written"))
+        return []
+
+
+def _read_names(root: Path, problems: list[Problem]) -> dict[str, tuple[str, str]]:
+    """Sequence and date by picture, from the table that our writer leaves where it had to change names."""
+    path = root / _NAMES_FILE
+    if not path.is_file():
+        return {}
+    text, problem = read_text(path, path.name, ",".join(_NAMES_COLUMNS))
+    problems += [problem] if problem else []
+    rows = [row for row in _csv_rows(text, path.name, problems) if len(row) == len(_NAMES_COLUMNS)]
+    return {file: (sequence, captured) for file, _, sequence, captured in rows[1:]}
+
+
+def _renamed(record: ImageRecord, said: tuple[str, str] | None) -> ImageRecord:
+    return record if said is None else replace(record, sequence=said[0] or None, captured=said[1] or None)
+
+
+def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabelled: str) -> list[ImageRecord]:
+    root, frames, tables = reading.root, part.frames, part.tables
+    records: list[ImageRecord] = []
+    where = part.folder.relative_to(root).as_posix() if part.folder != root else root.name
+    if part.others:
+        found = f"{part.others} picture(s) that are not named like frames, or twice, left out"
+        reading.warn(where, "name-grammar", found, "<10 digits>_<10 digits>_<10 digits>.jpg")
+    missing = 0
+    for sequence in sorted(frames.keys() | tables.keys()):
+        pictures = dict(sorted(frames.get(sequence, {}).items()))
+        table = tables.get(sequence)
+        rows = _read_table(reading, table, table.relative_to(root).as_posix()) if table else []
+        if rows is None:  # not readable: its frames are not known to be without objects
+            continue
+        places = dict(enumerate(pictures)) if order else {n: n for n in pictures}
+        of_frame: dict[int, list[_Row]] = defaultdict(list)
+        for row in rows:
+            number = places.get(row.frame + offset)
+            if number is None:
+                reading.counts["without_picture"] += 1
+            else:
+                of_frame[number].append(row)
+            reading.shifted.update(d for d in (-1, 0, 1) if row.frame + offset + d in places)
+        lost = len(rows) - sum(map(len, of_frame.values()))
+        if lost and table is not None:
+            found = f"{lost} of {len(rows)} line(s) whose frame has no picture, left out"
+            reading.warn(table.relative_to(root).as_posix(), "row-without-picture", found, "a picture for each frame")
+        for number, path in pictures.items():
+            missing += number not in of_frame
+            if number not in of_frame and unlabelled == "drop":
+                continue
+            name = path.relative_to(root).as_posix()
+            size_wh, problem = read_size(path, name)
+            if size_wh is None:
+                reading.problems += [problem] if problem else []
+                continue
+            instances = _instances(reading, of_frame.get(number, []), size_wh)
+            extra = {"frame": number} | ({} if number in of_frame else {"labelled": False})
+            records.append(
+                ImageRecord(
+                    "", path, part.split, size_wh, None, None, None, instances, extra=extra,
+                    file_name=f"{sequence}/{path.name}", sequence=sequence,
+                )
+            )  # fmt: skip
+    reading.counts["unlabelled"] += missing
+    reading.problems += unlabelled_problems(where, missing, unlabelled, "no line")
+    return records
+
+
+def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
+    """The rows of a table that are whole; None if it cannot be read."""
+    text, problem = read_text(path, where, "a CSV table of ten columns")
+    if problem is not None:
+        reading.problems.append(problem)
+        return None
+    reading.counts["tables"] += 1
+    rows: list[_Row] = []
+    contradictions = 0
+    for n, line in enumerate(text.split("\n"), 1):
+        if not line.strip():
+            continue
+        reading.counts["rows"] += 1
+        here = f"{where}: line {n}"
+        cells = [c.strip() for c in line.split(",")]
+        numbers = to_floats(cells, 10)
+        if numbers is None or not all(map(math.isfinite, numbers)):
+            reading.counts["incomplete"] += 1
+            code = "row-incomplete" if len(cells) < 10 or {"", "nan"} & {c.lower() for c in cells} else "row-malformed"
+            reading.add(here, code, repr(line[:80]), _COLUMNS, "complete the line")
+            continue
+        frame, track, class_, species, occlusion, noise = (to_int(numbers[i]) for i in (0, 1, 6, 7, 8, 9))
+        if frame is None or track is None:
+            reading.add(here, "row-malformed", repr(line[:80]), "whole numbers as frame and object")
+            continue
+        if class_ is None or species is None or class_ not in (0, 1) or species not in reading.names:
+            expected = f"class 0 or 1, species one of {sorted(reading.names)}"
+            reading.add(here, "category-unknown", f"class {cells[6]}, species {cells[7]}", expected)
+            continue
+        if occlusion not in (0, 1) or noise not in (0, 1):
+            reading.warn(here, "flag-value", f"occlusion {cells[8]}, noise {cells[9]}", "0 or 1")
+        contradictions += species in SPECIES and (species == 0) != (class_ == 1)
+        x, y, w, h = numbers[2:6]
+        rows.append(_Row(here, frame, track, (x, y, w, h), class_, species, int(occlusion == 1), int(noise == 1)))
+    if contradictions:
+        counts = "class" if reading.by_class else "species"
+        found = f"{contradictions} line(s) whose class and species contradict each other; the {counts} counts"
+        reading.warn(where, "species-class", found, "class 1 and species 0 for humans alone")
+    return rows
+
+
+def _instances(reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int]) -> tuple[Instance, ...]:
+    instances: list[Instance] = []
+    tracks: set[int] = set()
+    for row in rows:
+        reading.counts["noisy"] += row.noise
+        if row.noise and reading.drop_noise:
+            reading.counts["noise_dropped"] += 1
+            continue
+        x, y, w, h = row.box
+        edges = (x, y, x + w, y + h)
+        box, problem = check_box([snap(v, size_wh[i % 2]) for i, v in enumerate(edges)], size_wh, row.where)
+        reading.problems += [problem] if problem else []
+        if box is None:
+            continue
+        if row.track in tracks:
+            reading.warn(row.where, "track-twice", f"object {row.track} twice in frame {row.frame}, kept", "once")
+        tracks.add(row.track)
+        extra = {"class": row.class_, "species": row.species, "occlusion": row.occlusion, "noise": row.noise}
+        name = CLASSES[row.class_].name if reading.by_class else _species(row.class_, row.species, reading.names)
+        instances.append(Instance(name, box, extra=extra, track_id=row.track))
+        reading.counts["read"] += 1
+    return tuple(instances)
+
+
+def _species(class_: int, number: int, names: Mapping[int, str]) -> str:
+    """The name of a species; that of an unknown one is human if the class says so."""
+    return "human" if number == -1 and class_ == 1 else names[number]
+
+
+def _hint_at_offset(reading: _Reading, offset: int) -> None:
+    """Say so if another offset would give clearly more rows a picture."""
+    best = max((0, -1, 1), key=lambda d: reading.shifted[d])
+    total = reading.counts["rows"] - reading.counts["incomplete"]
+    if best and reading.shifted[best] > reading.shifted[0] + 0.02 * total:
+        found = f"{reading.shifted[0]} of {total} lines have a picture, {reading.shifted[best]} with another offset"
+        todo = f"look at some, and give frame_offset={offset + best} if the boxes fit then"
+        reading.warn(reading.root.name, "frame-offset", found, "frame numbers as in the names", todo)
+    noise = reading.counts["noise_dropped"]
+    if noise:
+        reading.warn(reading.root.name, "noise-dropped", f"{noise} object(s) in noisy frames left out", "noise=keep")
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    dont_care: Literal["drop", "keep"] = "drop",
+    pictures: bool = True,
+) -> Written:
+    """Write `<Split>Real/annotations/<sequence>.csv`, and link the pictures as `<Split>Real/images/<sequence>/...`.
+
+    Sequences and frames keep their numbers where they are BIRDSAI's and unique; else they are numbered, and
+    `names.csv` says what they were; `read` takes sequence and date from it. Coordinates that are no whole numbers get
+    up to eight decimals. Categories of other names than BIRDSAI's get species numbers of their own, in `species.csv`;
+    as a class they count as human or animal. Pitch, altitude and time of day stand in `metadata.csv`. Validation
+    pictures go to `ValReal`, which BIRDSAI itself has not.
+
+    Args:
+        out: Folder; made if need be.
+        images: With `size_wh` known or not: the format does not hold it.
+        categories: Of the instances.
+        dont_care: Regions to ignore are left out, or kept as objects with a species number of their own.
+        pictures: False writes the tables alone.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A category is not in the list.
+    """
+    ordered = sort_images(images)
+    losses: Counter[str] = Counter()
+    species = _species_numbers(categories)
+    ignored = {c.name for c in categories if c.ignore and dont_care == "drop"}
+    places = _places(ordered)
+    folder_of = {split: name for name, split in _FOLDERS.items()}
+    lines: dict[str, list[str]] = {}
+    files: list[Path] = []
+    tracks: dict[str, _Tracks] = defaultdict(_Tracks)
+    for image in ordered:
+        tracks[places[image.id][0]].reserve(o.track_id for o in image.instances)
+    for (split, sequence), group in _grouped(ordered, places).items():
+        table = lines.setdefault(f"{folder_of[split]}/annotations/{sequence}.csv", [])
+        for image in group:
+            kept = [o for o in image.instances if o.category not in ignored]
+            losses["ignore_dropped"] += len(image.instances) - len(kept)
+            losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
+            for o in kept:
+                table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))
+    for name, rows in sorted(lines.items()):
+        files.append(write_text(out / name, "".join(rows)))
+    renamed, known = [], []
+    for image in ordered:
+        sequence, frame = places[image.id]
+        base = f"{sequence}/{sequence}_{frame:010d}{PurePosixPath(image.name).suffix}"
+        name = f"{folder_of[image.split]}/images/{base}"
+        if pictures:
+            files.append(link_or_copy(image.path, out / name))
+        losses["name_changed"] += base != image.name
+        if base != image.name or image.sequence != sequence or image.captured is not None:
+            renamed.append((name, image.name, image.sequence or "", image.captured or ""))
+        facts = (image.pitch_deg, image.altitude_m, image.time_of_day)
+        if any(v is not None for v in facts):
+            known.append((name, *("" if v is None else v for v in facts)))
+    tables = (
+        (_NAMES_FILE, _NAMES_COLUMNS, renamed),
+        ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
+        (_SPECIES_FILE, ("species", "name"), [(k, n) for n, (_, k) in species.items() if k > UNKNOWN.id]),
+    )
+    files += [write_text(out / name, _csv_text(head, rows)) for name, head, rows in tables if rows]
+    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+
+
+def _csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue()
+
+
+def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
+    """(class, species) by category: BIRDSAI's where the name is, else a species number above its own."""
+    own = {name: number for number, name in SPECIES.items()} | {UNKNOWN.name: -1, "animal": -1}
+    taken = {c.id for c in categories if c.name not in own and c.id > UNKNOWN.id}
+    free = (n for n in itertools.count(UNKNOWN.id + 1) if n not in taken)
+    numbers = {}
+    for c in categories:
+        number = own.get(c.name)
+        if number is None:
+            number = c.id if c.id in taken else next(free)
+        numbers[c.name] = (int(c.name.casefold() in _HUMAN), number)
+    return numbers
+
+
+def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
+    """(sequence, frame) by image id: the image's own if they are BIRDSAI's and each frame occurs once, else counted."""
+    groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
+    for image in images:
+        groups[image.split, image.sequence or ""].append(image)
+    names = sorted({sequence for _, sequence in groups})
+    own = {n for n in names if _SEQUENCE.fullmatch(n)}
+    free = iter(s for k in range(len(names) + len(own)) if (s := f"{k:010d}_{0:010d}") not in own)
+    named = {n: n if n in own else next(free) for n in names}
+    places: dict[str, tuple[str, int]] = {}
+    for (_, sequence), group in groups.items():
+        frames = [_frame_of(image) for image in group]
+        if None in frames or len(set(frames)) != len(frames):
+            frames = list(range(len(group)))
+        places |= {i.id: (named[sequence], f or 0) for i, f in zip(group, frames, strict=True)}
+    return places
+
+
+def _frame_of(image: ImageRecord) -> int | None:
+    """The frame number in the name, or the reader's; None if there is none that fits."""
+    named = _FRAME.fullmatch(PurePosixPath(image.name).stem)
+    number = int(named[2]) if named and named[1] == image.sequence else image.extra.get("frame")
+    return number if isinstance(number, int) and 0 <= number < 10**10 else None
+
+
+def _grouped(
+    images: Sequence[ImageRecord], places: Mapping[str, tuple[str, int]]
+) -> dict[tuple[Split, str], list[ImageRecord]]:
+    groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
+    for image in sorted(images, key=lambda i: places[i.id]):
+        groups[image.split, places[image.id][0]].append(image)
+    return groups
+
+
+class _Tracks:
+    """Track numbers of one sequence: whole numbers as they are, names and objects without one get free numbers."""
+
+    def __init__(self) -> None:
+        self.named: dict[str, int] = {}
+        self.free = 0
+
+    def reserve(self, ids: Iterable[int | str | None]) -> None:
+        """Keep the numbers from being given again."""
+        self.free = max([self.free, *(i + 1 for i in ids if isinstance(i, int))])
+
+    def number(self, id_: int | str | None) -> int:
+        """The number of a track."""
+        if isinstance(id_, int):
+            return id_
+        if id_ is None or id_ not in self.named:
+            self.free += 1
+            if id_ is None:
+                return self.free - 1
+            self.named[id_] = self.free - 1
+        return self.named[id_]
+
+
+def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
+    """Class and species: as they were read, if they still mean the category; else those of the category's name."""
+    class_, number = (instance.extra.get(k) for k in ("class", "species"))
+    if class_ in (0, 1) and (number in SPECIES or number == -1):
+        names = {**SPECIES, -1: UNKNOWN.name}
+        if instance.category in (CLASSES[class_].name, _species(class_, number, names)):
+            return class_, number
+    return species[instance.category]
+
+
+def _line(
+    frame: int, instance: Instance, species: Mapping[str, tuple[int, int]], tracks: _Tracks, losses: Counter[str]
+) -> str:
+    if instance.category not in species:
+        raise ValueError(f"category {instance.category!r} is not in the list of categories")
+    class_, number = _codes(instance, species)
+    losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
+    losses["obb_dropped"] += instance.corners_xy is not None
+    losses["mask_dropped"] += instance.mask is not None
+    losses["visibility_dropped"] += instance.visibility is not None
+    losses["truncated_dropped"] += instance.truncated is True
+    losses["difficult_dropped"] += instance.difficult is True
+    losses["track_made"] += instance.track_id is None
+    x0, y0, x1, y1 = instance.box_xyxy.tolist()
+    box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
+    hidden = instance.visibility is not None and instance.visibility < 1
+    flags = [int(v == 1) for v in (instance.extra.get("occlusion", hidden), instance.extra.get("noise", 0))]
+    return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{flags[0]},{flags[1]}\n"
