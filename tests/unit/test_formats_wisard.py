@@ -12,7 +12,7 @@ from tests.samples import picture
 
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, wisard
+from infrablend.formats import coco, detection, wisard, yolo
 
 IR, FLIR, VIS = (
     "210529_Carnation_Enterprise_IR_0024",
@@ -168,3 +168,14 @@ def test_the_shared_clips_are_read(real_data: Path) -> None:
     assert sum(len(i.instances) for i in d.images) == sum(map(len, texts)) == d.notes["rows"]["read"]
     assert len(d.images) == len(texts) and d.notes["rows"]["empty"] == sum(not t for t in texts)
     assert d.notes["pitch"] == "none" and {i.captured for i in d.images} == {"2021-04-17", "2021-09-24"}
+
+
+def test_clips_in_another_format_are_left_to_it(tmp_path: Path) -> None:
+    frame(tmp_path / "in", IR, "x 1.jpg", "0 0.5 0.5 0.25 0.5\n")
+    d = wisard.read(tmp_path / "in")
+    yolo.write(tmp_path / "yolo", d.images, d.categories)
+    coco.write(tmp_path / "coco", d.images, d.categories, pictures=True)
+    assert [detection.detect(tmp_path / n).format for n in ("yolo", "coco")] == ["yolo", "coco"]
+    frame(tmp_path / "deep", f"train/{IR}", "x 1.jpg", None)
+    match = wisard.detect(tmp_path / "deep")
+    assert not match.ok and "no label file" in match.reason

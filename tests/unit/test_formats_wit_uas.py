@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.samples import SAMPLES, picture
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, wit_uas
+from infrablend.formats import detection, wit_uas, yolo
 from infrablend.formats.images import load_background
 
 RUN = "2022-05-11_FIRE-SGL-111-Confluence_M600/2022-04-27-10-00-00"
@@ -97,3 +97,12 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
     for o in d.images[0].instances:
         x0, y0, x1, y1 = o.box_xyxy
         assert 0 <= x0 < x1 <= 64 and 0 <= y0 < y1 <= 48
+
+
+def test_runs_in_another_format_are_left_to_it(tmp_path: Path) -> None:
+    frame(tmp_path / "in", f"train/{RUN}_flir", "0001.00", "1 2 30 40 h\n")
+    d = wit_uas.read(tmp_path / "in")
+    yolo.write(tmp_path / "yolo", d.images, d.categories)
+    assert detection.detect(tmp_path / "yolo").format == "yolo"
+    frame(tmp_path / "deep", f"train/{RUN}_flir", "0001.00", None)
+    assert not wit_uas.detect(tmp_path / "deep").ok

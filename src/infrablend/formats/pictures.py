@@ -151,8 +151,19 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
 
 
 def by_folder(root: Path) -> dict[str, dict[str, Path]]:
-    """Pictures below `root` as `list_pictures` finds them: relative folder (`.` for `root`) -> name -> path."""
+    """Pictures below `root` as `list_pictures` finds them: relative folder (`.` for `root`) -> name -> path.
+
+    Without those in `images` or `JPEGImages`: they have their labels elsewhere, in another format's layout.
+    """
     folders: dict[str, dict[str, Path]] = {}
     for name, path in list_pictures(root).items():
-        folders.setdefault(str(PurePosixPath(name).parent), {})[path.name] = path
+        parent = PurePosixPath(name).parent
+        if not {"images", "jpegimages"} & {p.lower() for p in parent.parts}:
+            folders.setdefault(str(parent), {})[path.name] = path
     return dict(sorted(folders.items()))
+
+
+def labels_beside(folders: dict[str, dict[str, Path]], suffix: str) -> bool:
+    """Whether some picture has a file of its stem beside it, or all lie in the root or its own folders."""
+    shallow = all("/" not in folder for folder in folders)
+    return shallow or any(p.with_suffix(suffix).is_file() for found in folders.values() for p in found.values())

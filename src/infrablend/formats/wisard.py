@@ -19,7 +19,7 @@ from typing import Any
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import Match, check_box, check_splits, read_text, require_options, snap, to_floats
-from infrablend.formats.pictures import by_folder, is_hidden, read_size
+from infrablend.formats.pictures import by_folder, is_hidden, labels_beside, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
 from infrablend.formats.yolo import parse_labels
 
@@ -62,6 +62,8 @@ def detect(root: Path) -> Match:
     clips = _clips(root)
     if not clips:
         return Match(NAME, False, "no folder of pictures named like a clip, <YYMMDD>_<Site>_..._IR_<n> or ..._VIS_<n>")
+    if not labels_beside(clips, ".txt"):
+        return Match(NAME, False, f"{len(clips)} clip(s), but no label file beside a picture")
     return Match(NAME, True, f"{len(clips)} clip(s) such as {_clip_name(root, next(iter(clips)))}")
 
 

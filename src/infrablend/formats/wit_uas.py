@@ -17,7 +17,7 @@ from typing import Any
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import Problem
 from infrablend.formats.base import Match, check_box, check_splits, read_text, require_options, snap, to_floats
-from infrablend.formats.pictures import by_folder, read_size
+from infrablend.formats.pictures import by_folder, labels_beside, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
 
 NAME = "wit-uas"
@@ -48,6 +48,8 @@ def detect(root: Path) -> Match:
     runs = _runs(root)
     if not runs:
         return Match(NAME, False, "no folder <run>_flir or <run>_seek with pictures time_<seconds>.png")
+    if not labels_beside(runs, ".label"):
+        return Match(NAME, False, f"{len(runs)} folder(s) of runs, but no .label file beside a picture")
     return Match(NAME, True, f"{len(runs)} folder(s) of runs such as {next(iter(runs))}")
 
 
