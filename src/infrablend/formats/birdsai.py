@@ -119,7 +119,7 @@ def _parts(root: Path) -> list[_Part]:
     # Frames of BIRDSAI in another format are not ours: a bare folder has nothing but pictures and our tables.
     labels = (".txt", ".xml", ".json", ".yaml", ".yml", ".csv")
     if not found and root.is_dir():
-        beside = [p for p in root.iterdir() if p.is_dir() or p.suffix.lower() in labels]
+        beside = [p for p in sorted(root.iterdir()) if p.is_dir() or p.suffix.lower() in labels]
         bare = all(p.stem == "metadata" or is_hidden(p.name) for p in beside)
         found = [p for p in [_Part("train", root, True)] if bare and p.frames]
     return found
