@@ -35,6 +35,7 @@ from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame
@@ -43,6 +44,8 @@ from infrablend.sampling.ground import ground_point
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import SampledScene, build_meshes, sample_scene, without_objects
 
+# Fewer levels between dark and bright than this: nothing in the picture says how warm is how bright.
+MIN_SPAN_LEVELS = 4
 RENDERERS = {
     "blender": "infrablend.blender.renderer:BlenderRenderer",
     "fake": "infrablend.core.fake_renderer:FakeRenderer",
@@ -106,6 +109,8 @@ class FrameMaker:
             return self._copy_original(frame)
         source = frame.background
         background = load_background(source.path, source.size_wh)
+        if self._recipe.matching.mode == "local":
+            require_readable_levels(background)
         site = self._site(source, background)
         sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed, site)
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
@@ -337,6 +342,34 @@ def insert_of(spec: SceneSpec, number: int, mesh: Mesh) -> Insert:
     u, v = ((box[:2] + box[2:]) / 2).tolist()
     below = ground_point(camera, u, v, spec.view.ground_z_m)
     return Insert(box, away, None if below is None else float(np.linalg.norm(below - camera.position_m)))
+
+
+def require_readable_levels(background: Background) -> None:
+    """Refuse a picture whose grey levels cannot stand for temperatures: physical matching would make nonsense of it.
+
+    Raises:
+        DatasetError: Colour-mapped, or without any contrast.
+    """
+    name = background.path.name
+    if any(p.code == "image-colour" for p in background.problems):
+        problem = Problem(
+            name,
+            "image-colour-mapped",
+            "colours: grey levels made of them do not follow temperature",
+            "a grey picture, as physical matching needs",
+            "export it from the camera in white-hot grey, or use matching.mode: percentile",
+        )
+        raise DatasetError(f"{background.path}: colour-mapped", [problem])
+    low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
+    if high - low < MIN_SPAN_LEVELS:
+        problem = Problem(
+            name,
+            "image-no-contrast",
+            f"grey levels {low:g} to {high:g}",
+            f"a picture of at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles",
+            "leave it out, or use matching.mode: percentile",
+        )
+        raise DatasetError(f"{background.path}: no contrast", [problem])
 
 
 def make_mapper(recipe: Recipe) -> Mapper:
