@@ -1,0 +1,108 @@
+"""The physical recipes through the pipeline, without Blender: what bad backgrounds get, 16 bit, what records say."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend import api
+from infrablend.pipeline.record import FrameRecord, read_record
+
+RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
+
+
+def scenery(seed: int) -> np.ndarray:
+    """Smooth ground from 60 to 180 with a little grain."""
+    rng = np.random.default_rng(seed)
+    coarse = cv2.GaussianBlur(rng.normal(0, 1, (512, 640)), (0, 0), 60)
+    return np.clip(120 + 40 * coarse / coarse.std() + rng.normal(0, 1.5, (512, 640)), 16, 235).astype(np.uint8)
+
+
+def folder(root: Path, pictures: dict[str, Image.Image]) -> Path:
+    root.mkdir()
+    rows = ["file,pitch_deg,altitude_m,time_of_day"]
+    for name, picture in pictures.items():
+        picture.save(root / name)
+        rows.append(f"{name},60,80,night")
+    (root / "metadata.csv").write_text("\n".join(rows) + "\n")
+    return root
+
+
+def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=()):
+    pairs = ["output.image=png", "configurations=1", *settings]
+    return api.generate(recipe, data, out, settings=pairs, renderer="fake", in_process=True)
+
+
+def records(run: Path) -> list[FrameRecord]:
+    return [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+
+
+@pytest.mark.parametrize("recipe", ["hit-uav-drone-physical", "monet-deer-physical"])
+def test_the_shipped_recipes_run_and_say_what_they_did(tmp_path, recipe):
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS)})
+    report = generate(data, tmp_path / "run", recipe)
+    assert report.counts["frames_without_object"] == 0
+    for r in records(tmp_path / "run"):
+        assert r.scene.view.camera_height_m == pytest.approx(1.15 * 80)
+        assert r.facts["matching"]["gain_bounds"] == [2.5, 12.0]
+        assert r.facts["sensor"]["profile"] in ("hit-uav", "monet")
+        drawn = np.array(Image.open(tmp_path / "run" / "images" / r.image))
+        before = np.array(Image.open(data / r.background["path"]))
+        changed = np.argwhere(drawn != before)[:, ::-1]
+        assert len(changed)
+        # Nothing but the object, its halo and the 8 px blocks these touch.
+        x0, y0, x1, y1 = r.inserted[0].box_xyxy
+        low, high = changed.min(axis=0), changed.max(axis=0)
+        assert (low >= np.array([x0, y0]) - 24).all() and (high <= np.array([x1, y1]) + 24).all()
+
+
+def test_colour_maps_and_flat_pictures_are_skipped_and_named(tmp_path):
+    grey = scenery(0)
+    palette = Image.fromarray(cv2.applyColorMap(grey, cv2.COLORMAP_INFERNO)[..., ::-1].copy())
+    pictures = {
+        "a_good.png": Image.fromarray(grey),
+        "b_colour.png": palette,
+        "c_flat.png": Image.fromarray(np.full((512, 640), 90, np.uint8)),
+        # A palette of greys is grey.
+        "d_palette.png": Image.fromarray(grey).convert("P"),
+    }
+    report = generate(folder(tmp_path / "data", pictures), tmp_path / "run")
+    found = {p.where: p.code for p in report.problems if p.severity == "error"}
+    assert found == {"b_colour.png": "image-colour-mapped", "c_flat.png": "image-no-contrast"}
+    assert report.counts["frames"] == 2
+    assert not report.ok
+
+
+def test_sixteen_bit_stays_sixteen_bit_and_linear(tmp_path):
+    wide = {f"{n}.png": Image.fromarray((scenery(k).astype(np.uint16) - 16) * 20 + 7000) for k, n in enumerate(RECORDS)}
+    data = folder(tmp_path / "data", wide)
+    generate(data, tmp_path / "run")
+    for r in records(tmp_path / "run"):
+        drawn, before = (
+            np.array(Image.open(p)) for p in (tmp_path / "run/images" / r.image, data / r.background["path"])
+        )
+        assert drawn.dtype == np.uint16 or drawn.dtype == np.int32
+        assert before.min() - 50 <= drawn.min() and drawn.max() <= before.max() + 2500
+        unit = (r.facts["matching"]["levels"][1] - r.facts["matching"]["levels"][0]) / 220
+        slope = (r.mapping["bright"] - r.mapping["dark"]) * 0.72 / unit  # levels per kelvin at some 10 C
+        assert slope == pytest.approx(r.facts["matching"]["gain_grey_per_k"], rel=0.2)
+        assert r.facts["sensor"]["codec_quality"] is None
+
+
+def test_a_background_without_altitude_is_left_out_by_name(tmp_path):
+    data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
+    (data / "metadata.csv").write_text("file,pitch_deg,altitude_m\na.png,60,80\nb.png,60,\n")
+    report = generate(data, tmp_path / "run")
+    assert [(p.where, p.code) for p in report.problems if p.severity == "error"] == [("b.png", "no-altitude")]
+    fixed = generate(data, tmp_path / "fixed", settings=["camera.altitude={fixed_m: 50}"])
+    assert fixed.counts["frames"] == 2
+
+
+def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
+    data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
+    report = generate(data, tmp_path / "run", settings=["placement.min_contrast_grey=5000"])
+    assert report.counts["frames_without_object"] == 1
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
