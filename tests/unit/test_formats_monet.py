@@ -107,10 +107,10 @@ def test_telemetry_may_stand_in_a_list_beside_the_images(tmp_path: Path) -> None
 
 
 def test_another_key_is_told_by_what_is_there(tmp_path: Path) -> None:
-    sequence(tmp_path, "runway_04", [{"gimbalPitch": -35, "speed": 1}])
+    sequence(tmp_path, "runway_04", [{"gimbalPitch": -35, "speed": {"x": {"m_s": 1}}}])
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:
         detection.read(tmp_path)
-    assert "metadata.gimbalPitch, metadata.speed" in str(caught.value) and "pitch_key=KEY" in str(caught.value)
+    assert "metadata.gimbalPitch, metadata.speed.x.m_s" in str(caught.value) and "pitch_key=KEY" in str(caught.value)
     assert detection.read(tmp_path, options={"pitch_key": "gimbalPitch"}).images[0].pitch_deg == 35
     d = detection.read(tmp_path, options={"empty": "keep"})
     assert [i.pitch_deg for i in d.images] == [None] and d.notes["frames_without_pitch"] == {"train/runway_04": 1}
@@ -280,6 +280,12 @@ def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
     # Given alone, the folder's own name tells.
     (tmp_path / "all.json").rename(tmp_path / "monet_test" / "x.json")
     assert [i.split for i in detection.read(tmp_path / "monet_test").images] == ["test"]
+
+
+def test_one_sequence_alone_is_named_by_its_folder(tmp_path: Path) -> None:
+    sequence(tmp_path, "runway_04", [{"p": -35}], file="train/runway_04/labels.json")
+    d = detection.read(tmp_path / "train" / "runway_04", options={"pitch_key": "p"})
+    assert [(i.sequence, i.split, i.name) for i in d.images] == [("runway_04", "train", "lwir/image00000.png")]
 
 
 def test_a_picture_in_two_files_counts_once(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def detect(root: Path) -> Match:
     for base, folders, _ in os.walk(root):
         depth = len(Path(base).relative_to(root).parts)
         folders[:] = sorted(d for d in folders if not is_hidden(d) and depth < _JSON_DEPTH)
-        named = next((d for d in folders if _SEQUENCE.fullmatch(d)), None)
+        named = next((d for d in (Path(base).resolve().name, *folders) if _SEQUENCE.fullmatch(d)), None)
         if named is not None:
             return Match(NAME, True, f"JSON files and a sequence folder {named}")
     return Match(NAME, False, f"no JSON file mentions {' or '.join(PITCH_KEYS)}, no folder runway_NN or dirtroad_NN")
@@ -340,8 +340,11 @@ def _split_in_stem(stem: str) -> Split | None:
     return next((_SPLITS[w] for w in words if w in _SPLITS), None)
 
 
-def _sequence_of(path: str, stem: str) -> str | None:
-    """The sequence of a picture: the folder that holds `lwir`, else its own folder, else the annotation file's name."""
+def _sequence_of(path: str, stem: str, root_name: str) -> str | None:
+    """The sequence of a picture: the folder that holds `lwir`, else its own folder, else the annotation file's name.
+
+    The data set's own folder counts if it is named as MONET's sequences: somebody may have fetched but one.
+    """
     folders = PurePosixPath(path).parent.parts
     if "lwir" in folders:
         folders = folders[: folders.index("lwir")]
@@ -350,6 +353,8 @@ def _sequence_of(path: str, stem: str) -> str | None:
         own = next((f for f in reversed(folders) if f not in ("images", ".")), "")
     if own and _split_in([own]) is None:
         return own
+    if _SEQUENCE.fullmatch(root_name):
+        return root_name
     return stem if _NUMBERED.fullmatch(stem) and _split_in_stem(stem) is None else None
 
 
@@ -560,7 +565,7 @@ def _read_file(
         number = record.source_id if isinstance(record.source_id, int) else -1
         own = fields.get(number, {})
         in_split = of_file or _split_in(PurePosixPath(record.name).parent.parts) or of_root or "train"
-        sequence = _sequence_of(record.name, path.stem)
+        sequence = _sequence_of(record.name, path.stem, root.resolve().name)
         frames.append(_frame(record, where, in_split, sequence, own, chosen, tally))
     expected = {
         "pitch": f"a number of at most {90 + _BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
@@ -699,16 +704,21 @@ def _require_pitch(root: Path, frames: Sequence[_Frame], chosen: _Options, probl
     """An error that names the keys there are, if no frame at all has a pitch: the key is another one, likely."""
     if any(f.record.pitch_deg is not None for f in frames):
         return
-    keys: Counter[str] = Counter()
-    for f in frames[:1000]:
-        for k, v in f.record.extra["fields"].items():
-            keys.update([f"{k}.{inner}" for inner in v] if isinstance(v, dict) and v else [k])
-    found = (
-        f"no {' or '.join(chosen.pitch)} with a value; image records hold {', '.join(sorted(keys)[:30]) or 'no more'}"
-    )
+    keys = {k for f in frames[:1000] for k in _dotted(f.record.extra["fields"])}
+    there = ", ".join(sorted(keys)[:40]) or "nothing more"
+    found = f"no {' or '.join(chosen.pitch)} with a value; image records hold {there}"
     todo = "name it with --read pitch_key=KEY, or take the images without pitch with --read empty=keep"
     problem = Problem(str(root), "no-telemetry", found, "the gimbal's pitch in image records", todo)
     raise DatasetError(f"{root}: no telemetry in {len(frames)} image(s)", [problem, *few(problems)])
+
+
+def _dotted(record: Mapping[str, Any], depth: int = 4) -> Iterator[str]:
+    """The keys of a record and of objects inside it, as the options take them."""
+    for key, value in record.items():
+        if isinstance(value, dict) and value and depth:
+            yield from (f"{key}.{inner}" for inner in _dotted(value, depth - 1))
+        else:
+            yield key
 
 
 def _leave_out(
