@@ -3,6 +3,7 @@
 import io
 import json
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,10 +17,12 @@ from infrablend.compositing.overlay import make_layer, motion_kernel
 from infrablend.compositing.sensor import PIXEL_BOX_VARIANCE, SensorStrength, apply_sensor, fit_sensor, grain
 from infrablend.config.loading import load_recipe
 from infrablend.config.sensor_profile import PROFILES, Lens, SensorProfile, find_profile, read_profile
+from infrablend.core.camera import CameraSpec
 from infrablend.core.render import RenderResult
-from infrablend.core.scene import SceneSpec
+from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.images import encode_image, load_background
+from infrablend.pipeline.frame import nearest_range_m
 from infrablend.pipeline.record import read_record
 
 LEVELS = (16.0, 235.0)
@@ -144,6 +147,16 @@ def test_defocus_adds_to_the_blur_of_near_objects_only():
     # Without optics it adds to the recipe's softness.
     off = fit_sensor(ground, "hit-uav", SensorStrength(optics=0), LEVELS, 1, range_m=10.0)
     assert off.layer_sigma_px(0.45) == pytest.approx(math.hypot(0.45, 46.8 / 10 / 4), abs=0.01)
+
+
+def test_the_range_is_that_of_the_nearest_object_and_of_the_real_camera_only():
+    camera = CameraSpec(50.0, math.pi / 2, 0.0, 115.9, 36.0, (640, 512))
+    objects = tuple(ObjectSpec("drone", "drone", {}, {}, (0.0, 0.0, z), 0.0) for z in (10.0, 30.0))
+    scene = SceneSpec("train/a_c0", "a", "train", 0, camera, objects, 280.0, Appearance(), 0, 1)
+    assert nearest_range_m(scene) is None
+    metric = replace(scene, view=View(50.0, 50.0, 0.0, {}, 0.1))
+    assert nearest_range_m(metric) == pytest.approx(20.0)
+    assert nearest_range_m(replace(metric, objects=())) is None
 
 
 def test_a_disc_and_the_gaussian_for_it_differ_little():

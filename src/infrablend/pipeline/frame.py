@@ -306,7 +306,7 @@ def nearest_range_m(spec: SceneSpec) -> float | None:
 
     All objects of a frame get the defocus of the nearest: the renderer's layer does not tell them apart.
     """
-    if getattr(spec, "view", None) is None or not spec.objects:
+    if spec.view is None or not spec.objects:
         return None
     camera = spec.camera.position_m
     return min(float(np.linalg.norm(np.array(o.position_m) - camera)) for o in spec.objects)
