@@ -114,7 +114,7 @@ def test_pictures_whose_names_clash_are_renamed_and_counted(tmp_path: Path) -> N
 
 
 def test_what_is_wrong_with_the_source_is_told_and_exit_code_is_1(data: Path, tmp_path: Path) -> None:
-    file = data / "annotations/train.json"
+    file = data / "annotations/instances_train.json"
     top = json.loads(file.read_text())
     top["annotations"][0]["bbox"] = [1, 2, -3, 4]
     top["annotations"][1]["category_id"] = 77

@@ -60,11 +60,11 @@ def write(
     info: Mapping[str, Any] | None = None,
     pictures: bool = False,
 ) -> Written:
-    """Write `<split>.json` for every split there is, see `coco_files`.
+    """Write a file for every split there is, see `coco_files`.
 
-    With `pictures` they go to `out/images/<split>/`, as hard links of `ImageRecord.path` (copies where that is
-    impossible), and the files to `out/annotations/`; without, the files lie in `out` itself, and the pictures should
-    lie in an `images/<split>/` beside or above it.
+    With `pictures` they are `out/annotations/instances_<split>.json`, and the pictures go to `out/images/<split>/`, as
+    hard links of `ImageRecord.path` (copies where that is impossible); without, they are `out/<split>.json`, and the
+    pictures should lie in an `images/<split>/` beside or above `out`.
 
     Raises:
         OutputError: A file cannot be written.
@@ -72,8 +72,8 @@ def write(
     """
     ordered = sort_images(images)
     texts, losses = coco_files(ordered, categories, ids=ids, without_mask=without_mask, info=info)
-    folder = out / "annotations" if pictures else out
-    files = [write_text(folder / name, text) for name, text in texts.items()]
+    prefix = "annotations/instances_" if pictures else ""
+    files = [write_text(out / f"{prefix}{name}", text) for name, text in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
     return Written(tuple(files), losses)

@@ -1,0 +1,105 @@
+"""What other libraries make of a dataset: `load_with_tools.py supervision|datumaro FORMAT FOLDER`, run by .venv-tools.
+
+FORMAT is a name as in `infrablend convert --to`, FOLDER what that wrote. Writes one JSON list to standard output: an
+item per image, sorted, with
+
+    split, stem    which image (Datumaro and Supervision name images by stem or path)
+    size_wh        as the library sees it
+    objects        [class name, x0, y0, x1, y1, corners or null, mask's pixels or null], as loaded
+
+Exit code 0: loaded; 1: the library refuses the dataset; 2: it has no reader for the format. Nothing goes over the network.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+SPLITS = ("train", "val", "test")
+DATUMARO = {"coco": "coco_instances", "yolo": "yolo", "voc": "voc_detection", "dota": "dota"}
+
+
+def with_supervision(format_: str, folder: Path) -> list[dict[str, Any]]:
+    """Every split loaded by `supervision.DetectionDataset`."""
+    import supervision as sv
+
+    loaded = []
+    for split in SPLITS:
+        pictures = folder / "images" / split
+        if format_ == "coco" and pictures.is_dir():
+            data = sv.DetectionDataset.from_coco(str(pictures), str(folder / f"annotations/instances_{split}.json"))
+        elif format_ in ("yolo", "yolo-obb", "yolo-seg") and pictures.is_dir():
+            labels, described = folder / "labels" / split, folder / "data.yaml"
+            data = sv.DetectionDataset.from_yolo(
+                str(pictures), str(labels), str(described), is_obb=format_ == "yolo-obb"
+            )
+        elif format_ == "voc" and split == "train":  # Supervision knows no splits in VOC: one folder is all
+            data = sv.DetectionDataset.from_pascal_voc(str(folder / "JPEGImages"), str(folder / "Annotations"))
+        else:
+            continue
+        for path, picture, found in data:
+            corners = found.data.get("xyxyxyxy")
+            objects = [
+                [
+                    data.classes[int(found.class_id[k])],
+                    *(float(v) for v in found.xyxy[k]),
+                    None if corners is None else [[float(v) for v in p] for p in corners[k]],
+                    None if found.mask is None else int(found.mask[k].sum()),
+                ]
+                for k in range(len(found))
+            ]
+            size = [int(picture.shape[1]), int(picture.shape[0])]
+            name = "" if format_ == "voc" else split
+            loaded.append({"split": name, "stem": Path(path).stem, "size_wh": size, "objects": objects})
+    return loaded
+
+
+def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
+    """The folder loaded by `datumaro.Dataset.import_from`."""
+    from datumaro.components.annotation import AnnotationType
+    from datumaro.components.dataset import Dataset
+
+    data = Dataset.import_from(str(folder), DATUMARO[format_])
+    names = [label.name for label in data.categories()[AnnotationType.label]]
+    loaded = []
+    for item in data:
+        objects = []
+        for a in item.annotations:
+            if a.type not in (AnnotationType.bbox, AnnotationType.rotated_bbox, AnnotationType.polygon, AnnotationType.mask):
+                continue
+            corners = area = None
+            if a.type == AnnotationType.rotated_bbox:
+                corners = [[float(x), float(y)] for x, y in a.as_polygon()]
+                xs, ys = zip(*corners, strict=True)
+                box = [min(xs), min(ys), max(xs), max(ys)]
+            else:
+                x, y, w, h = a.get_bbox()
+                box = [x, y, x + w, y + h]
+                if a.type == AnnotationType.mask:
+                    area = int(a.image.sum())
+            objects.append([names[a.label], *(float(v) for v in box), corners, area])
+        height, width = item.media.size
+        stem = PurePosixPath(item.id).name
+        loaded.append({"split": item.subset, "stem": stem, "size_wh": [width, height], "objects": objects})
+    return loaded
+
+
+def main(arguments: list[str]) -> int:
+    """Load and print; see the module's text."""
+    tools = {"supervision": with_supervision, "datumaro": with_datumaro}
+    if len(arguments) != 3 or arguments[0] not in tools:
+        print(__doc__, file=sys.stderr)
+        return 2
+    tool, format_, folder = arguments
+    try:
+        loaded = tools[tool](format_, Path(folder))
+    except KeyError:
+        return 2
+    json.dump(sorted(loaded, key=lambda i: (i["split"], i["stem"])), sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
