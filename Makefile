@@ -17,7 +17,7 @@ help: ## Show this list
 setup: ## Install everything, locked, into .venv; nothing to do the second time
 	@scripts/setup.sh
 
-tools: setup ## Install Ultralytics' dataset check into .venv-tools (its download size is said first)
+tools: setup ## Install what checks our datasets (Ultralytics, ...) into .venv-tools (the download size is said first)
 	@scripts/tools_env.sh
 
 demo: setup ## Render drones into a small virtual thermal world; the last line is the picture's path

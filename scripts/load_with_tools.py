@@ -3,11 +3,13 @@
 FORMAT is a name as in `infrablend convert --to`, FOLDER what that wrote. Writes one JSON list to standard output: an
 item per image, sorted, with
 
-    split, stem    which image (Datumaro and Supervision name images by stem or path)
+    split, stem    which image (Supervision knows no splits in VOC: empty there)
     size_wh        as the library sees it
-    objects        [class name, x0, y0, x1, y1, corners or null, mask's pixels or null], as loaded
+    objects        [class name, x0, y0, x1, y1, corners or null, mask's pixels or null] as loaded, sorted; Datumaro has
+                   boxes and masks apart, as objects of their own
 
-Exit code 0: loaded; 1: the library refuses the dataset; 2: it has no reader for the format. Nothing goes over the network.
+Exit code 0: loaded; 1: the library refuses the dataset; 2: it has no reader for the format. Nothing goes over the
+network.
 """
 
 from __future__ import annotations
@@ -67,7 +69,7 @@ def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
     for item in data:
         objects = []
         for a in item.annotations:
-            if a.type not in (AnnotationType.bbox, AnnotationType.rotated_bbox, AnnotationType.polygon, AnnotationType.mask):
+            if a.type not in (AnnotationType.bbox, AnnotationType.rotated_bbox, AnnotationType.mask):
                 continue
             corners = area = None
             if a.type == AnnotationType.rotated_bbox:
@@ -79,7 +81,8 @@ def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
                 box = [x, y, x + w, y + h]
                 if a.type == AnnotationType.mask:
                     area = int(a.image.sum())
-            objects.append([names[a.label], *(float(v) for v in box), corners, area])
+            label = None if a.label is None else names[a.label]
+            objects.append([label, *(float(v) for v in box), corners, area])
         height, width = item.media.size
         stem = PurePosixPath(item.id).name
         loaded.append({"split": item.subset, "stem": stem, "size_wh": [width, height], "objects": objects})

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes .venv-tools: Ultralytics (AGPL-3.0, not part of InfraBlend) and torch, only for checking that Ultralytics
-# loads our datasets. A second run does nothing until a requirement file changes. Needs .venv (make setup).
+# Makes .venv-tools: Ultralytics (AGPL-3.0, not part of InfraBlend) with torch, Supervision and Datumaro, only for
+# checking that they load our datasets. A second run does nothing until a requirement file changes. Needs .venv (make setup).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -16,9 +16,9 @@ want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv-tools/infrablend-tools.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && .venv-tools/bin/python -c '' 2>/dev/null; then exit 0; fi
 
-say "Ultralytics' dataset check goes into .venv-tools. To download: about 280 MB (1.1 GB on disk) where pip's settings
-tools: lead to the CPU build of torch (PIP_FIND_LINKS or a mirror that has it); else on Linux about 2.6 GB (4.2 GB on
-tools: disk), because the registry's own build comes with CUDA. To do without: make test TOOLS=0"
+say "Ultralytics, Supervision and Datumaro go into .venv-tools. To download: about 340 MB (1.4 GB on disk) where pip's
+tools: settings lead to the CPU build of torch (PIP_FIND_LINKS or a mirror that has it); else on Linux about 2.7 GB
+tools: (4.5 GB on disk), because the registry's own build comes with CUDA. To do without: make test TOOLS=0"
 
 if [ -e .venv-tools ]; then
   [ -f .venv-tools/pyvenv.cfg ] || [ -z "$(ls -A .venv-tools)" ] || stop ".venv-tools is no environment; move it away"
@@ -38,8 +38,8 @@ then
   say "no CPU build of torch within reach (see $log): fetching the registry's own"
   "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
 fi
-.venv-tools/bin/python -W ignore -c 'import torch, ultralytics' >/dev/null ||
-  stop "torch or Ultralytics does not import; the lines above say why"
+.venv-tools/bin/python -W ignore -c 'import torch, ultralytics, supervision, datumaro' >/dev/null ||
+  stop "torch, Ultralytics, Supervision or Datumaro does not import; the lines above say why"
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

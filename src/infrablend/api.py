@@ -467,6 +467,7 @@ def convert(
     rename: Mapping[str, str] | None = None,
     drop: Sequence[str] = (),
     ids: Literal["new", "source"] = "new",
+    category_ids: Literal["source", "from_one"] = "source",
     dont_care: Literal["drop", "keep"] = "drop",
     without_mask: Literal["omit", "obb"] = "omit",
     overwrite: bool = False,
@@ -485,6 +486,7 @@ def convert(
         rename: Other names for classes; several may become one.
         drop: Classes to leave out, by the name after renaming.
         ids: Image and annotation ids numbered anew, or the source's own.
+        category_ids: The source's, or numbered from 1 (many tools take COCO's category 0 for background).
         dont_care: YOLO: regions to ignore are left out, or kept as a class.
         without_mask: yolo-seg: objects without mask are left out, or their oriented box is written.
         overwrite: Replace an earlier conversion in `out`.
@@ -494,7 +496,7 @@ def convert(
     """
     _require_apart(Path(source), Path(out))
     dataset = read_dataset(source, splits=splits, form=form, metadata=metadata, format=format, options=options)
-    settings = WriteSettings(ids, dont_care, without_mask)
+    settings = WriteSettings(ids, category_ids, dont_care, without_mask)
     return convert_dataset(dataset, to, Path(out), rename=rename, drop=drop, settings=settings, overwrite=overwrite)
 
 

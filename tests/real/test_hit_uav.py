@@ -94,7 +94,7 @@ def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: P
 
 def test_folders_of_other_data_are_read(real_data: Path) -> None:
     wisard = detection.read(real_data / "wisard")
-    assert wisard.format == "folder" and wisard.notes["labels"] == "yolo"
+    assert wisard.format == "wisard"
     assert [p for p in wisard.problems if p.severity == "error"] == []
     assert sum(len(i.instances) for i in wisard.images) > 30
     assert len(detection.read(real_data / "birdsai").images) == 7

@@ -123,7 +123,7 @@ def test_what_is_wrong_with_the_source_is_told_and_exit_code_is_1(data: Path, tm
     assert done.exit_code == 1
     assert "2 problem(s)" in done.stderr and "category_id 77" in done.stderr and "size -3x4" in done.stderr
     record = json.loads((tmp_path / "out/convert.json").read_text())
-    assert [p["code"] for p in record["problems"]] == ["box-empty", "category-unknown"]
+    assert [p["code"] for p in record["problems"]] == ["box-empty", "category-unknown", "category-zero"]
 
 
 def test_only_an_earlier_conversion_is_replaced(data: Path, tmp_path: Path) -> None:

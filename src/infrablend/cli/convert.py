@@ -21,6 +21,13 @@ class Ids(StrEnum):
     SOURCE = "source"
 
 
+class CategoryIds(StrEnum):
+    """Where category ids come from."""
+
+    SOURCE = "source"
+    FROM_ONE = "from_one"
+
+
 class DontCare(StrEnum):
     """What becomes of regions to ignore."""
 
@@ -55,6 +62,9 @@ def convert(
         typer.Option("--drop-class", metavar="LIST", help="Classes to leave out, by their name after --rename."),
     ] = None,
     ids: Annotated[Ids, typer.Option(help="Ids numbered anew, or the source's, where the format has ids.")] = Ids.NEW,
+    category_ids: Annotated[
+        CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools take 0 for background.")
+    ] = CategoryIds.SOURCE,
     dont_care: Annotated[DontCare, typer.Option(help="YOLO: regions to ignore are left out, or a class.")] = (
         DontCare.DROP
     ),
@@ -85,6 +95,7 @@ def convert(
         rename=key_values(pairs, "--rename"),
         drop=comma_list(drop, "--drop-class") or (),
         ids=ids.value,
+        category_ids=category_ids.value,
         dont_care=dont_care.value,
         without_mask=without_mask.value,
         overwrite=overwrite,

@@ -319,6 +319,9 @@ class Output(Strict):
     ids: Literal["new", "source"] = "new"
     """Ids of images and annotations, in formats that have them: numbered anew (the source's are kept as `source_id`),
     or the source's own, which needs them to be unique: one configuration, no originals."""
+    category_ids: Literal["source", "from_one"] = "source"
+    """Ids of categories: the source's, or numbered from 1 in their order. Many tools, Datumaro and torchvision among
+    them, take COCO's category 0, which is HIT-UAV's Person, for background."""
     originals: bool = False
     """Also copy the unchanged backgrounds with their labels into the dataset."""
     group_by: Annotated[tuple[GroupKey, ...], AfterValidator(_distinct)] = ()

@@ -143,12 +143,14 @@ class WriteSettings:
 
     Attributes:
         ids: Image and annotation ids numbered anew (the source's stand as `source_id`), or the source's own.
+        category_ids: The source's, or numbered from 1 in their order: many tools take COCO's category 0 for background.
         dont_care: YOLO: regions to ignore are left out, or kept as a class of their own.
         without_mask: yolo-seg: objects without a mask are left out, or their oriented box (else box) is written.
         pictures: Link the pictures too, where the format can do without.
     """
 
     ids: Literal["new", "source"] = "new"
+    category_ids: Literal["source", "from_one"] = "source"
     dont_care: Literal["drop", "keep"] = "drop"
     without_mask: Literal["omit", "obb"] = "omit"
     pictures: bool = True
@@ -228,12 +230,14 @@ def write(
         settings = replace(settings, dont_care="keep", without_mask="obb")
     else:
         writer = find_writer(name)
+    if settings.category_ids == "from_one":
+        categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
     ordered, renamed = fitting_names(sort_images(images), writer.layout)
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
     written = writer.load()(out, ordered, categories, **arguments)
-    parts = [written, _write_table(out, ordered, writer), Written(losses=_further_losses(ordered, writer, written))]
+    parts = [written, _write_table(out, ordered, writer), Written(losses=_further_losses(ordered, writer))]
     if renamed:
         parts.append(Written(losses={"name_changed": renamed}))
     return Written.together(parts)
@@ -291,9 +295,8 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
     return Written((write_text(out / "metadata.csv", text.getvalue()),))
 
 
-def _further_losses(images: Sequence[ImageRecord], writer: Writer, written: Written) -> dict[str, int]:
-    """What formats lose alike, counted here unless the writer did: upright boxes, tracks, telemetry, sequence."""
-    counted = {kind.rpartition(".")[2] for kind in written.losses}
+def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
+    """What formats lose alike, counted here: upright boxes, tracks, telemetry, sequence."""
     # HIT-UAV's reader makes sequence and date of what its own files say.
     dated = writer.reader == "hit-uav"
     found = {
@@ -304,7 +307,7 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer, written: Writ
             (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images
         ),
     }
-    return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks and FIELDS[k][1] not in counted}
+    return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
 
 
 def _has_own_box(instance: Instance) -> bool:

@@ -119,6 +119,7 @@ def convert_dataset(
             "rename": dict(rename or {}),
             "drop": sorted(drop),
             "ids": settings.ids,
+            "category_ids": settings.category_ids,
             "notes": dict(dataset.notes),
         }
         write_json(out / RECORD_FILE, header | {"status": "running", "entries": []}, indent=2)
@@ -134,6 +135,7 @@ def convert_dataset(
         changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems)
         card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
         problems += write_card(out, card)
+        problems += _background_class(writer.name, wanted, settings)
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
         rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
         write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(out)}, indent=2)
@@ -153,6 +155,16 @@ def _changes(to: str, rename: Mapping[str, str], dropped: Mapping[str, int], pro
         found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
         texts.append(f"Left out because something was wrong with it: {found}; `{RECORD_FILE}` lists all.")
     return texts
+
+
+def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> list[Problem]:
+    """A warning for a COCO file with a category 0."""
+    zero = next((c.name for c in dataset.categories if c.id == 0), None)
+    if name != "coco" or zero is None or settings.category_ids == "from_one":
+        return []
+    found = f"{zero} has category id 0, which many tools (Datumaro, torchvision) take for background"
+    todo = "number them with --category-ids from_one if yours does"
+    return [Problem("coco", "category-zero", found, "ids from 1", todo, "warning")]
 
 
 def _choice() -> str:

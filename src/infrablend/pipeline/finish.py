@@ -61,6 +61,7 @@ def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[
     labels = plan.recipe.labels
     settings = WriteSettings(
         ids=plan.recipe.output.ids,
+        category_ids=plan.recipe.output.category_ids,
         dont_care=labels.dont_care,
         without_mask=labels.seg_originals,
         pictures=name != "coco",  # they lie in `images/` already
