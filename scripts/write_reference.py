@@ -1,6 +1,6 @@
-"""Writes docs/reference/recipe.md and docs/reference/cli.md from the code, so that they cannot drift from it.
+"""Writes docs/reference/{recipe,cli,formats}.md from the code, so that they cannot drift from it.
 
-`write_reference.py` writes both; with `--check` it only says whether they are up to date (exit code 1 if not).
+`write_reference.py` writes them; with `--check` it only says whether they are up to date (exit code 1 if not).
 """
 
 from __future__ import annotations
@@ -179,9 +179,66 @@ def cli_page() -> str:
     return "\n".join(line.rstrip() for line in "\n".join(lines).splitlines()).rstrip() + "\n"
 
 
+def formats_page() -> str:
+    """The page on what every format holds."""
+    from infrablend.formats.base import LOSSES
+    from infrablend.formats.detection import FORMATS
+    from infrablend.formats.writing import FIELDS, NATIVE, WRITERS
+
+    pages = {w.name: w.name if w.reader != "hit-uav" else "hit-uav" for w in WRITERS}
+    lines = [
+        "# Formats",
+        "",
+        "Written from `src/infrablend/formats/` by `make reference`: change the code, not this page. A page for each:",
+        "[docs/formats](../formats/).",
+        "",
+        "## Read",
+        "",
+        "In the order in which they are tried on a folder; `--read KEY=VALUE` sets an option.",
+        "",
+        "| format | what | options |",
+        "|---|---|---|",
+    ]
+    for f in FORMATS:
+        options = ", ".join(f"`{k}`" for k in f.attribute("OPTIONS", {}))
+        lines.append(f"| [`{f.name}`](../formats/{f.name}.md) | {_cell(f.summary)} | {options} |")
+    lines += [
+        "",
+        "## Written",
+        "",
+        f"`infrablend convert --to NAME`, `infrablend generate --format NAME,...`, `output.formats`; `{NATIVE}` is the",
+        "format of the input. What a format does not hold is counted when it is written, under the name given in the",
+        "table: in `run.json` as `<format>.<loss>`, in `convert.json` and on the screen.",
+        "",
+        "| format | what |",
+        "|---|---|",
+        *(f"| [`{w.name}`](../formats/{pages[w.name]}.md) | {_cell(w.summary)} |" for w in WRITERS),
+        "",
+        "| | " + " | ".join(f"`{w.name}`" for w in WRITERS) + " |",
+        "|---" * (len(WRITERS) + 1) + "|",
+    ]
+    for field, (words, loss) in FIELDS.items():
+        cells = (
+            "lost" if field in w.lacks else "table" if field == "telemetry" and w.table else "held" for w in WRITERS
+        )
+        lines.append(f"| {words} (`{loss}`) | " + " | ".join(cells) + " |")
+    lines += [
+        "",
+        "`table`: in a `metadata.csv` beside the labels, unless the picture's name says it. HIT-UAV's two forms are",
+        "taken together: what one of them does not hold is counted for it, `normal_json.obb_dropped`.",
+        "",
+        "## Losses",
+        "",
+        "| kind | meaning |",
+        "|---|---|",
+        *(f"| `{kind}` | {_cell(text)} |" for kind, text in LOSSES.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def main(arguments: list[str]) -> int:
     """Write or check the pages."""
-    pages = {"recipe.md": recipe_page(), "cli.md": cli_page()}
+    pages = {"recipe.md": recipe_page(), "cli.md": cli_page(), "formats.md": formats_page()}
     stale = [n for n, text in pages.items() if not (f := REFERENCE / n).is_file() or f.read_text("utf-8") != text]
     if arguments == ["--check"]:
         if stale:
