@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.samples import SAMPLES
 
-from infrablend.formats import detection
+from infrablend import api
+from infrablend.formats import detection, writing
+from infrablend.formats.pictures import read_size
+from infrablend.formats.writing import WRITERS, Writer
 
 
 def test_every_format_has_a_sample() -> None:
@@ -27,3 +33,35 @@ def test_a_sample_is_found_and_read_without_an_error(name: str, tmp_path: Path) 
     assert len(files) <= 40
     again = SAMPLES[name](tmp_path / "again")
     assert {p.relative_to(again): p.read_bytes() for p in again.rglob("*") if p.is_file()} == files
+
+
+@pytest.mark.parametrize("writer", WRITERS, ids=lambda w: w.name)
+def test_no_format_takes_what_another_one_wrote(writer: Writer, tmp_path: Path) -> None:
+    """Names, folders and telemetry of one format, written as another: it is the other one's."""
+    taken = {}
+    for name in sorted(SAMPLES):
+        source = detection.read(SAMPLES[name](tmp_path / name))
+        images = [i if i.size_wh else replace(i, size_wh=read_size(i.path, i.id)[0]) for i in source.images]
+        if not source.categories or (writer.name == "monet" and not any(i.pitch_deg is not None for i in images)):
+            continue  # MONET is told by its telemetry
+        out = tmp_path / f"{name}-out"
+        writing.write(writer.name, out, images, source.categories)
+        found = detection.detect(out).format
+        if found != writer.reader:
+            taken[name] = found
+    assert taken == {}
+
+
+@pytest.mark.parametrize("name", ["birdsai", "voc:flat", "wisard", "wit-uas"])
+def test_a_run_on_it_keeps_its_labels(name: str, tmp_path: Path) -> None:
+    root = SAMPLES[name](tmp_path / "data")
+    settings = ["camera.pitch={fixed_deg: 40}", "output.formats=[coco, birdsai, native]", "labels.dont_care=keep", "configurations=1"]
+    api.generate("hit-uav-drone", root, tmp_path / "run", renderer="fake", in_process=True, settings=settings)
+    before = Counter(o.category for i in detection.read(root).images for o in i.instances)
+    removed = json.loads((tmp_path / "run" / "run.json").read_text())["counts"]["labels_removed"]
+    regions = before["Logo"]  # BIRDSAI has no such thing
+    for written, left_out in (("coco", 0), ("birdsai", regions)):
+        after = Counter(o.category for i in detection.read(tmp_path / "run" / written).images for o in i.instances)
+        assert after.pop("drone") >= 1
+        assert after <= before
+        assert after.total() + sum(removed.values()) + left_out == before.total(), written

@@ -217,7 +217,8 @@ def read(
     renamed = _read_names(root, problems)
     reading = _Reading(root, category == "class", noise == "drop", {**SPECIES, **further, -1: "unknown"}, problems)
     records: list[ImageRecord] = []
-    for part in _parts(root):
+    parts = _parts(root)
+    for part in parts:
         if part.split in wanted:
             records += _read_part(reading, part, frames == "order", offset, unlabelled)
     if (root / "TrainSimulation").is_dir():
@@ -231,8 +232,11 @@ def read(
         "frames": f"{frames}{offset:+d}" if offset else frames,
         "rows": {k: reading.counts[k] for k in keys},
     }
+    categories: tuple[Category, ...]
     further_categories = [Category(k, n, "", is_ignored_name(n)) for k, n in further.items()]
     categories = CLASSES if reading.by_class else (*CATEGORIES, *further_categories)
+    if not any(part.tables for part in parts):
+        categories = ()  # bare frames have no classes
     records = [_renamed(r, renamed.get(r.path.relative_to(root).as_posix())) for r in records]
     return make_dataset(
         root, NAME, records, categories, reading.problems, notes, metadata=metadata, splits=wanted
