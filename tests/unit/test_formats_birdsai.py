@@ -172,7 +172,7 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
     assert written.losses == {"class_unfit": 3, "name_changed": 3, "track_made": 3, "visibility_dropped": 3}
     table = (tmp_path / "out" / "TrainReal" / "annotations" / f"{SEQ}.csv").read_text().splitlines()
     assert table[:2] == ["0,7,10,12,20,8,0,1,0,0", "0,8,1,2,29.25,38.5,0,10,1,0"]
-    assert (tmp_path / "out" / "species.csv").read_text() == "species,name\n10,deer\n11,Person\n"
+    assert (tmp_path / "out" / "species.csv").read_text() == "species,name,ignore\n10,deer,0\n11,Person,0\n"
     again = detection.read(tmp_path / "out")
     assert codes(again) == [] and [i.split for i in again.images] == ["train", "train", "val"]
     assert [[o.category for o in i.instances] for i in again.images] == [["elephant", "deer", "Person"]] * 3
@@ -185,10 +185,10 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
 
 def test_broken_tables_of_ours_are_named(tmp_path: Path) -> None:
     frames(tmp_path, [0], ROWS)
-    (tmp_path / "species.csv").write_text("species,name\n3,fox\n10,elephant\n10,deer\n10,fox\nx\n")
+    (tmp_path / "species.csv").write_text("species,name,ignore\n3,fox,0\n10,elephant,0\n10,deer,1\n10,fox,0\nx\n")
     (tmp_path / "names.csv").write_text("file,name\n")
     d = birdsai.read(tmp_path)
-    assert codes(d) == ["species-malformed"] * 4 and d.category("deer").id == 10
+    assert codes(d) == ["species-malformed"] * 4 and d.category("deer") == Category(10, "deer", ignore=True)
 
 
 words = st.sampled_from(["0", "1", "-1", "2", "9", "10.5", "1e308", "nan", "inf", "", "x", "\x00", "\n", '"', "٣"])

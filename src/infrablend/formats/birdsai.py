@@ -29,7 +29,6 @@ from infrablend.formats.base import (
     Written,
     check_box,
     check_splits,
-    is_ignored_name,
     number_text,
     read_text,
     require_options,
@@ -63,6 +62,7 @@ _SEQUENCE = re.compile(r"\d{10}_\d{10}", re.ASCII)
 _FRAME = re.compile(r"(\d{10}_\d{10})_(\d{10})", re.ASCII)
 _COLUMNS = "frame, object, x, y, w, h, class, species, occlusion, noise"
 _SPECIES_FILE = "species.csv"
+_SPECIES_COLUMNS = ("species", "name", "ignore")
 _NAMES_FILE = "names.csv"
 _NAMES_COLUMNS = ("file", "name", "sequence", "captured")
 
@@ -215,7 +215,8 @@ def read(
     wanted = check_splits(splits)
     further, problems = _further_species(root)
     renamed = _read_names(root, problems)
-    reading = _Reading(root, category == "class", noise == "drop", {**SPECIES, **further, -1: "unknown"}, problems)
+    names = {**SPECIES, **{k: c.name for k, c in further.items()}, -1: UNKNOWN.name}
+    reading = _Reading(root, category == "class", noise == "drop", names, problems)
     records: list[ImageRecord] = []
     parts = _parts(root)
     for part in parts:
@@ -233,8 +234,7 @@ def read(
         "rows": {k: reading.counts[k] for k in keys},
     }
     categories: tuple[Category, ...]
-    further_categories = [Category(k, n, "", is_ignored_name(n)) for k, n in further.items()]
-    categories = CLASSES if reading.by_class else (*CATEGORIES, *further_categories)
+    categories = CLASSES if reading.by_class else (*CATEGORIES, *further.values())
     if not any(part.tables for part in parts):
         categories = ()  # bare frames have no classes
     records = [_renamed(r, renamed.get(r.path.relative_to(root).as_posix())) for r in records]
@@ -243,21 +243,21 @@ def read(
     )  # fmt: skip
 
 
-def _further_species(root: Path) -> tuple[dict[int, str], list[Problem]]:
-    """Species by number above BIRDSAI's own, from the table that our writer leaves."""
+def _further_species(root: Path) -> tuple[dict[int, Category], list[Problem]]:
+    """Categories by species number above BIRDSAI's own, from the table that our writer leaves."""
     path = root / _SPECIES_FILE
     if not path.is_file():
         return {}, []
-    text, problem = read_text(path, path.name, "species,name")
+    text, problem = read_text(path, path.name, ",".join(_SPECIES_COLUMNS))
     problems = [problem] if problem else []
-    further: dict[int, str] = {}
+    further: dict[int, Category] = {}
     for n, row in enumerate(_csv_rows(text, path.name, problems), 1):
-        number = to_int(row[0]) if len(row) == 2 else None
-        known = {*SPECIES.values(), UNKNOWN.name, *further.values()}
-        if number is not None and number > UNKNOWN.id and number not in further and row[1] not in {"", *known}:
-            further[number] = row[1]
+        number = to_int(row[0]) if len(row) == len(_SPECIES_COLUMNS) else None
+        known = {*SPECIES.values(), UNKNOWN.name, "", *(c.name for c in further.values())}
+        if number is not None and number > UNKNOWN.id and number not in further and row[1] not in known:
+            further[number] = Category(number, row[1], "", row[2] == "1")
         elif n > 1 and row:
-            expected = f"a new number above {UNKNOWN.id} and a new name"
+            expected = f"a new number above {UNKNOWN.id}, a new name, 1 for one to ignore"
             problems.append(Problem(f"{path.name}: line {n}", "species-malformed", repr(row)[:80], expected))
     return further, problems
 
@@ -481,10 +481,12 @@ def write(
         facts = (image.pitch_deg, image.altitude_m, image.time_of_day)
         if any(v is not None for v in facts):
             known.append((name, *("" if v is None else v for v in facts)))
+    ignore = {c.name: int(c.ignore) for c in categories}
+    further = [(k, n, ignore[n]) for n, (_, k) in species.items() if k > UNKNOWN.id and n not in ignored]
     tables = (
         (_NAMES_FILE, _NAMES_COLUMNS, renamed),
         ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
-        (_SPECIES_FILE, ("species", "name"), [(k, n) for n, (_, k) in species.items() if k > UNKNOWN.id]),
+        (_SPECIES_FILE, _SPECIES_COLUMNS, further),
     )
     files += [write_text(out / name, _csv_text(head, rows)) for name, head, rows in tables if rows]
     return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})

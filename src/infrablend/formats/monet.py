@@ -124,7 +124,8 @@ def detect(root: Path) -> Match:
             return Match(NAME, True, f"{path.relative_to(root).as_posix()} holds {key!r}")
     for base, folders, _ in os.walk(root):
         depth = len(Path(base).relative_to(root).parts)
-        folders[:] = sorted(d for d in folders if not is_hidden(d) and depth < _JSON_DEPTH)
+        # COCO and others keep our pictures' folders below `images`: those are theirs.
+        folders[:] = sorted(d for d in folders if not is_hidden(d) and d != "images" and depth < _JSON_DEPTH)
         named = next((d for d in (Path(base).resolve().name, *folders) if _SEQUENCE.fullmatch(d)), None)
         if named is not None:
             return Match(NAME, True, f"JSON files and a sequence folder {named}")
