@@ -304,7 +304,7 @@ def read(
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
         raise DatasetError(f"{root}: no picture to read", few(problems))
-    if table is not None and (unused := table.unused([r.name for r in images])):
+    if table is not None and (unused := table.unused([r.name for r in images], [r.sequence for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))
     notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
