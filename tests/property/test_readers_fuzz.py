@@ -1,0 +1,154 @@
+"""No broken or hostile dataset brings anything out of a reader but a dataset or one of our errors.
+
+What is broken, and what is watched, is in tests/fuzzing.py; what is broken is every sample in tests/samples.py.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.fuzzing import exercise, make_outside, mutate, watched, with_size
+from tests.samples import SAMPLES, picture
+
+from infrablend import api
+from infrablend.errors import DatasetError
+from infrablend.formats import base, detection
+from infrablend.formats.pictures import read_size
+
+GROWTH_KIB = 700 * 1024
+
+
+@pytest.mark.parametrize("name", sorted(SAMPLES))
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.integers(1, 4))
+def test_broken_samples_end_in_a_dataset_or_an_error_of_ours(name: str, seed: int, times: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        root = SAMPLES[name](Path(folder) / "data")
+        outside = make_outside(Path(folder) / "outside")
+        choose = random.Random(seed)
+        done = [mutate(root, outside, choose) for _ in range(times)]
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with watched(root, outside) as seen:
+            exercise(root, name.partition(":")[0])
+        assert seen == [], done
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < GROWTH_KIB, done
+
+
+def test_the_watch_sees(tmp_path: Path) -> None:
+    outside = make_outside(tmp_path / "outside")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "a.txt").symlink_to(outside / "secret.txt")
+    with watched(tmp_path / "data", outside) as seen:
+        (tmp_path / "data" / "a.txt").read_text()
+        list(outside.iterdir())
+        (tmp_path / "data" / "b.txt").write_text("x")
+    assert [s.split()[0] for s in seen] == ["open", "os.listdir", "open"]
+
+
+MEASURE = """
+import resource, sys
+from pathlib import Path
+from infrablend import api
+from infrablend.errors import InfraBlendError
+import infrablend.formats.hit_uav, infrablend.formats.coco, infrablend.formats.yolo, infrablend.report.checking
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    report = api.check(sys.argv[1])
+    print(sorted(report.by_code()))
+except InfraBlendError as error:
+    print([p.code for p in error.problems])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def measure(root: Path) -> tuple[str, int]:
+    """What `check` says, and by how many KiB the process grew."""
+    out = subprocess.run([sys.executable, "-c", MEASURE, str(root)], capture_output=True, text=True, timeout=120)
+    assert out.returncode == 0, out.stderr
+    said, grown = out.stdout.splitlines()
+    return said, int(grown)
+
+
+@pytest.mark.parametrize("name", ["hit-uav:json", "coco", "monet"])
+def test_a_gigabyte_of_json_is_refused_unread(name: str, tmp_path: Path) -> None:
+    root = SAMPLES[name](tmp_path / "data")
+    for path in root.rglob("*.json"):
+        with path.open("wb") as file:
+            file.write(b'{"images": [')
+            file.truncate(1 << 30)  # sparse: it costs no disk
+    said, grown = measure(root)
+    assert "annotation-too-large" in said or "not-this-format" in said
+    assert grown < 100 * 1024
+
+
+def test_gigabytes_of_other_text_are_refused_unread(tmp_path: Path) -> None:
+    for name in ("yolo:detect", "voc", "dota", "folder:yolo", "hit-uav:xml"):
+        root = SAMPLES[name](tmp_path / name.replace(":", "-"))
+        for path in [p for p in root.rglob("*") if p.suffix in (".txt", ".xml", ".yaml", ".csv")]:
+            with path.open("ab") as file:
+                file.truncate(1 << 30)
+        said, grown = measure(root)
+        assert "large" in said or "not-this-format" in said or "label-missing" in said, (name, said)
+        assert grown < 100 * 1024, name
+
+
+@pytest.mark.parametrize("text", ['{"a":' * 200_000, "[" * 10_000_000, '{"images": ' + "[" * 900 + "]" * 900 + "}"])
+def test_json_nested_too_deeply_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "train.json"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match="nested"):
+        base.read_json(path)
+
+
+def test_json_of_many_tiny_values_is_refused_before_it_is_built(tmp_path: Path) -> None:
+    root = SAMPLES["coco"](tmp_path / "data")
+    for path in root.rglob("*.json"):
+        path.write_text('{"images": [' + "[]," * 40_000_000 + "[]]}")
+    said, grown = measure(root)
+    assert "annotation-too-large" in said or "not-this-format" in said
+    # The text itself is read: 120 MB.
+    assert grown < 500 * 1024
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_giant_header_is_refused(suffix: str, tmp_path: Path) -> None:
+    path = picture(tmp_path / f"a{suffix}", 1)
+    path.write_bytes(with_size(path.read_bytes(), 30_000, 30_000))
+    size_wh, problem = read_size(path, "a")
+    assert size_wh is None and problem is not None and problem.code == "image-too-large"
+    assert api.check(tmp_path).by_code() == {"image-too-large": 1}
+
+
+def test_entities_in_xml_are_refused(tmp_path: Path) -> None:
+    root = SAMPLES["hit-uav:xml"](tmp_path / "data")
+    bomb = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa">' + "".join(
+        f'<!ENTITY {chr(98 + k)} "{f"&{chr(97 + k)};" * 10}">' for k in range(9)
+    )
+    for path in root.rglob("*.xml"):
+        path.write_text(bomb + "]>" + path.read_text().replace("</filename>", "&j;</filename>"))
+    with pytest.raises(DatasetError) as caught:
+        detection.read(root)
+    assert {p.code for p in caught.value.problems} <= {"annotation-not-xml", "more"}
+    assert "EntitiesForbidden" in str(caught.value) or "DTDForbidden" in str(caught.value)
+
+
+def test_a_link_to_a_file_outside_is_an_error_that_says_so(tmp_path: Path) -> None:
+    for name in ("yolo:detect", "folder:yolo", "hit-uav:json", "coco"):
+        root = SAMPLES[name](tmp_path / name.replace(":", "-"))
+        outside = make_outside(tmp_path / "outside")
+        path = sorted(root.rglob("*.jpg"))[0]
+        shutil.move(path, outside / path.name)
+        path.symlink_to(outside / path.name)
+        report = api.check(root)
+        assert report.by_code().get("name-climbs", 0) >= 1, (name, report.by_code())
+        assert json.dumps(report.to_json())
