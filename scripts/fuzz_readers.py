@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import resource
 import shutil
 import sys
 import tempfile
@@ -19,8 +20,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-from tests.fuzzing import TooSlow, exercise, make_outside, mutate, watched  # noqa: E402
+from tests.fuzzing import TooSlow, bounded_memory, exercise, make_outside, mutate, watched  # noqa: E402
 from tests.samples import SAMPLES  # noqa: E402
+
+GROWTH_KIB = 700 << 10
 
 
 def attempt(name: str, seed: int, keep: Path) -> str | None:
@@ -31,11 +34,15 @@ def attempt(name: str, seed: int, keep: Path) -> str | None:
         outside = make_outside(Path(folder) / "outside")
         done = [mutate(root, outside, choose) for _ in range(choose.randint(1, 6))]
         fault = None
+        before_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         try:
-            with watched(root, outside) as seen:
+            with bounded_memory(), watched(root, outside) as seen:
                 exercise(root, name.partition(":")[0])
             if seen:
-                fault = f"left the dataset: {seen}"
+                fault = f"left the dataset: {seen}\n"
+            grown_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib
+            if grown_kib > GROWTH_KIB:
+                fault = f"grew by {grown_kib >> 10} MiB\n"
         except (Exception, TooSlow):
             fault = traceback.format_exc()
         if fault is not None:

@@ -10,6 +10,7 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import struct
@@ -34,15 +35,17 @@ WEIRD_JSON: tuple[Any, ...] = (
     None, True, False, -1, 0, 1, 2**31, 2**63, 10**400, -1e308, 1e308, 1e-320, 0.5, float("nan"), float("inf"),
     "", "x", "0", "-7", "nan", "1e999", "../../secret/secret.jpg", "/etc/passwd", "a\0b", "\ud800", "..\\..\\x.jpg",
     [], {}, [[]], {"": {}}, [None] * 4, [0] * 8, [1e9] * 8, [float("nan")] * 4, ["a"] * 4, "A" * 5000,
-    {"size": [48, 64], "counts": "~~~~"}, {"size": [10**9, 10**9], "counts": "01"}, {"size": [48, 64], "counts": [9] * 3},
+    {"size": [48, 64], "counts": "~~~~"}, {"size": [10**9, 10**9], "counts": "01"},
+    {"size": [48, 64], "counts": [9] * 3},
 )  # fmt: skip
 WEIRD_WORDS = (
     "nan", "inf", "-inf", "-1", "0", "1e308", "-1e308", "1e9", "99999999999999999999", "0x10", "1_0", "", "abc", "\0",
     "../../secret/secret.jpg", "/etc/passwd", "..", "&bomb;", "<a>", "]]>", "\u0663", "1e-320", "0.5.5", "ä\u202e",
 )  # fmt: skip
 WEIRD_NAMES = (
-    ".hidden", "a b.txt", "a\nb.jpg", "..\\x.jpg", "%2e%2e", "con.json", "é\u0301.png", "x" * 200 + ".jpg", "train.json",
-    "a.JPG", "classes.txt", "data.yaml", "metadata.csv", "metadata.json", "no_suffix", "\udc80.txt", "-rf.xml",
+    ".hidden", "a b.txt", "a\nb.jpg", "..\\x.jpg", "%2e%2e", "con.json", "é\u0301.png", "x" * 200 + ".jpg",
+    "train.json", "a.JPG", "classes.txt", "data.yaml", "metadata.csv", "metadata.json",
+    "no_suffix", "\udc80.txt", "-rf.xml",
 )  # fmt: skip
 
 
@@ -54,7 +57,7 @@ def mutate(root: Path, outside: Path, choose: Choice) -> str:
     kind = choose.choice(MUTATIONS)
     try:
         return f"{kind.__name__.strip('_')}: {kind(root, outside, choose)}"
-    except (OSError, ValueError, IndexError, UnicodeError) as error:  # it is broken too much already
+    except (OSError, ValueError, IndexError, UnicodeError, RecursionError) as error:  # it is broken too much already
         return f"{kind.__name__.strip('_')}: no more ({error})"
 
 
@@ -122,7 +125,9 @@ def _link(root: Path, outside: Path, choose: Choice) -> str:
 
 def _loop(root: Path, outside: Path, choose: Choice) -> str:
     folder = choose.choice([root, *_folders(root)])
-    (folder / choose.choice(("loop", "train", "images"))).symlink_to(choose.choice((".", "..", str(root))))
+    # A folder may be a link to elsewhere (people keep pictures on other disks): only loops are made here.
+    targets = (".", str(root), "." if folder == root else "..")
+    (folder / choose.choice(("loop", "train", "images"))).symlink_to(choose.choice(targets))
     return folder.name
 
 
@@ -273,6 +278,18 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 sys.addaudithook(_hook)
+
+
+@contextlib.contextmanager
+def bounded_memory(size_bytes: int = 2 << 30) -> Iterator[None]:
+    """While entered, this process may take so much more memory; beyond, it gets a MemoryError and not the machine."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + size_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 class TooSlow(BaseException):

@@ -30,7 +30,79 @@ class Mask:
         """COCO's form: `{"size": [h, w], "counts": "..."}`."""
         return {"size": list(self.size_hw), "counts": self.counts}
 
+    @classmethod
+    def from_coco(cls, value: object, size_hw: tuple[int, int]) -> Mask:
+        """The mask that a foreign file's `{"size": ..., "counts": ...}` means, compressed or a plain list of lengths.
+
+        pycocotools trusts its input and reads or writes beyond its memory where run lengths do not fill the frame.
+
+        Raises:
+            ValueError: It is no such thing, of another size, or its runs do not fill the frame.
+        """
+        counts = value.get("counts") if isinstance(value, dict) else None
+        if not isinstance(value, dict) or not isinstance(counts, str | list):
+            raise ValueError("neither polygons nor size and counts")
+        if value.get("size") != list(size_hw):
+            raise ValueError(f"size {value.get('size')!r}, not {list(size_hw)}"[:80])
+        if isinstance(counts, str):
+            lengths = run_lengths(counts)
+        elif all(type(n) is int and 0 <= n <= 2**31 for n in counts):
+            lengths = np.array(counts, np.int64)
+        else:
+            raise ValueError("run lengths that are no whole numbers of at least 0")
+        if (lengths < 0).any() or int(lengths.sum()) != size_hw[0] * size_hw[1]:
+            raise ValueError(f"run lengths that do not fill {size_hw[1]}x{size_hw[0]} px")
+        if isinstance(counts, str):
+            return cls(counts, size_hw)
+        made = _coco.frPyObjects({"size": list(size_hw), "counts": counts}, *size_hw)
+        return cls(made["counts"].decode("ascii"), size_hw)
+
+    @classmethod
+    def from_rings(cls, rings: object, size_hw: tuple[int, int]) -> Mask:
+        """The mask of a foreign file's polygons, lists of x, y, x, y, ...; painted as pycocotools does.
+
+        Raises:
+            ValueError: No such lists, or a corner further from the frame than the frame is large: pycocotools walks
+                along every edge pixel by pixel, so that would cost any amount of memory.
+        """
+        h, w = size_hw
+        made = []
+        for ring in rings if isinstance(rings, list) else ():
+            if not isinstance(ring, list) or len(ring) < 6 or len(ring) % 2:
+                raise ValueError("a polygon that is no list of three or more x, y pairs")
+            points = np.array([float(v) for v in ring], np.float64).reshape(-1, 2)
+            if not (np.isfinite(points).all() and (np.abs(points - [w / 2, h / 2]) <= [1.5 * w, 1.5 * h]).all()):
+                raise ValueError("a polygon with corners far outside the frame")
+            made.append(points.ravel().tolist())
+        if not made:
+            raise ValueError("no polygon")
+        rle = _coco.merge(_coco.frPyObjects(made, h, w))
+        return cls(rle["counts"].decode("ascii"), size_hw)
+
     @property
     def area_px(self) -> int:
         """Number of pixels set."""
         return int(_coco.area(self.to_coco()))
+
+
+def run_lengths(counts: str) -> NDArray[np.int64]:
+    """The run lengths in COCO's compressed text: six bits a character, the lowest first, differences from the third on.
+
+    Raises:
+        ValueError: It is no such text.
+    """
+    bits = np.frombuffer(counts.encode("ascii", "replace"), np.uint8).astype(np.int64) - 48
+    if not len(bits):
+        return np.zeros(0, np.int64)
+    ends = np.flatnonzero((bits & 32) == 0)
+    if (bits < 0).any() or (bits > 63).any() or not len(ends) or ends[-1] != len(bits) - 1:
+        raise ValueError("run lengths that are not COCO's text")
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    place = np.arange(len(bits)) - np.repeat(starts, ends - starts + 1)
+    if place.max() > 6:
+        raise ValueError("run lengths too large")
+    values = np.add.reduceat((bits & 31) << (5 * place), starts)
+    values -= np.where(bits[ends] & 16, np.int64(1) << (5 * (ends - starts + 1)), 0)
+    values[1::2] = np.cumsum(values[1::2])
+    values[2::2] = np.cumsum(values[2::2])
+    return values

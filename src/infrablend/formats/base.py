@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
+import stat
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import cxcywha_of_corners
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.pictures import MAX_PIXELS
 
 # Oriented boxes may overhang the frame by this much without a word: HIT-UAV's own reach 0.5 px.
 OVERHANG_PX = 0.5
@@ -25,6 +28,9 @@ OVERHANG_PX = 0.5
 # Beyond these sizes a file is refused unread: parsed, it would take some thirty times as much memory.
 MAX_JSON_BYTES = 200_000_000
 MAX_TEXT_BYTES = 50_000_000
+# Empty lists are three bytes of text and sixty in memory; COCO's own largest file holds some four millions.
+MAX_JSON_LISTS = 10_000_000
+MAX_JSON_DEPTH = 64
 
 LOSSES: Mapping[str, str] = {
     "box_dropped": "upright box that is not the bounds of the oriented one or polygon, which is all that is held",
@@ -98,39 +104,82 @@ class Text:
     losses: Mapping[str, int] = field(default_factory=dict)
 
 
+def leaves_folder(path: Path) -> bool:
+    """True if `path` is a link to something outside the folder it lies in, which no dataset needs."""
+    if not path.is_symlink():
+        return False
+    real, folder = os.path.realpath(path), os.path.realpath(path.parent)
+    return os.path.commonpath([real, folder]) != folder
+
+
+def _unfit(path: Path, where: str, expected: str, limit: int) -> Problem | None:
+    """Why a file is not to be opened: a link out of its folder, no regular file, too large."""
+    if leaves_folder(path):
+        found, todo = f"{path.name!r} is a link out of its folder", "copy the file, or link the whole folder instead"
+        return Problem(where, "name-climbs", found, "a file inside it", todo)
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        return Problem(where, "annotation-unreadable", "no regular file", expected, "replace or remove it")
+    if status.st_size <= limit:
+        return None
+    found, most = f"{status.st_size / 1e6:.0f} MB of text", f"at most {limit / 1e6:.0f} MB"
+    return Problem(where, "annotation-too-large", found, most, "split it into several files")
+
+
 def read_json(path: Path) -> Any:
     """The JSON value in a UTF-8 file (a byte order mark is accepted).
 
     Raises:
-        DatasetError: Not there, not readable, not JSON, above `MAX_JSON_BYTES`.
+        DatasetError: Not there, not readable, not JSON, a link out of its folder, above `MAX_JSON_BYTES`,
+            `MAX_JSON_LISTS` or `MAX_JSON_DEPTH`.
     """
+    problem = None
     try:
-        problem = _too_large(path, path.name, MAX_JSON_BYTES)
-        if problem is not None:
-            raise DatasetError(f"{path}: {problem.found}", [problem])
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        problem = _unfit(path, path.name, "a JSON file", MAX_JSON_BYTES)
+        data = path.read_bytes() if problem is None else b""
+        lists = data.count(b"[") + data.count(b"{")
+        if lists > MAX_JSON_LISTS:
+            found, expected = f"{lists} lists and objects", f"at most {MAX_JSON_LISTS}"
+            problem = Problem(path.name, "annotation-too-large", found, expected, "split it into several files")
+        if problem is None:
+            value = json.loads(data.decode("utf-8-sig"))
+            if lists <= MAX_JSON_DEPTH or _depth(value) <= MAX_JSON_DEPTH:
+                return value
+            problem = _nested(path)
     except OSError as error:
-        found, code = error.strerror or str(error), "annotation-missing"
-    except DatasetError:
-        raise
-    except (ValueError, RecursionError) as error:
-        found, code = f"no JSON ({error or type(error).__name__})", "annotation-not-json"
-    problem = Problem(path.name, code, found, "a JSON file", "fetch the file again or leave it out")
-    raise DatasetError(f"{path}: {found}", [problem])
+        found = error.strerror or str(error)
+        problem = Problem(path.name, "annotation-missing", found, "a JSON file", "fetch the file again or leave it out")
+    except RecursionError:
+        problem = _nested(path)
+    except ValueError as error:
+        found = f"no JSON ({error or type(error).__name__})"
+        problem = Problem(
+            path.name, "annotation-not-json", found, "a JSON file", "fetch the file again or leave it out"
+        )
+    raise DatasetError(f"{path}: {problem.found}", [problem])
 
 
-def _too_large(path: Path, where: str, limit: int) -> Problem | None:
-    size = path.stat().st_size
-    if size <= limit:
-        return None
-    found, expected = f"{size / 1e6:.0f} MB of text", f"at most {limit / 1e6:.0f} MB"
-    return Problem(where, "annotation-too-large", found, expected, "split it into several files")
+def _nested(path: Path) -> Problem:
+    found = "lists and objects nested too deeply"
+    return Problem(path.name, "annotation-not-json", found, f"at most {MAX_JSON_DEPTH} levels", "fetch the file again")
+
+
+def _depth(value: Any) -> int:
+    """How deeply lists and objects are nested, up to one more than is allowed."""
+    level, depth = [value], 0
+    while level and depth <= MAX_JSON_DEPTH:
+        inner: list[Any] = []
+        for v in level:
+            inside = v.values() if type(v) is dict else v if type(v) is list else ()
+            inner += [w for w in inside if type(w) in (dict, list)]
+        level, depth = inner, depth + 1
+    return depth
 
 
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:
     """The UTF-8 text of a file (a byte order mark is accepted); empty, and what is wrong, if it cannot be had."""
     try:
-        problem = _too_large(path, where, MAX_TEXT_BYTES)
+        problem = _unfit(path, where, expected, MAX_TEXT_BYTES)
         return ("", problem) if problem else (path.read_text(encoding="utf-8-sig"), None)
     except (OSError, UnicodeDecodeError) as error:
         found = f"no text ({getattr(error, 'strerror', None) or type(error).__name__})"
@@ -140,7 +189,7 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
 def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     """The root element of an XML file, or None and what is wrong. Entities and DTDs are refused: they load and grow."""
     try:
-        problem = _too_large(path, where, MAX_TEXT_BYTES)
+        problem = _unfit(path, where, "an XML file", MAX_TEXT_BYTES)
         return (None, problem) if problem else (ElementTree.parse(path, forbid_dtd=True).getroot(), None)
     except Exception as error:  # parse errors, refused entities, wrong encodings
         found = f"no XML that may be read ({type(error).__name__}: {error})"[:200].replace(str(path), path.name)
@@ -230,9 +279,14 @@ def to_bool(value: object) -> bool | None:
 
 
 def to_size(width: object, height: object) -> tuple[int, int] | None:
-    """(width, height) in px if both are whole numbers above 0, else None."""
+    """(width, height) in px if both are whole numbers above 0 and no picture may be larger, else None."""
     w, h = to_int(width), to_int(height)
-    return (w, h) if w is not None and h is not None and w > 0 and h > 0 else None
+    return (w, h) if w is not None and h is not None and w > 0 and h > 0 and w * h <= MAX_PIXELS else None
+
+
+def is_near(numbers: Sequence[float]) -> bool:
+    """True for finite pixel coordinates of a size that pictures have; others overflow in products and casts."""
+    return all(math.isfinite(v) and abs(v) <= 1e6 for v in numbers)
 
 
 def check_box(

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pycocotools import mask as _rle
 
 from infrablend.core.boxes import corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
@@ -26,6 +25,7 @@ from infrablend.formats.base import (
     check_splits,
     few,
     is_ignored_name,
+    is_near,
     number_ids,
     read_json,
     require_size,
@@ -456,9 +456,9 @@ def _read_annotations(
             Instance(
                 names[category],
                 box,
-                None if corners is None or not np.isfinite(corners).all() else np.array(corners).reshape(4, 2),
+                None if corners is None or not is_near(corners) else np.array(corners).reshape(4, 2),
                 _read_mask(a, size_wh, here, problems),
-                visibility[0] if visibility else None,
+                visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
                 to_bool(a.get("truncated")),
                 to_bool(a.get("difficult")),
                 a.get("inserted") is True,
@@ -492,19 +492,10 @@ def _read_mask(
         return None
     if size_wh is None:
         return None
-    w, h = size_wh
+    size_hw = (size_wh[1], size_wh[0])
     try:
-        if isinstance(value, list):
-            made = _rle.merge(_rle.frPyObjects([[float(v) for v in ring] for ring in value], h, w))
-        elif isinstance(value.get("counts"), list):
-            made = _rle.frPyObjects(value, *value["size"])
-        else:
-            made = {"size": list(value["size"]), "counts": value["counts"].encode("ascii")}
-        if list(made["size"]) != [h, w]:
-            raise ValueError(f"size {made['size']}, not {[h, w]}")
-        counts = made["counts"]
-        return Mask(counts if isinstance(counts, str) else counts.decode("ascii"), (h, w))
-    except Exception as error:  # pycocotools raises what it likes on broken run lengths
+        return Mask.from_rings(value, size_hw) if isinstance(value, list) else Mask.from_coco(value, size_hw)
+    except (ValueError, TypeError, OverflowError) as error:
         text = f"segmentation that cannot be read ({type(error).__name__}: {error}), left out"
         problems.append(Problem(where, "mask-malformed", text, "run lengths or polygons", severity="warning"))
         return None

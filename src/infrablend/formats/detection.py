@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats.base import Match
+from infrablend.formats.base import Match, few
+from infrablend.formats.pictures import check_link
 
 
 @dataclass(frozen=True)
@@ -129,9 +130,26 @@ def read(
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not take what was given", problems)
     reader = chosen.load("read")
     if metadata is not None:
-        given["metadata"] = metadata
-    dataset: Dataset = reader(root, splits=splits, **given)
-    return dataset
+        given["metadata"] = metadata.resolve()  # the user's own file: it may be a link to anywhere
+    return _without_links(reader(root, splits=splits, **given))
+
+
+def _without_links(dataset: Dataset) -> Dataset:
+    """The dataset without pictures that are links out of their folders: they would carry foreign files into results."""
+    problems, kept = list(dataset.problems), []
+    for image in dataset.images:
+        problem = None
+        if image.path.is_symlink():
+            problem = check_link(image.path, image.path.parent, f"{image.split}/{image.name}")
+        if problem is None:
+            kept.append(image)
+        else:
+            problems.append(problem)
+    if len(kept) == len(dataset.images):
+        return dataset
+    if not kept:
+        raise DatasetError(f"{dataset.root}: every picture is a link out of its folder", few(problems))
+    return replace(dataset, images=tuple(kept), problems=tuple(problems))
 
 
 def _options_text(name: str, known: Mapping[str, str]) -> str:

@@ -14,7 +14,7 @@ from typing import Literal
 from infrablend.core.dataset import Dataset, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
-from infrablend.formats.base import Match, check_splits, few, sort_images
+from infrablend.formats.base import Match, check_splits, few, read_text, sort_images
 from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.pictures import list_pictures
 from infrablend.formats.yolo import (
@@ -156,6 +156,8 @@ def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] 
     first = next(p.label for p in pictures if p.label is not None)
     for candidate in (root / "classes.txt", root / "labels" / "classes.txt", first.parent / "classes.txt"):
         if candidate.is_file():
-            lines = candidate.read_text(encoding="utf-8-sig").splitlines()
-            return class_names([s.strip() for s in lines if s.strip()], candidate.name)
+            text, problem = read_text(candidate, candidate.name, "a class name on each line")
+            if problem is not None:
+                raise DatasetError(f"{candidate}: {problem.found}", [problem])
+            return class_names([s.strip() for s in text.splitlines() if s.strip()], candidate.name)
     return None

@@ -41,6 +41,7 @@ from infrablend.formats.base import (
     obb_from_corners,
     overhang_px,
     read_json,
+    read_text,
     read_xml,
     require_size,
     sort_images,
@@ -564,12 +565,11 @@ def _read_image_sets(data: _FormData, root: Path, folder: Path) -> dict[str, Spl
         path = sets / f"{split}.txt"
         if not path.is_file():
             continue
-        try:
-            lines = path.read_text(encoding="utf-8-sig").split()
-        except (OSError, UnicodeDecodeError) as error:
-            data.add(_relative(root, path), "list-unreadable", str(error), "a list of stems")
+        text, fault = read_text(path, _relative(root, path), "a list of stems")
+        if fault is not None:
+            data.problems.append(fault)
             continue
-        for stem in lines:
+        for stem in text.split():
             if split_of.setdefault(stem, split) != split:
                 found = f"{stem!r} is also in {split_of[stem]}, which counts"
                 data.warn(_relative(root, path), "split-twice", found, "each stem in one list")

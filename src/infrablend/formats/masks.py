@@ -43,7 +43,7 @@ from infrablend.formats.base import (
     to_size,
 )
 from infrablend.formats.images import load_background
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, check_name
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables say pitch and altitude
@@ -265,6 +265,9 @@ def _read_pixels(
     root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem]
 ) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
     where = path.relative_to(root).as_posix()
+    if path.is_symlink() and (fault := check_link(path, path.parent, where)) is not None:
+        problems.append(fault)
+        return None
     try:
         loaded = load_background(path, size_wh)
     except DatasetError as error:

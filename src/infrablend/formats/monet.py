@@ -32,6 +32,7 @@ from infrablend.formats.base import (
     category_ids,
     check_splits,
     few,
+    leaves_folder,
     number_ids,
     read_json,
     require_size,
@@ -136,6 +137,8 @@ def _mentioned(path: Path) -> str | None:
     """The pitch key that a file holds as text, found without parsing it."""
     keys = [f'"{k}"'.encode() for k in PITCH_KEYS]
     keep = max(map(len, keys))
+    if leaves_folder(path) or not path.is_file():
+        return None
     try:
         with path.open("rb") as file:
             tail = b""

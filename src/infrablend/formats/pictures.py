@@ -132,7 +132,11 @@ def assign_ids(names: Iterable[str]) -> dict[str, str]:
 
 def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:
     """(width, height) from the file's header, without decoding; or None and what is wrong."""
+    if path.is_symlink() and (problem := check_link(path, path.parent, where)) is not None:
+        return None, problem
     try:
+        if not path.is_file():
+            raise OSError("no such file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
             with Image.open(path, formats=PICTURE_FORMATS) as picture:

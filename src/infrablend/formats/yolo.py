@@ -23,6 +23,7 @@ from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
+from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import (
     Match,
@@ -495,11 +496,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         DatasetError: No YAML, or no mapping with `names`.
     """
-    try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        problem = Problem(path.name, "annotation-not-yaml", f"no YAML ({type(error).__name__})", "a data.yaml")
-        raise DatasetError(f"{path}: no YAML", [problem]) from error
+    text, problem = read_text(path, path.name, "a data.yaml")
+    value: Any = None
+    if problem is None:
+        try:
+            value = plain_yaml(text)
+        except ValueError as error:
+            problem = Problem(path.name, "annotation-not-yaml", str(error)[:200], "a data.yaml")
+    if problem is not None:
+        raise DatasetError(f"{path}: no YAML", [problem])
     if not isinstance(value, dict) or "names" not in value:
         problem = Problem(path.name, "annotation-layout", "no key `names`", "train, val, test and names")
         raise DatasetError(f"{path}: no data.yaml of YOLO", [problem])
