@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -71,6 +72,7 @@ def main(arguments: list[str]) -> int:
         parser.error(f"--format {given.format}: no such sample; there are {', '.join(sorted(SAMPLES))}")
     if given.atheris:
         return _with_atheris(names, given.keep, given.minutes)
+    warnings.simplefilter("error")  # as in the tests
     ends_at = time.monotonic() + 60 * given.minutes
     tried, found, seed = 0, 0, given.seed
     while time.monotonic() < ends_at:

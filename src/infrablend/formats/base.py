@@ -299,8 +299,9 @@ def check_box(
         `box-not-finite`, `box-empty`, `box-outside` (errors, dropped), `box-clipped` (warning, kept).
     """
     x0, y0, x1, y1 = xyxy
-    if not (math.isfinite(x0) and math.isfinite(y0) and math.isfinite(x1) and math.isfinite(y1)):
-        return None, Problem(where, "box-not-finite", f"box {_show(xyxy)}", "finite numbers", "correct the annotation")
+    if not is_near(xyxy):
+        expected = "finite numbers of pixels"
+        return None, Problem(where, "box-not-finite", f"box {_show(xyxy)}", expected, "correct the annotation")
     if x1 <= x0 or y1 <= y0:
         found = f"box {_show(xyxy)} of size {x1 - x0:g}x{y1 - y0:g}"
         return None, Problem(where, "box-empty", found, "a width and height above 0", "correct the annotation")

@@ -12,7 +12,6 @@ Corners run clockwise on screen. The two first lines may be missing; names of ca
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,6 +33,7 @@ from infrablend.formats.base import (
     check_splits,
     few,
     is_ignored_name,
+    is_near,
     overhang_px,
     read_text,
     require_size,
@@ -321,7 +321,7 @@ def _object(words: Sequence[str], size_wh: tuple[int, int], where: str, problems
         problems.append(Problem(where, "label-malformed", repr(" ".join(words)[:80]), expected, "correct the line"))
         return None
     corners = np.array(numbers, np.float64).reshape(4, 2)
-    if all(map(math.isfinite, numbers)) and polygon_area(corners) < 0:
+    if is_near(numbers) and polygon_area(corners) < 0:
         corners = corners[[0, 3, 2, 1]]
     box, problem = check_box(box_of_points(corners).tolist(), size_wh, where)
     if problem is not None and problem.code == "box-clipped":

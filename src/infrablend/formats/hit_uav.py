@@ -37,6 +37,7 @@ from infrablend.formats.base import (
     check_splits,
     few,
     is_ignored_name,
+    is_near,
     number_ids,
     obb_from_corners,
     overhang_px,
@@ -489,7 +490,7 @@ def _set_geometry(data: _FormData, item: _Object, bbox: object, rotated: bool, s
         if problem is not None:
             data.problems.append(problem)
         return item.box is not None
-    if not all(math.isfinite(v) for v in values):
+    if not is_near(values):
         data.add(item.where, "box-not-finite", f"bbox {bbox!r}"[:120], "finite numbers", "correct the annotation")
         return False
     if values[2] <= 0 or values[3] <= 0:

@@ -34,6 +34,7 @@ from infrablend.formats.base import (
     check_splits,
     few,
     is_ignored_name,
+    is_near,
     read_json,
     require_size,
     sort_images,
@@ -318,7 +319,7 @@ def _corners(value: object) -> NDArray[np.float64] | None:
     if not isinstance(value, list) or len(value) != 4:
         return None
     points = [to_floats(p, 2) for p in value]
-    return np.array(points, np.float64) if all(p is not None and np.isfinite(p).all() for p in points) else None
+    return np.array(points, np.float64) if all(p is not None and is_near(p) for p in points) else None
 
 
 def _id(value: object) -> int | str | None:

@@ -302,8 +302,10 @@ def parse_labels(text: str, where: str) -> LabelLines:
             problems.append(Problem(here, "label-malformed", repr(line[:80]), expected, "correct the line"))
             continue
         values = tuple(numbers[1:])
-        if not all(math.isfinite(v) for v in values):
-            problems.append(Problem(here, "box-not-finite", repr(line[:80]), "finite numbers", "correct the line"))
+        if not all(math.isfinite(v) and abs(v) < 1000 for v in values):
+            problems.append(
+                Problem(here, "box-not-finite", repr(line[:80]), "finite shares of the picture", "correct the line")
+            )
             continue
         if (int(numbers[0]), values) in seen:
             found = "the same line again, kept"
