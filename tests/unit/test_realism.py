@@ -14,7 +14,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, MissingDependencyError
 from infrablend.pipeline.realism import STEPS, chain_steps
-from infrablend.realism import classify, controls, features
+from infrablend.realism import classify, controls, features, nets
 from infrablend.realism.distance import dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, unfit
 from infrablend.realism.matching import CALIPER_OCTAVES, pair_by_size
@@ -265,6 +265,37 @@ def test_distance_is_nothing_for_equals_and_grows_with_the_shift():
     assert mmd(x, z).mean > 10 * abs(mmd(x, y).mean)
     with pytest.raises(ValueError, match="needs 100 crops"):
         mmd(x[:50], y)
+
+
+def test_networks_say_why_they_do_not_run(monkeypatch):
+    monkeypatch.setattr(nets.importlib.util, "find_spec", lambda name: None)
+    assert nets.missing("torch") == "torch is not installed"
+    assert nets.no_inception(2000) == "torch and torchvision are not installed"
+    assert nets.no_inception(900) == "900 crops, 1000 are needed"
+
+
+def test_the_network_tells_shifted_crops_and_not_equal_ones():
+    pytest.importorskip("torch")
+    told = nets.score_crops(made_up(60, 0, 1), made_up(60, 2, 2), epochs=3)
+    assert told.auc > 0.95
+    again = nets.score_crops(made_up(60, 0, 1), made_up(60, 2, 2), epochs=3)
+    assert (told.predictions == again.predictions).all()
+    assert abs(nets.score_crops(made_up(60, 0, 1), made_up(60, 0, 2), epochs=3).auc - 0.5) < 0.2
+
+
+def test_kid_uses_the_weights_in_torchs_cache(monkeypatch, tmp_path):
+    torch = pytest.importorskip("torch")
+    models = pytest.importorskip("torchvision.models")
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    assert "not in torch's cache" in nets.no_inception(1000)
+    (tmp_path / "checkpoints").mkdir()
+    torch.manual_seed(0)
+    net = models.inception_v3(weights=None, init_weights=False, aux_logits=True)
+    torch.save(net.state_dict(), tmp_path / "checkpoints" / nets.WEIGHTS)
+    assert nets.no_inception(1000) is None
+    found = nets.inception_features(made_up(2, 0, 1))
+    assert found.shape == (2, 2048)
+    assert np.isfinite(found).all()
 
 
 def test_figures_count_only_with_controls_that_behave():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -58,10 +58,22 @@ def score(real: Sequence[Measured], other: Sequence[Measured], kind: Kind) -> Sc
     """AUC of five folds over whole backgrounds."""
     x = np.array([m.features for m in (*real, *other)], np.float64)
     y = np.repeat([0, 1], [len(real), len(other)])
-    names = {g: i for i, g in enumerate(sorted({m.group for m in (*real, *other)}))}
-    groups = np.array([names[m.group] for m in (*real, *other)])
+    groups = group_numbers([*real, *other])
     predictions = out_of_fold(x, y, groups, kind)
     return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions, len(real))
+
+
+def group_numbers(objects: Sequence[Measured]) -> NDArray[np.int64]:
+    """(n,) the background of each object, counted from 0."""
+    names = {g: i for i, g in enumerate(sorted({m.group for m in objects}))}
+    return np.array([names[m.group] for m in objects], np.int64)
+
+
+def group_folds(groups: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """(indices to train on, indices to test on), five times, no group on both sides."""
+    from sklearn.model_selection import GroupKFold
+
+    yield from GroupKFold(FOLDS).split(groups, groups=groups)
 
 
 def out_of_fold(
@@ -70,12 +82,11 @@ def out_of_fold(
     """(n,) log odds of class 1, each by a model that saw no object of the same group."""
     from sklearn.ensemble import GradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
-    from sklearn.model_selection import GroupKFold
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
     predictions = np.zeros(len(y))
-    for train, test in GroupKFold(FOLDS).split(x, y, groups):
+    for train, test in group_folds(groups):
         model = (
             make_pipeline(StandardScaler(), LogisticRegression(max_iter=2000))
             if kind == "logistic"

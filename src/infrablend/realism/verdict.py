@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infrablend.realism.classify import FOLDS, Score, auc, score, weights
+from infrablend.realism.classify import FOLDS, Score, auc, group_numbers, score, weights
 from infrablend.realism.distance import SUBSET, dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Measured
+from infrablend.realism.nets import inception_features, missing, no_inception, score_crops
 
 LEAST_PAIRS = 500
 HARD_AT_LEAST = 0.99
@@ -90,7 +92,9 @@ def judge_class(
     facts["all_sizes"] = {"real": _box_measures(real), "inserted": _box_measures(inserted)}
     facts["size_by_altitude"] = _sizes(real, inserted)
     facts["tells"] = _tells(reals, inserts) if logistic is not None else []
+    facts["cnn"] = _cnn(pairs, redone.get("floor", ()))
     facts["mmd_dct"] = _distances(reals, inserts)
+    facts["kid"] = _kid(reals, inserts)
     return ClassVerdict(category, facts, steps, pairs, logistic, boosting)
 
 
@@ -132,10 +136,16 @@ def _show(value: float | None) -> str:
 
 def _both(pairs: Pairs) -> tuple[Score | None, Score | None]:
     """Both classifiers; None where there are too few pairs or backgrounds for the folds."""
-    if len(pairs) < 2 * FOLDS or min(len({m.group for m in side}) for side in zip(*pairs, strict=True)) < FOLDS:
+    if _too_few(pairs):
         return None, None
     real, other = [r for r, _ in pairs], [o for _, o in pairs]
     return score(real, other, "logistic"), score(real, other, "boosting")
+
+
+def _too_few(pairs: Pairs) -> str | None:
+    if len(pairs) < 2 * FOLDS or min(len({m.group for m in side}) for side in zip(*pairs, strict=True)) < FOLDS:
+        return f"{len(pairs)} pairs on too few backgrounds for {FOLDS} folds"
+    return None
 
 
 def _of(s: Score | None) -> float | None:
@@ -223,16 +233,39 @@ def _tells(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str
     return sorted(found, key=lambda f: (-f["auc"], f["feature"]))
 
 
+def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> dict[str, Any]:
+    """The small network on the pairs and on the floor."""
+    if reason := missing("torch") or _too_few(pairs):
+        return {"skipped": reason}
+    s = score_crops([r for r, _ in pairs], [i for _, i in pairs])
+    facts: dict[str, Any] = {"auc": _of(s), "ci": _interval(s)}
+    by_key = {r.key: r for r, _ in pairs}
+    usable = [(by_key[m.key], m) for m in floor if not m.flaw and m.key in by_key]
+    if not _too_few(usable):
+        s = score_crops([r for r, _ in usable], [m for _, m in usable])
+        facts |= {"floor": _of(s), "floor_ci": _interval(s)}
+    return facts
+
+
+def _kid(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
+    if reason := no_inception(min(len(real), len(inserted))):
+        return {"skipped": reason}
+    return _apart(real, inception_features(real), inception_features(inserted))
+
+
 def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
-    """MMD on cosine coefficients of the crops, with halves of the real ones against each other as its floor."""
+    """MMD on cosine coefficients of the crops."""
     if min(len(real) // 2, len(inserted)) < SUBSET:
-        return {"skipped": f"{len(real)} pairs; {2 * SUBSET} are needed"}
+        return {"skipped": f"{len(real)} pairs, {2 * SUBSET} are needed"}
     a, b = dct_features(real), dct_features(inserted)
-    b, a = standardised(b, a), standardised(a, a)
-    groups = {g: n for n, g in enumerate(sorted({m.group for m in real}))}
-    half = np.array([groups[m.group] % 2 == 0 for m in real])
+    return _apart(real, standardised(a, a), standardised(b, a))
+
+
+def _apart(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+    """Distance of the inserted features `b` from the real `a`; its floor is that of two halves of the real ones."""
     apart = mmd(a, b)
     facts = {"inserted": [round(apart.mean, 6), round(apart.sd, 6)]}
+    half = group_numbers(real) % 2 == 0
     if min(half.sum(), (~half).sum()) >= SUBSET:
         floor = mmd(a[half], a[~half])
         facts["real_halves"] = [round(floor.mean, 6), round(floor.sd, 6)]

@@ -136,6 +136,7 @@ def _class_section(v: ClassVerdict, sheets: Sequence[CropSheet]) -> list[str]:
         for name, reasons in f["left_out"].items()
     )
     parts.append(f"<p>{f['n_real']} real and {f['n_inserted']} inserted objects measured. Left out: {left}.</p>")
+    parts += ["<h3>On the crops themselves</h3>", _table(["", "inserted", "floor"], _crop_rows(f))]
     if f["tells"]:
         parts += [
             "<h3>What gives the inserted ones away</h3>",
@@ -178,6 +179,26 @@ def _class_section(v: ClassVerdict, sheets: Sequence[CropSheet]) -> list[str]:
     ]
     parts += [f"<details><summary>{_e(s.title)}</summary>{_image(s.png, s.title)}</details>" for s in sheets]
     return parts
+
+
+def _crop_rows(f: Mapping[str, Any]) -> list[list[str]]:
+    """Network and distances; where one was skipped, why."""
+    rows = []
+    for key, name, inserted, floor in (
+        ("cnn", "small network, AUC", "auc", "floor"),
+        ("kid", "KID", "inserted", "real_halves"),
+        ("mmd_dct", "MMD on cosine frequencies", "inserted", "real_halves"),
+    ):
+        found = f[key]
+        if "skipped" in found:
+            rows.append([name, f"skipped: {found['skipped']}", "-"])
+        else:
+            rows.append([name, _mean_sd(found[inserted]), _mean_sd(found.get(floor))])
+    return rows
+
+
+def _mean_sd(value: Any) -> str:
+    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else _n(value)
 
 
 def _plots(v: ClassVerdict) -> bytes:
