@@ -254,7 +254,7 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="form"):
         detection.read(tmp_path, form="normal")
     with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
-        detection.read(tmp_path, format="voc")
+        detection.read(tmp_path, format="no-such-format")
     with pytest.raises(DatasetError, match="no such folder"):
         detection.read(tmp_path / "absent")
 
