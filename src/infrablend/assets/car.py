@@ -58,10 +58,10 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
 }
 
 # Clear night, parked for hours: what faces the sky is below air temperature, a roof by 8.5 K without wind and by 4 K at
-# 3 m/s (energy balance). The warmer half of that range is drawn: HIT-UAV's median car is 46 +- 12 levels darker than
+# 3 m/s (energy balance). The middle of that range is drawn: HIT-UAV's median car is 46 +- 12 levels darker than
 # the ground at its middle, which is 7.7 K at 6 levels per kelvin, and mirroring the sky makes some 4 K of it.
 _PARKED_COLD: Mapping[str, Range] = {
-    "roof": (-6.0, -4.0), "bonnet": (-6.0, -4.0), "boot": (-6.0, -4.0), "cowl": (-5.5, -3.5),
+    "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-6.0, -4.0),
     "wing": (-3.5, -1.0), "side": (-3.0, -0.5), "pillar": (-5.0, -2.5), "front": (-3.0, -0.5),
     "rear": (-3.0, -0.5), "trim": (-5.0, -2.0), "windscreen": (-5.0, -3.0), "rear_window": (-5.0, -3.0),
     "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (-1.5, 0.5), "rim": (-2.5, -0.5), "brake": (-1.0, 0.5),

@@ -79,10 +79,13 @@ PARTS: Mapping[str, PartRange] = {
     "strap": made_of("cloth", (1.5, 5.0), "on the jacket"),
     "seat": made_of("wood", (-1.0, 1.0), "wood or stone at air temperature; no part of a person", label=False),
 }
-# One or two thin layers in mild weather: the upper end of summer clothing's +3..+10 K, and hair in still air (2.2, K).
+# One or two thin layers in mild weather: the upper end of summer clothing's +3..+10 K; skin of 24-34 C is not chilled,
+# and warms hair and collar (2.2, K).
 _LIGHT: Mapping[str, tuple[float, float]] = {
-    "leg": (8.0, 16.0), "hair": (8.0, 14.0), "hat": (5.0, 10.0), "hood": (5.0, 10.0), "collar": (8.0, 14.0),
-    "jacket": (6.0, 10.0), "sleeve": (6.0, 10.0), "coat_skirt": (5.0, 9.0), "trousers": (6.0, 10.0), "shoe": (3.0, 8.0),
+    "face": (16.0, 26.0), "nose": (12.0, 22.0), "ear": (12.0, 22.0), "neck": (16.0, 26.0), "hand": (14.0, 24.0),
+    "leg": (10.0, 18.0), "hair": (10.0, 16.0), "hat": (7.0, 10.0), "hood": (7.0, 10.0), "collar": (10.0, 16.0),
+    "jacket": (8.0, 10.0), "sleeve": (8.0, 10.0), "coat_skirt": (6.0, 10.0), "trousers": (8.0, 10.0),
+    "shoe": (4.0, 9.0),
 }  # fmt: skip
 PART_NAMES = tuple(PARTS)
 CLOTHING = ("winter", "light")
