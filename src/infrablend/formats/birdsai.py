@@ -83,7 +83,7 @@ class _Part:
         """All pictures."""
         if not self.flat:
             return list_pictures(self.folder / "images")
-        return {p.name: p for p in sorted(self.folder.iterdir()) if is_picture_name(p.name) and p.is_file()}
+        return {p.name: p for p in sorted(self.folder.glob("*")) if is_picture_name(p.name) and p.is_file()}
 
     @cached_property
     def frames(self) -> dict[str, dict[int, Path]]:
@@ -119,7 +119,7 @@ def _parts(root: Path) -> list[_Part]:
     # Frames of BIRDSAI in another format are not ours: a bare folder has nothing but pictures and our tables.
     labels = (".txt", ".xml", ".json", ".yaml", ".yml", ".csv")
     if not found and root.is_dir():
-        beside = [p for p in sorted(root.iterdir()) if p.is_dir() or p.suffix.lower() in labels]
+        beside = [p for p in sorted(root.glob("*")) if p.is_dir() or p.suffix.lower() in labels]
         bare = all(p.stem == "metadata" or is_hidden(p.name) for p in beside)
         found = [p for p in [_Part("train", root, True)] if bare and p.frames]
     return found
