@@ -123,7 +123,7 @@ def generate(
         seed: Same seed, same data, same recipe: same bytes.
         workers: Worker processes; one per processor core by default.
         device: auto, cpu, cuda, optix, hip, metal, oneapi.
-        formats: Some of yolo, yolo-obb, yolo-seg, coco, native; as the recipe says by default.
+        formats: Some of yolo, coco, ... (docs/reference/formats.md) and native; as the recipe says by default.
         form: Read only this form of the dataset (HIT-UAV: normal_json, rotate_json, normal_xml, rotate_xml).
         metadata: Table of pitch and altitude (CSV or JSON), for datasets that do not say it themselves.
         options: Further options of the dataset's reader, e.g. `{"pitch_sign": "-1"}` for MONET.

@@ -38,7 +38,7 @@ def generate(
     device: DeviceOption = Device.AUTO,
     formats: Annotated[
         str | None,
-        typer.Option("--format", metavar="LIST", help="Some of yolo,yolo-obb,... [default: all]."),
+        typer.Option("--format", metavar="LIST", help="Some of yolo,coco,dota,... or native [default: the recipe's]."),
     ] = None,
     form: Annotated[
         str | None,

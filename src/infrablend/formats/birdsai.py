@@ -595,5 +595,5 @@ def _line(
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
     hidden = instance.visibility is not None and instance.visibility < 1
-    flags = [int(v == 1) for v in (instance.extra.get("occlusion", hidden), instance.extra.get("noise", 0))]
-    return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{flags[0]},{flags[1]}\n"
+    occluded, noisy = hidden or instance.extra.get("occlusion") == 1, instance.extra.get("noise") == 1
+    return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{int(occluded)},{int(noisy)}\n"
