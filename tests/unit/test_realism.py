@@ -274,13 +274,14 @@ def test_networks_say_why_they_do_not_run(monkeypatch):
     assert nets.no_inception(900) == "900 crops, 1000 are needed"
 
 
-def test_the_network_tells_shifted_crops_and_not_equal_ones():
+def test_the_network_tells_shifted_crops_and_not_equal_ones(monkeypatch):
     pytest.importorskip("torch")
-    told = nets.score_crops(made_up(60, 0, 1), made_up(60, 2, 2), epochs=3)
+    monkeypatch.setattr(nets, "BATCH", 16)
+    real, other = made_up(40, 0, 1), made_up(40, 2, 2)
+    told = nets.score_crops(real, other, epochs=8)
     assert told.auc > 0.95
-    again = nets.score_crops(made_up(60, 0, 1), made_up(60, 2, 2), epochs=3)
-    assert (told.predictions == again.predictions).all()
-    assert abs(nets.score_crops(made_up(60, 0, 1), made_up(60, 0, 2), epochs=3).auc - 0.5) < 0.2
+    assert (nets.score_crops(real, other, epochs=8).predictions == told.predictions).all()
+    assert abs(nets.score_crops(real, made_up(40, 0, 2), epochs=2).auc - 0.5) < 0.25
 
 
 def test_kid_uses_the_weights_in_torchs_cache(monkeypatch, tmp_path):
