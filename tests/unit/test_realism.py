@@ -125,7 +125,8 @@ def test_patches_keep_the_grid_or_are_scaled_down():
     large = measured(picture, np.array([4.0, 4.0, 124.0, 124.0]))
     assert large.patch.shape == (48, 48)
     at_the_edge = features.patch(picture, np.array([0.0, 0.0, 20.0, 20.0]))
-    assert at_the_edge.shape == (48, 48)
+    assert (at_the_edge == np.rint(picture[:48, :48])).all()
+    assert features.patch(picture[:40], BOX).shape == (48, 48)
 
 
 # ---- controls

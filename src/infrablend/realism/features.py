@@ -376,7 +376,10 @@ def patch(picture: Picture, box_xyxy: NDArray[np.float64]) -> NDArray[np.uint8]:
     """(48, 48) crop around a box; half as much again as the box where that is more than 48 px, scaled down."""
     x0, y0, x1, y1 = box_xyxy
     side = max(PATCH_PX, round(1.5 * max(x1 - x0, y1 - y0)))
-    left, top = round((x0 + x1 - side) / 2), round((y0 + y1 - side) / 2)
+    h, w = picture.shape
+    # Near the frame's edge the object is off the middle; a mirrored edge would look like an object of its own.
+    left = max(min(round((x0 + x1 - side) / 2), w - side), min(0, (w - side) // 2))
+    top = max(min(round((y0 + y1 - side) / 2), h - side), min(0, (h - side) // 2))
     pad = (max(-top, 0), max(top + side - picture.shape[0], 0), max(-left, 0), max(left + side - picture.shape[1], 0))
     cut = picture[max(top, 0) : top + side, max(left, 0) : left + side]
     whole = cv2.copyMakeBorder(cut, *pad, cv2.BORDER_REFLECT_101) if any(pad) else cut
