@@ -9,7 +9,7 @@ picture's own statistics.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -27,6 +27,8 @@ CLIP_MARGIN = 3
 # What an annotated object's level is worth as a reading, beside its temperature's uncertainty.
 _READING_GREY = 5.0
 _FACE_K = 301.15
+# This share of an object must stand out from the ground.
+_SEEN_SHARE = 0.2
 # What the middle of a person's box shows of the clothes' contrast: limbs, straps and the optics take the rest. Measured
 # on rendered people of 8 to 30 px through the HIT-UAV chain: median 0.79, at all of these sizes.
 _CLOTHING_SEEN = 0.8
@@ -147,22 +149,37 @@ def local_mapping(
     return mapping, facts
 
 
-def expected_contrast(item: ObjectSpec, place: GreyMapping | Place, ground_grey: float, weather: Weather) -> float:
-    """Largest difference from the ground that a labelled part of an object would show, in the picture's levels.
+def expected_contrast(
+    item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ground_grey: float, weather: Weather
+) -> float:
+    """Difference from the ground that a fifth of an object's labelled surface reaches, in the picture's levels.
 
     Each part is taken to mirror the ground or the zenith, whichever shows more: what this calls invisible is so.
+
+    Args:
+        item: The object.
+        areas: What is seen of each part, in any unit of area.
+        place: The mapping there.
+        ground_grey: Level of the ground there.
+        weather: Sky and ground.
     """
     zenith = float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))
     around = (zenith, float(band_radiance(weather.ground_k)))
-    largest = 0.0
-    for part in item.parts.values():
-        if part.label:
+    found = []
+    for name, part in item.parts.items():
+        if part.label and areas.get(name, 0.0) > 0:
             own = part.emissivity * float(band_radiance(part.temperature_k))
-            for mirrored in around:
-                leaving = own + (1 - part.emissivity) * mirrored
-                grey = place.dark + (place.bright - place.dark) * leaving
-                largest = max(largest, abs(grey - ground_grey))
-    return largest
+            levels = [
+                place.dark + (place.bright - place.dark) * (own + (1 - part.emissivity) * mirrored)
+                for mirrored in around
+            ]
+            found.append((max(abs(v - ground_grey) for v in levels), areas[name]))
+    total, seen = sum(area for _, area in found), 0.0
+    for contrast, area in sorted(found, reverse=True):
+        seen += area
+        if seen >= _SEEN_SHARE * total:
+            return contrast
+    return 0.0
 
 
 def grey_unit(background: GreyImage, levels: tuple[float, float]) -> float:

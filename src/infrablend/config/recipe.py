@@ -166,8 +166,8 @@ class Placement(Strict):
     """Metric placement: what stands needs even ground under its feet: at most this standard deviation there, 8-bit
     grey levels (trees, roofs' edges and kerbs have more). 0: no check."""
     min_contrast_grey: float = Field(4.0, ge=0)
-    """`matching.mode: local`: an object of which no part would differ by this much from the ground is not inserted,
-    8-bit grey levels."""
+    """`matching.mode: local`: an object of which less than a fifth would differ by this much from the ground is not
+    inserted, 8-bit grey levels."""
 
 
 class Environment(Strict):

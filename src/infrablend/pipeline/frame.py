@@ -25,7 +25,7 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, Perce
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
 from infrablend.config.recipe import Recipe
-from infrablend.core.camera import object_to_world
+from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes, write_json
@@ -33,7 +33,7 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.registry import resolve
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
-from infrablend.core.scene import SceneSpec
+from infrablend.core.scene import ObjectSpec, SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix, save_image
@@ -186,8 +186,8 @@ class FrameMaker:
                 least *= grey_unit(background.pixels, facts["levels"])
             places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
             seen = [
-                expected_contrast(o, place, ground, weather)
-                for o, place, ground in zip(sampled.spec.objects, places, grounds, strict=True)
+                expected_contrast(spec, part_areas(sampled.spec.camera, spec, mesh), place, ground, weather)
+                for spec, mesh, place, ground in zip(sampled.spec.objects, sampled.meshes, places, grounds, strict=True)
             ]
             faint = [k for k, contrast in enumerate(seen) if contrast < least]
             if not faint:
@@ -342,6 +342,18 @@ def insert_of(spec: SceneSpec, number: int, mesh: Mesh) -> Insert:
     u, v = ((box[:2] + box[2:]) / 2).tolist()
     below = ground_point(camera, u, v, spec.view.ground_z_m)
     return Insert(box, away, None if below is None else float(np.linalg.norm(below - camera.position_m)))
+
+
+def part_areas(camera: CameraSpec, item: ObjectSpec, mesh: Mesh) -> dict[str, float]:
+    """Area of each part that faces the camera, px^2; what lies behind other parts is not taken off."""
+    world = object_to_world(mesh.vertices_m, item.position_m, item.yaw_rad, item.scale)
+    xy, depth = camera.project(world)
+    corners = xy[mesh.triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # Counter-clockwise from outside in the world is clockwise, negative, with y down.
+    facing = np.where((depth[mesh.triangles] > 0).all(axis=1), np.maximum(b[:, 0] * a[:, 1] - a[:, 0] * b[:, 1], 0), 0)
+    areas = np.bincount(mesh.part_of_triangle, facing / 2, len(mesh.part_names))
+    return dict(zip(mesh.part_names, areas.tolist(), strict=True))
 
 
 def require_readable_levels(background: Background) -> None:
