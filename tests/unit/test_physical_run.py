@@ -31,6 +31,13 @@ def folder(root: Path, pictures: dict[str, Image.Image]) -> Path:
     return root
 
 
+def write_yolo(root: Path, stem: str, pixels: np.ndarray, lines: list[str]) -> None:
+    for kind in ("images", "labels"):
+        (root / kind / "train").mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(root / "images" / "train" / f"{stem}.png")
+    (root / "labels" / "train" / f"{stem}.txt").write_text("\n".join(lines) + "\n")
+
+
 def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=()):
     pairs = ["output.image=png", "configurations=1", *settings]
     return api.generate(recipe, data, out, settings=pairs, renderer="fake", in_process=True)
@@ -106,3 +113,28 @@ def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
     report = generate(data, tmp_path / "run", settings=["placement.min_contrast_grey=5000"])
     assert report.counts["frames_without_object"] == 1
     assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
+
+
+def test_other_class_names_change_no_picture(tmp_path):
+    # Cars and people tell the camera's height and the grey levels by what they are, not by what they shall be called.
+    data = tmp_path / "data"
+    for k, name in enumerate(RECORDS):
+        write_yolo(data, name, scenery(k), ["0 0.5 0.5 0.03 0.05", "1 0.25 0.3 0.08 0.1", "2 0.8 0.8 0.1 0.1"])
+    (data / "data.yaml").write_text("train: images/train\nval: images/train\nnames: [Person, Car, DontCare]\n")
+    generate(data, tmp_path / "plain")
+    generate(data, tmp_path / "renamed", settings=["labels.rename={Person: human, Car: human, DontCare: human}"])
+    plain, renamed = records(tmp_path / "plain"), records(tmp_path / "renamed")
+    assert len(plain) == len(RECORDS)
+    assert all(set(r.scene.view.anchors) == {"person", "car"} for r in plain)
+    assert [(r.scene, r.mapping, r.image_sha256) for r in plain] == [
+        (r.scene, r.mapping, r.image_sha256) for r in renamed
+    ]
+
+
+def test_a_run_without_places_says_so(tmp_path):
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    settings = ["objects=[{model: person}]", "camera.pitch={fixed_deg: -20}"]
+    report = generate(data, tmp_path / "run", settings=settings)
+    (found,) = [p for p in report.problems if p.code == "objects-absent"]
+    assert found.found == "1 of 1 objects were not inserted (no_place 1, no_ground 200)"
+    assert not [p for p in generate(data, tmp_path / "good").problems if p.code == "objects-absent"]

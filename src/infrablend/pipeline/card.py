@@ -26,11 +26,15 @@ _REMOVED: Mapping[RemovalReason, str] = {
 _LIMITS = (
     "Inserted objects are rendered: scores on them say how well a detector finds such renders, and more only after a "
     "test on real pictures of that class.",
-    "Inserted objects were placed by a virtual camera, not in a measured scene: they may lie before, above or on "
-    "anything.",
     "Several frames may show the same background. They are in the background's split; keep them together if you split "
     "anew.",
 )
+_PLACED = {
+    "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may lie before, above or "
+    "on anything.",
+    "metric": "Inserted objects were placed over a flat ground, with height and lens of the camera as the recipe and "
+    "the metadata say: what stands may stand where no such thing can be, and nothing of the picture hides any of them.",
+}
 _NOT_RADIOMETRIC = (
     "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels are no temperatures."
 )
@@ -44,7 +48,9 @@ def run_card(
     classes = ", ".join(dict.fromkeys(o.category or plan.models[o.model].category for o in recipe.objects))
     source = find_provenance(plan.dataset)
     short = source.title.partition(":")[0] or "a thermal aerial dataset"
-    limits = [*_LIMITS, *([_NOT_RADIOMETRIC] if recipe.appearance.mode == "artistic" else [])]
+    limits = [*_LIMITS, _PLACED[recipe.placement.mode]]
+    if recipe.appearance.mode == "artistic":
+        limits.append(_NOT_RADIOMETRIC)
     if recipe.camera.pitch != "metadata":
         limits.append("Inserted objects were not seen from each picture's own camera pitch: the recipe set another.")
     return Card(

@@ -52,6 +52,7 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
         problems += written.problems
     problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
+    problems += absent_warnings(finished.draws)
     if images:
         problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
     return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(problems))
@@ -97,6 +98,18 @@ def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
         where = first if len(by_place) == 1 else f"{first} and {len(by_place) - 1} more"
         warnings.append(Problem(where, code, w["found"], w["expected"], w["todo"], "warning"))
     return warnings
+
+
+def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
+    """A warning if at least half of the wanted objects are missing: no ground in sight, say, or all too small."""
+    absent, wanted = sum(draws.get("absent", {}).values()), draws.get("wanted", 0)
+    if not absent or 2 * absent < wanted:
+        return []
+    most = sorted(draws["rejected"].items(), key=lambda r: (-r[1], r[0]))[:3]
+    why = ", ".join(f"{name} {n}" for name, n in (*draws["absent"].items(), *most))
+    todo = "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
+    found = f"{absent} of {wanted} objects were not inserted ({why})"
+    return [Problem("placement", "objects-absent", found, "a place for most", todo, "warning")]
 
 
 def summarize(
@@ -152,6 +165,7 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     ]
     return {
         "scenes": len(scenes),
+        "wanted": sum(int(s.draws["wanted"]) for s in scenes),
         "attempts_total": sum(attempts),
         "attempts_max": max(attempts),
         "rejected": dict(sorted(rejected.items())),

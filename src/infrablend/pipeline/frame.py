@@ -65,7 +65,7 @@ class FrameSettings:
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
         pin_cores: Keep each worker on a processor core of its own.
-        ignored: Names of the categories that mark ignore regions.
+        ignored: The source's own names of the categories that mark ignore regions.
     """
 
     out: Path
@@ -111,10 +111,10 @@ class FrameMaker:
         background = load_background(source.path, source.size_wh)
         if self._recipe.matching.mode == "local":
             require_readable_levels(background)
-        site = self._site(source, background)
+        site = self._site(frame.as_read, background)
         sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed, site)
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
-        sampled, mapping, matching_facts = self._match(source, background, sampled)
+        sampled, mapping, matching_facts = self._match(frame.as_read, background, sampled)
         sensor = self._sensor(background, sampled)
         picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px, sensor)
 

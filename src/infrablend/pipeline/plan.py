@@ -31,10 +31,18 @@ TYPICAL_LABELS_BYTES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class PlannedFrame:
-    """One frame to make: configuration k on a background, or (k None) the background itself, unchanged."""
+    """One frame to make: configuration k on a background, or (k None) the background itself, unchanged.
+
+    Attributes:
+        background: With its classes named as the recipe wants them.
+        configuration: k.
+        as_read: With the source's own class names, which say what the picture shows: camera height, grey levels and
+            free places must not depend on what the labels are to be called.
+    """
 
     background: ImageRecord
     configuration: int | None
+    as_read: ImageRecord
 
     @property
     def name(self) -> str:
@@ -77,6 +85,7 @@ class RunPlan:
         frames: In order: split, background, configuration.
         problems: What is left out and why; warnings too.
         key: What must be equal for a run to be resumed; field -> digest or value.
+        ignored: The source's own names of the categories that mark ignore regions.
     """
 
     recipe: Recipe
@@ -88,6 +97,7 @@ class RunPlan:
     frames: tuple[PlannedFrame, ...]
     problems: tuple[Problem, ...]
     key: Mapping[str, Any]
+    ignored: tuple[str, ...] = ()
 
     def estimate(self, workers: int) -> dict[str, Any]:
         """Frames, disk and time the run will take, roughly."""
@@ -126,7 +136,10 @@ def make_plan(
     require_parts(recipe, models)
     _require_options(recipe, models)
     _require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
-    dataset = rename_classes(dataset, recipe.labels.rename)
+    ignored = tuple(c.name for c in dataset.categories if c.ignore)
+    renamed = rename_classes(dataset, recipe.labels.rename)
+    as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
+    dataset = renamed
     _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
     problems = list(dataset.problems)
@@ -195,8 +208,8 @@ def make_plan(
     frames = []
     for image in usable:
         if recipe.output.originals:
-            frames.append(PlannedFrame(image, None))
-        frames += [PlannedFrame(image, k) for k in range(recipe.configurations)]
+            frames.append(PlannedFrame(image, None, as_read[id(image)]))
+        frames += [PlannedFrame(image, k, as_read[id(image)]) for k in range(recipe.configurations)]
     trimmed = Dataset(
         dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra
     )
@@ -208,7 +221,9 @@ def make_plan(
     }
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
-    return RunPlan(recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key)
+    return RunPlan(
+        recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key, ignored
+    )
 
 
 def is_text(name: str) -> bool:

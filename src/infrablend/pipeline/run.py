@@ -138,7 +138,7 @@ def run_plan(
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
             levels=dataset_levels(plan) if _needs_levels(plan) else None,
-            ignored=tuple(c.name for c in plan.dataset.categories if c.ignore),
+            ignored=plan.ignored,
         )
         worker = WorkerSpec(FACTORY, settings)
         executor: Executor
