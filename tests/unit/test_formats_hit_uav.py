@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
-from infrablend.core.dataset import Dataset
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
 from infrablend.formats import hit_uav
 from infrablend.formats.capture import facts_from_name
@@ -332,3 +333,34 @@ def test_file_name_grammar(name: str, facts: tuple[Any, ...] | None) -> None:
         assert found is not None
         c = found.capture
         assert (c.pitch_deg, c.altitude_m, c.time_of_day, found.frame, found.configuration) == facts
+
+
+def made(folder: Path, names: list[tuple[str, Split]], instances: tuple[Instance, ...]) -> list[ImageRecord]:
+    images = []
+    for name, split in names:
+        path = folder / split / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("L", (64, 48), 90).save(path)
+        images.append(ImageRecord(path.stem, path, split, (64, 48), None, None, None, instances))
+    return images
+
+
+def test_xml_splits_hold_for_names_with_blanks(tmp_path: Path) -> None:
+    images = made(tmp_path / "in", [("a b.png", "val"), ("c.png", "test")], ())
+    hit_uav.write(tmp_path / "out", images, [Category(0, "Person")], forms=("normal_xml", "rotate_xml"))
+    again = hit_uav.read(tmp_path / "out")
+    assert {i.path.name: i.split for i in again.images} == {"a b.png": "val", "c.png": "test"}
+    assert "split-unknown" not in codes(again, "warning")
+
+
+def test_an_object_whose_two_boxes_hardly_overlap_stays_one(tmp_path: Path) -> None:
+    # A thin pole across its upright box, inserted by us; and a box thinner than a pixel, widened by the format.
+    turned = corners_of_cxcywha(np.array([30.3, 20.7, 40.0, 2.0, 0.7]))
+    low, high = turned.min(axis=0) + [6.0, 5.0], turned.max(axis=0) - [6.0, 5.0]
+    pole = Instance("Person", np.concatenate([low, high]), turned, inserted=True)
+    thin = Instance("Person", np.array([0.25, 0.125, 0.5, 48.0]))
+    images = made(tmp_path / "in", [("a.png", "train")], (pole, thin))
+    hit_uav.write(tmp_path / "out", images, [Category(0, "Person")], forms=("normal_xml", "rotate_xml"))
+    again = hit_uav.read(tmp_path / "out")
+    assert len(again.images[0].instances) == 2
+    assert np.allclose(again.images[0].instances[0].corners_xy, turned, rtol=0, atol=1e-6)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from infrablend import api
-from infrablend.core.dataset import Dataset, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, monet, writing
@@ -474,3 +474,18 @@ def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
     assert again.captured is not None and again.captured.startswith("2021-01-20")
     with pytest.raises(ValueError, match="second picture"):
         monet.write(tmp_path / "out", [image, replace(image, id="b")], detection.read(tmp_path / "in").categories)
+
+
+def test_without_any_pitch_the_files_are_still_known_for_what_they_are(tmp_path: Path) -> None:
+    instance = Instance("deer", np.array([3.0, 4.0, 20.0, 30.0]))
+    path = picture(tmp_path / "a.png")
+    image = ImageRecord("a", path, "train", (64, 48), None, None, None, (instance,))
+    written = monet.write(tmp_path / "out", [image], [Category(0, "deer")])
+    assert [p.code for p in written.problems] == ["telemetry-absent"]
+    # Never a folder of bare pictures, whose labels nobody would miss.
+    with pytest.raises(DatasetError, match="empty=keep"):
+        detection.read(tmp_path / "out")
+    (again,) = detection.read(tmp_path / "out", options={"empty": "keep"}).images
+    assert again.instances[0].box_xyxy.tolist() == [3.0, 4.0, 20.0, 30.0]
+    known = replace(image, pitch_deg=40.0)
+    assert not monet.write(tmp_path / "known", [known], [Category(0, "deer")]).problems

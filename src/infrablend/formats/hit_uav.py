@@ -561,6 +561,7 @@ def _read_xml_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]
 def _read_image_sets(data: _FormData, root: Path, folder: Path) -> dict[str, Split]:
     """Split by stem; empty if there are no lists, and then all is train."""
     split_of: dict[str, Split] = {}
+    there = {p.stem for p in _xml_files(folder)}
     sets = folder / "ImageSets" / "Main"
     for split in SPLITS:
         path = sets / f"{split}.txt"
@@ -570,7 +571,9 @@ def _read_image_sets(data: _FormData, root: Path, folder: Path) -> dict[str, Spl
         if fault is not None:
             data.problems.append(fault)
             continue
-        for stem in text.split():
+        # A stem a line, which may hold blanks.
+        lines = (line.strip() for line in text.splitlines())
+        for stem in (s for line in lines for s in ([line] if line in there else line.split())):
             if split_of.setdefault(stem, split) != split:
                 found = f"{stem!r} is also in {split_of[stem]}, which counts"
                 data.warn(_relative(root, path), "split-twice", found, "each stem in one list")
@@ -804,7 +807,11 @@ def _same_place(a: _Object, b: _Object) -> bool:
 
 
 def _pairs(ours: Sequence[_Object], theirs: Sequence[_Object]) -> list[tuple[int | None, int | None]]:
-    """Which of our objects is which of theirs: by annotation id, else by order, else by overlap."""
+    """Which of our objects is which of theirs: by annotation id, else by order, else by overlap.
+
+    A long oriented box that lies across its upright one overlaps it little, and a box thinner than a pixel is widened:
+    what overlap leaves over is paired where it stands at the same place of both lists and touches.
+    """
     ids, other = [o.source_id for o in ours], [o.source_id for o in theirs]
     if (
         ids
@@ -821,12 +828,14 @@ def _pairs(ours: Sequence[_Object], theirs: Sequence[_Object]) -> list[tuple[int
         a.category == b.category and _same_place(a, b) for a, b in zip(ours, theirs, strict=True)
     ):
         return [(i, i) for i in range(len(ours))]
-    ranked = []
+    ranked, touching = [], set()
     for i, a in enumerate(ours):
         x = a.bounds()
         for k, b in enumerate(theirs):
             y = b.bounds()
             w, h = min(x[2], y[2]) - max(x[0], y[0]), min(x[3], y[3]) - max(x[1], y[1])
+            if i == k and len(ours) == len(theirs) and a.category == b.category and min(w, h) >= -1:
+                touching.add(i)
             if w <= 0 or h <= 0:
                 continue
             both = w * h
@@ -837,6 +846,8 @@ def _pairs(ours: Sequence[_Object], theirs: Sequence[_Object]) -> list[tuple[int
     for _, _, i, k in sorted(ranked):
         if i not in match and k not in match.values():
             match[i] = k
+    taken = set(match.values())
+    match |= {i: i for i in touching if i not in match and i not in taken}
     left = [k for k in range(len(theirs)) if k not in match.values()]
     return [(i, match.get(i)) for i in range(len(ours))] + [(None, k) for k in left]
 

@@ -78,7 +78,15 @@ Place = tuple[str, ...]
 T = TypeVar("T")
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 # No annotations of backgrounds: pictures' tables, our own runs.
-_NO_ANNOTATIONS = ("metadata.json", "world.json", "run.json", "package.json")
+_NO_ANNOTATIONS = (
+    "metadata.json",
+    "world.json",
+    "run.json",
+    "package.json",
+    "convert.json",
+    "split.json",
+    "SOURCE.json",
+)
 _SKIPPED_FOLDERS = ("coco", "native", "scenes", "log")
 _JSON_DEPTH = 4
 _SPLITS: Mapping[str, Split] = {
@@ -808,7 +816,7 @@ def write(
     files = [write_text(out / name, text) for name, text in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / image.split / _picture_name(image)))
-    return Written(tuple(files), losses)
+    return Written(tuple(files), losses, tuple(_pitch_remarks(ordered)))
 
 
 def native_files(
@@ -829,6 +837,8 @@ def native_files(
     image_ids, object_ids = number_ids(ordered, ids, 1)
     new = ids == "new"
     losses: Counter[str] = Counter()
+    # Without any pitch nothing would tell these files from a folder of bare pictures.
+    unknown = all(i.pitch_deg is None for i in ordered)
     tops: dict[str, dict[str, Any]] = {}
     taken: set[tuple[str, str]] = set()
     for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
@@ -846,7 +856,10 @@ def native_files(
                 "annotations": [],
             },
         )
-        top["images"].append(_image_record(image, image_id, name, new, losses))
+        record = _image_record(image, image_id, name, new, losses)
+        if unknown:
+            _put(record, (NEST, PITCH_KEYS[0]), None)
+        top["images"].append(record)
         for instance, number in zip(image.instances, numbers, strict=True):
             a = coco.annotation_record(instance, require_size(image), new, "polygon", losses)
             a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
@@ -857,6 +870,19 @@ def native_files(
         for name, top in sorted(tops.items())
     }
     return texts, {k: v for k, v in sorted(losses.items()) if v}
+
+
+def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
+    """A warning for sequences without any pitch: the reader leaves them out unless it is told to keep them."""
+    known: dict[tuple[str, str], bool] = {}
+    for i in images:
+        place = (i.split, _folder_name(i))
+        known[place] = known.get(place, False) or i.pitch_deg is not None
+    empty = sum(not k for k in known.values())
+    if not empty:
+        return []
+    found, todo = f"{empty} sequence(s) without any camera pitch", "read it with --read empty=keep"
+    return [Problem("monet", "telemetry-absent", found, "the pitch that makes a sequence usable", todo, "warning")]
 
 
 def _folder_name(image: ImageRecord) -> str:
