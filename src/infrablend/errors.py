@@ -19,7 +19,7 @@ Per-item trouble (one bad image, one bad label) is no exception but a `Problem`,
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 Severity = Literal["error", "warning"]
@@ -53,6 +53,24 @@ class Problem:
         return asdict(self)
 
 
+SHOWN_ALIKE = 3
+
+
+def told(problems: Iterable[Problem]) -> list[str]:
+    """A line for each problem; what is wrong alike in more than three places is one line that names three of them."""
+    alike: dict[Problem, list[Problem]] = {}
+    for p in problems:
+        alike.setdefault(replace(p, where=""), []).append(p)
+    lines = []
+    for same in alike.values():
+        if len(same) <= SHOWN_ALIKE:
+            lines += [str(p) for p in same]
+        else:
+            places = ", ".join(p.where for p in same[:SHOWN_ALIKE])
+            lines.append(str(replace(same[0], where=f"{places} and {len(same) - SHOWN_ALIKE} more")))
+    return lines
+
+
 class InfraBlendError(Exception):
     """Root of all errors raised on purpose. `problems` holds all that was found, `message` is for people."""
 
@@ -64,7 +82,7 @@ class InfraBlendError(Exception):
     def __str__(self) -> str:
         if not self.problems:
             return self.message
-        return "\n".join([self.message, *(f"  - {p}" for p in self.problems)])
+        return "\n".join([self.message, *(f"  - {line}" for line in told(self.problems))])
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors cross process borders: keep them picklable whatever a subclass adds.

@@ -185,9 +185,7 @@ def test_something_skipped_is_code_1_and_named(api, capsys):
     out, err = capsys.readouterr()
     assert json.loads(out)["counts"] == {"inserted": 1, "skipped": 23}
     assert "23 problem(s)" in err
-    assert "bg19.jpg: only 9 bytes" in err
-    assert "bg20.jpg" not in err
-    assert "and 3 more" in err
+    assert "  - bg0.jpg, bg1.jpg, bg2.jpg and 20 more: only 9 bytes\n  each by name in " in err
     assert "1 warning(s)" in err
 
 
@@ -228,15 +226,28 @@ def test_every_error_of_ours_has_a_code():
 
 
 def test_all_problems_are_told_20_on_screen_the_rest_in_the_log(api, capsys, log_path):
-    problems = [Problem(f"recipe: field{i:02}", "range", "too big", "at most 1") for i in range(27)]
+    problems = [Problem(f"recipe: field{i:02}", "range", f"{i + 2} is too big", "at most 1") for i in range(27)]
     api.answers["generate"] = errors.RecipeError("The recipe has 27 bad fields.", problems)
     assert main(GENERATE) == 2
     err = capsys.readouterr().err
-    assert err.startswith("Error: The recipe has 27 bad fields.\n  - recipe: field00: too big; expected at most 1\n")
+    assert err.startswith(
+        "Error: The recipe has 27 bad fields.\n  - recipe: field00: 2 is too big; expected at most 1\n"
+    )
     assert "field19" in err
     assert "field20" not in err
     assert f"... and 7 more; all of them in {log_path}" in err
     assert "field26" in log_path.read_text()
+
+
+def test_the_same_problem_in_many_places_is_one_line_on_screen_and_each_in_the_log(api, capsys, log_path):
+    problems = [Problem(f"{i:02}.jpg", "no-pitch", "no camera pitch known", "a pitch") for i in range(35)]
+    api.answers["generate"] = errors.DatasetError("no usable background", [*problems, Problem("a.csv", "c", "odd")])
+    assert main(GENERATE) == 2
+    err = capsys.readouterr().err
+    assert "  - 00.jpg, 01.jpg, 02.jpg and 32 more: no camera pitch known; expected a pitch\n  - a.csv: odd\n" in err
+    assert f"  each by name in {log_path}" in err
+    assert "34.jpg: no camera pitch known" in log_path.read_text()
+    assert errors.told(problems[:3]) == [str(p) for p in problems[:3]]
 
 
 def test_errors_as_json(api, capsys):

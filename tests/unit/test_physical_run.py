@@ -108,6 +108,18 @@ def test_a_background_without_altitude_is_left_out_by_name(tmp_path):
     assert fixed.counts["frames"] == 2
 
 
+def test_the_ground_is_drawn_with_people_and_a_legend(tmp_path):
+    data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
+    generate(data, tmp_path / "run")
+    sheet = np.asarray(Image.open(api.preview_ground(tmp_path / "run", tmp_path / "ground.png"))).astype(int)
+    assert sheet.shape[1] >= 2 * 640
+    r, g, b = np.moveaxis(sheet, 2, 0)
+    yellow, pink = (r > b + 80) & (g > b + 50), (r > g + 80) & (b > g + 40)
+    assert yellow[:26].any() and pink[:26].any()  # the legend, 26 px
+    assert yellow[52:].sum() > 5 * 2 * 2 * 6  # five people, at 92 m more than 6 px high, drawn twice as large
+    assert not pink[52:].any()  # no cars where none are labelled
+
+
 def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
     report = generate(data, tmp_path / "run", settings=["placement.min_contrast_grey=5000"])

@@ -373,8 +373,14 @@ def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):
     plain.mkdir()
     for k, p in enumerate(sorted((dataset / "normal_json").rglob("*.jpg"))):
         shutil.copy(p, plain / f"picture {k}.jpg")
-    with pytest.raises(DatasetError, match="no camera pitch"):
+    with pytest.raises(DatasetError, match="no camera pitch known; expected a pitch in") as caught:
         generate(plain, tmp_path / "a")
+    assert len(caught.value.problems) == 4
+    metric = {"placement.mode": "metric"}
+    with pytest.raises(DatasetError, match="no camera pitch known and no camera height known"):
+        generate(plain, tmp_path / "a", settings=metric)
+    with pytest.raises(DatasetError, match=r"set camera.altitude to \{fixed_m"):
+        generate(plain, tmp_path / "a", settings=metric | {"camera.pitch.fixed_deg": 45})
     report = generate(plain, tmp_path / "b", settings={"camera.pitch.fixed_deg": 45, "output.image": "png"})
     assert report.counts["labels"] == {"drone": 8}
     (plain / "metadata.csv").write_text("file,pitch_deg\npicture 0.jpg,30\npicture 2.jpg,-5\n")
@@ -419,7 +425,7 @@ def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_
     generate(dataset, tmp_path / "p", settings=settings)
     for a, p in zip(records(tmp_path / "a"), records(tmp_path / "p"), strict=True):
         assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))
-    with pytest.raises(RecipeError, match="physical needs local"):
+    with pytest.raises(RecipeError, match=r"\n  - recipe: appearance.mode .* physical needs local"):
         generate(dataset, tmp_path / "x", settings={"appearance.mode": "physical"})
 
 

@@ -25,6 +25,7 @@ from infrablend.errors import (
     OutputError,
     Problem,
     RenderError,
+    told,
 )
 
 OK = 0
@@ -61,12 +62,15 @@ def exit_code(error: BaseException) -> int:
 
 
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
-    """One line for each problem, the first 20, then how many more there are and where they stand."""
-    all_of_them = list(problems)
-    lines = [f"  - {p}" for p in all_of_them[:SHOWN_PROBLEMS]]
+    """A line for each problem, alike ones together: the first 20, then how many more there are and where they stand."""
+    found = list(problems)
+    all_of_them = told(found)
+    lines = [f"  - {line}" for line in all_of_them[:SHOWN_PROBLEMS]]
     more = len(all_of_them) - SHOWN_PROBLEMS
     if more > 0:
         lines.append(f"  ... and {more} more" + (f"; all of them in {log_path}" if log_path else ""))
+    elif len(all_of_them) < len(found) and log_path:
+        lines.append(f"  each by name in {log_path}")
     return lines
 
 
@@ -77,6 +81,8 @@ def tell(error: BaseException, log_path: Path | None) -> int:
         typer.echo("Stopped.", err=True)
     elif isinstance(error, InfraBlendError):
         logger.info("%s: %s", type(error).__name__, error, exc_info=error)
+        for p in error.problems:  # each, as the message puts alike ones together
+            logger.info("%s", p)
         head = "" if isinstance(error, Interrupted) else typer.style("Error: ", fg="red", bold=True)
         typer.echo("\n".join([head + error.message, *problem_lines(error.problems, log_path)]), err=True)
     else:

@@ -174,6 +174,10 @@ class Dataset:
     notes: Mapping[str, Any] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:  # thousands of labels are no use on a screen
+        objects = sum(len(image.instances) for image in self.images)
+        return f"<Dataset {self.root}: {self.format}, {len(self.images)} images, {objects} objects>"
+
     def category(self, name: str) -> Category:
         """The category of that name; KeyError if there is none."""
         for c in self.categories:

@@ -127,6 +127,8 @@ def _problem(path: tuple[int | str, ...], e: ErrorDetails, code: str, see: str) 
     if e["type"] == "extra_forbidden":
         todo = _SPACE if ":" in where and e["input"] is None else see
         return Problem(where, f"{code}-unknown-key", f"unknown key (value {_short(e['input'])})", "a known field", todo)
+    if e["type"] == "value_error" and isinstance(e["input"], Mapping):  # fields that do not go together
+        return Problem(where or code, f"{code}-value", _expected(e))
     found = "nothing" if e["type"] == "missing" else _short(e["input"])
     kind = "length" if e["type"] in {"too_short", "too_long"} else "value"
     return Problem(where, f"{code}-{kind}", f"found {found}", _expected(e))

@@ -165,33 +165,15 @@ def make_plan(
                     "use its labels only (infrablend convert), or take another dataset",
                 )
             )
-        elif recipe.camera.pitch == "metadata" and image.pitch_deg is None:
-            problems.append(
-                Problem(
-                    image.name,
-                    "no-pitch",
-                    "no camera pitch known",
-                    "a pitch in the file name, the annotation or a metadata table",
-                    "give a table (docs/how_to/own_images.md), or set camera.pitch to {fixed_deg: ...}",
-                )
-            )
-        elif recipe.placement.mode == "metric" and recipe.camera.altitude == "metadata" and image.altitude_m is None:
-            problems.append(
-                Problem(
-                    image.path.name,
-                    "no-altitude",
-                    "no camera height known, which metric placement needs",
-                    "an altitude in the file name, the annotation or a metadata table",
-                    "give a table (docs/how_to/own_images.md), or set camera.altitude to {fixed_m: ...}",
-                )
-            )
+        elif unknown := _telemetry_missing(recipe, image):
+            problems.append(unknown)
         else:
             usable.append(image)
     if not usable:
         raise DatasetError(
             f"{dataset.root}: no usable background in {len(images)} image(s)"
             + (f" of split {', '.join(splits)}" if splits else ""),
-            problems[:20],
+            problems,
         )
     if recipe.labels.mode == "merged" and not any(image.instances for image in usable):
         found = "no labels in any image: what they show already counts as background"
@@ -247,6 +229,25 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
             problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
     if problems:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not take", problems)
+
+
+def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
+    """What the recipe needs to know of a picture's camera and nobody says."""
+    pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
+    metric = recipe.placement.mode == "metric"
+    height = metric and recipe.camera.altitude == "metadata" and image.altitude_m is None
+    if not pitch and not height:
+        return None
+    found = ["no camera pitch known"] * pitch + ["no camera height known, which metric placement needs"] * height
+    wanted = ["a pitch"] * pitch + ["an altitude"] * height
+    fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
+    return Problem(
+        image.name,
+        "no-pitch" if pitch else "no-altitude",
+        " and ".join(found),
+        f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
+        f"give a table (docs/how_to/own_images.md), or set {' and '.join(fields)}",
+    )
 
 
 def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset: Dataset) -> None:

@@ -62,9 +62,23 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
             )
         cells.append(_cell(frame, scene))
     buffer = io.BytesIO()
-    Image.fromarray(grid(cells, min(len(cells), 2))).save(buffer, "PNG", compress_level=6)
+    sheet = grid(cells, min(len(cells), 2))
+    sheet = np.concatenate([_legend(sheet.shape[1]), sheet])
+    Image.fromarray(sheet).save(buffer, "PNG", compress_level=6)
     write_bytes(out_png, buffer.getvalue())
     return out_png
+
+
+def _legend(width: int) -> Rgb:
+    texts = {
+        "the ground, as a grid": _GRID,
+        "a person of 1.7 m": _PERSON,
+        "a car of 4.6 m": _CAR,
+        "boxes of the labels: as large as the drawn ones?": _LABELLED,
+    }
+    widths = np.diff(np.linspace(0, width, len(texts) + 1).astype(int))
+    strips = zip(widths, texts.items(), strict=True)
+    return np.concatenate([text_strip(int(w), TITLE_PX, text, 14, colour) for w, (text, colour) in strips], axis=1)
 
 
 def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
@@ -89,10 +103,11 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
     for u, v in ((0.25, 0.25), (0.75, 0.25), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)):
         if (place := ground_point(camera, u * w, v * h, view.ground_z_m)) is not None:
             _draw_cuboid(canvas, camera, place, PERSON_M, _PERSON)
-    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items())) or "nothing annotated"
+    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items()))
+    source = f"from {rests}" if rests else "no object of known size"
     title = (
-        f"{frame.frame_id}   pitch {math.degrees(camera.pitch_rad):.0f}\u00b0   stated {view.stated_height_m:g} m, "
-        f"used {view.camera_height_m:.0f} m (from {rests})   grid {spacing} m, people 1.7 m, cars 4.6 m"
+        f"{frame.frame_id}   pitch {math.degrees(camera.pitch_rad):.0f}\u00b0   stated {view.stated_height_m:.0f} m, "
+        f"used {view.camera_height_m:.0f} m ({source})   grid {spacing} m"
     )
     return np.concatenate([text_strip(canvas.shape[1], TITLE_PX, title, 14, INK), canvas])
 
