@@ -166,6 +166,32 @@ def test_no_data_yaml_of_yolo(tmp_path: Path, text: str) -> None:
         yolo.read(tmp_path)
 
 
+def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:
+    for n in range(4):
+        picture(tmp_path / "images" / f"{n}.png")
+        (tmp_path / "labels").mkdir(exist_ok=True)
+        (tmp_path / "labels" / f"{n}.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    (tmp_path / "data.yaml").write_text("train: train.txt\nval: val.txt\nnames: [Person]\n")
+    (tmp_path / "train.txt").write_text("./images/0.png\nimages/1.png\n")
+    (tmp_path / "val.txt").write_text("images/2.png\nimages/1.png\nimages/9.png\n../3.png\n")
+    d = detection.read(tmp_path)
+    assert (d.format, [(i.name, i.split) for i in d.images]) == (
+        "yolo",
+        [("0.png", "train"), ("1.png", "train"), ("2.png", "val")],
+    )
+    assert all(len(i.instances) == 1 for i in d.images)
+    assert sorted(codes(d)) == ["image-missing", "name-climbs"]
+    assert codes(d, "warning")[0] == "split-twice"
+    (only,) = detection.read(tmp_path, splits=["val"]).images
+    assert only.name == "2.png"
+    # A folder beside a list: the list counts.
+    (tmp_path / "data.yaml").write_text("train: images\nval: val.txt\nnames: [Person]\n")
+    (tmp_path / "val.txt").write_text("images/2.png\n")
+    d = detection.read(tmp_path)
+    assert [i.split for i in d.images] == ["train", "train", "train", "val"]
+    assert codes(d, "warning") == ["split-twice"]
+
+
 def test_classes_of_hit_uav_with_a_drone() -> None:
     categories = (*CATEGORIES, Category(5, "drone"))
     dropped = {"Person": 0, "Car": 1, "Bicycle": 2, "OtherVehicle": 3, "drone": 4}

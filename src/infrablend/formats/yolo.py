@@ -40,7 +40,7 @@ from infrablend.formats.base import (
     sort_images,
 )
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
-from infrablend.formats.pictures import assign_ids, check_name, list_pictures, read_size
+from infrablend.formats.pictures import assign_ids, check_link, check_name, list_pictures, read_size
 from infrablend.formats.polygons import outline, rasterise
 
 NAME = "yolo"
@@ -544,18 +544,22 @@ def detect(root: Path) -> Match:
         class_names(top["names"], path.name)
     except DatasetError as error:
         return Match(NAME, False, f"{path.name}: {error.problems[0].found if error.problems else error.message}")
-    folders, _ = _split_folders(root, top, SPLITS, path.name)
-    if not folders:
-        return Match(NAME, False, f"{path.name} names no folder of pictures that exists")
-    return Match(NAME, True, f"{path.name} with {len(folders)} folder(s) of pictures")
+    folders, lists, _ = _split_places(root, top, SPLITS, path.name)
+    if not folders and not lists:
+        return Match(NAME, False, f"{path.name} names no folder or list of pictures that exists")
+    return Match(NAME, True, f"{path.name} with {len(folders) + len(lists)} folder(s) or list(s) of pictures")
 
 
-def _split_folders(
+def _split_places(
     root: Path, top: Mapping[str, Any], splits: Sequence[Split], where: str
-) -> tuple[list[tuple[Split, Path]], list[Problem]]:
-    """(split, folder) as data.yaml says; a folder named twice counts for the first split."""
+) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]], list[Problem]]:
+    """(split, folder) and (split, text file that lists pictures) as data.yaml says.
+
+    A folder named twice counts for the first split. Lists are those of all splits: they share folders.
+    """
     problems: list[Problem] = []
     folders: list[tuple[Split, Path]] = []
+    lists: list[tuple[Split, Path]] = []
     home = root
     base = top.get("path")
     if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
@@ -576,9 +580,11 @@ def _split_folders(
             folder = home / str(name)
             if folder.is_dir():
                 said.setdefault(folder, []).append(split)
+            elif folder.suffix.lower() == ".txt" and folder.is_file():
+                lists.append((split, folder))
             else:
-                found = f"{entry!r} is no folder"
-                problems.append(Problem(here, "folder-missing", found, "a folder of pictures", severity="warning"))
+                found, expected = f"{entry!r} is no folder", "a folder of pictures, or a .txt that lists them"
+                problems.append(Problem(here, "folder-missing", found, expected, severity="warning"))
     for folder, claims in said.items():
         split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
         if len(set(claims)) > 1:
@@ -586,7 +592,43 @@ def _split_folders(
             problems.append(Problem(where, "split-twice", found, "a folder for each split", severity="warning"))
         if split in splits:
             folders.append((split, folder))
-    return folders, problems
+    return folders, lists, problems
+
+
+def _listed_pictures(
+    root: Path, lists: Sequence[tuple[Split, Path]], problems: list[Problem]
+) -> dict[Path, tuple[Split, str]]:
+    """Split, and name below it, of every picture in text files of one path a line, as Ultralytics reads them.
+
+    Paths are relative to the list, else to the dataset. A picture listed twice counts for the first split.
+    """
+    found: dict[Path, tuple[Split, str]] = {}
+    for split, file in lists:
+        where = file.relative_to(root).as_posix()
+        text, fault = read_text(file, where, "a list of pictures")
+        problems += [fault] if fault else []
+        for n, line in enumerate(text.splitlines(), 1):
+            name = line.strip()
+            if not name:
+                continue
+            here = f"{where}: line {n}"
+            fault = check_name(name, here)
+            path = next((p for p in (file.parent / name, root / name) if not fault and p.is_file()), None)
+            if path is None:
+                expected, todo = "a picture of the dataset", "correct the list"
+                problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
+            elif fault := check_link(path, root, here):
+                problems.append(fault)
+            elif found.setdefault(path, (split, _below_images(path, root)))[0] != split:
+                said = f"{name!r} is also in {found[path][0]}, which counts"
+                problems.append(Problem(here, "split-twice", said, "each picture in one list", severity="warning"))
+    return found
+
+
+def _below_images(path: Path, root: Path) -> str:
+    """A picture's path in its dataset, without the folder `images`."""
+    parts = path.relative_to(root).parts
+    return "/".join(parts[1:] if parts[0] == "images" else parts)
 
 
 def read(
@@ -614,17 +656,23 @@ def read(
         raise DatasetError(f"{root}: no YOLO data set", [problem])
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
-    folders, problems = _split_folders(root, top, wanted, path.name)
-    pictures = [
+    folders, lists, problems = _split_places(root, top, wanted, path.name)
+    listed = _listed_pictures(root, lists, problems)
+    in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]
+    if twice := sum(f in listed for _, _, f in in_folders):
+        said = f"{twice} picture(s) in a folder of one split and in a list; the list counts"
+        problems.append(Problem(path.name, "split-twice", said, "each picture in one split", severity="warning"))
+    placed = [p for p in in_folders if p[2] not in listed] + [(split, n, f) for f, (split, n) in listed.items()]
+    found = [
         FoundPicture(name, file, split, find_label(file, root), file.relative_to(root).as_posix())
-        for split, folder in folders
-        for name, file in list_pictures(folder, ("labels",)).items()
+        for split, name, file in placed
     ]
+    pictures = [p for p in found if p.split in wanted]
     table_path = metadata or find_table(root)
     table = read_table(table_path) if table_path else None
     captures = Captures(table, problems)
     records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += orphan_labels(root, pictures) + check_table(table, pictures, root)
+    problems += orphan_labels(root, found) + check_table(table, found, root)
     if not records:
         raise DatasetError(f"{root}: no picture to read", few(problems))
     notes = {"labels": "yolo", "table": table_path.name if table_path else None, "pitch": captures.note()}
