@@ -122,7 +122,7 @@ def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
 
 def test_temperatures_follow_the_state() -> None:
     cold, driven = (MODEL.roles({**NOMINAL, "state": s}) for s in ("parked_cold", "driven"))
-    assert cold["roof"].delta_t_k == (-6.0, -4.0)
+    assert cold["roof"].delta_t_k == (-7.0, -4.5)
     assert driven["bonnet"].delta_t_k == (20.0, 50.0)
     assert driven["tyre"].delta_t_k == (8.0, 11.0)
     assert driven["exhaust"].delta_t_k == (50.0, 250.0)
@@ -148,7 +148,9 @@ def test_the_time_of_day_decides_which_states_come_up() -> None:
         fixed = MODEL.sample(stream(0, "when"), {"time_of_day": when, "state": "day_sun"})
         assert fixed["state"] == "day_sun"
     night, day = (MODEL.sample(stream(3, "when"), {"time_of_day": w}) for w in ("night", "day"))
-    assert {**night, "state": 0} == {**day, "state": 0}
+    free = {"state": 0, "sheltered": 0}
+    assert {**night, **free} == {**day, **free}
+    assert night["sheltered"] == (night["state"] == "parked_cold") and not day["sheltered"]
 
 
 @pytest.mark.parametrize("state", CHOICES["state"])
@@ -193,7 +195,23 @@ def test_draws_are_in_range_varied_and_repeatable() -> None:
         assert low <= d["length_m"] <= high
         assert not d["panelled"] or d["body"] == "van"
     built = {p for d in draws[:60] for p in MODEL.build(d).part_names}
-    assert built == set(MODEL.parts)
+    assert built == set(MODEL.parts) - set(car.GROUND_RINGS)
+
+
+def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
+    alone, glowing = (MODEL.build({**NOMINAL, "sheltered": s}) for s in (False, True))
+    assert set(glowing.part_names) - set(alone.part_names) == set(car.GROUND_RINGS)
+    n = len(alone.vertices_m)
+    assert np.array_equal(glowing.vertices_m[:n], alone.vertices_m)
+    rings = glowing.vertices_m[n:]
+    assert np.ptp(rings[:, 2]) == 0 and 0 < rings[0, 2] < 0.02
+    roles = MODEL.roles({**NOMINAL, "sheltered": True})
+    opacities = [roles[p].opacity for p in car.GROUND_RINGS]
+    assert opacities == sorted(opacities, reverse=True) and max(opacities) < 0.3
+    assert not any(roles[p].label for p in car.GROUND_RINGS)
+    assert MODEL.sample(stream(0, "x"), {"sheltered": True})["sheltered"]
+    with pytest.raises(ModelError, match="sheltered"):
+        MODEL.sample(stream(0, "x"), {"sheltered": 1})
 
 
 def test_options_are_honoured_and_leave_other_draws_alone() -> None:

@@ -57,6 +57,13 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
     "tail_lamp": ("plastic", "covers of the rear lamps, as the front ones"),
 }
 
+# Ground that a parked car keeps from the cold sky is warmer, by some 6 K for the whole sky (thermal.md 5.5): a glow
+# around the car that fades within a metre. Rings of a translucent sheet: how far out they reach, m, and their opacity.
+GROUND_RINGS: Mapping[str, tuple[float, float]] = {
+    "ground_near": (0.12, 0.26), "ground_mid": (0.3, 0.17), "ground_far": (0.55, 0.09), "ground_edge": (0.85, 0.04),
+}  # fmt: skip
+_GROUND_K = (5.0, 9.0)
+
 # Clear night, parked for hours: what faces the sky is below air temperature, a roof by 8.5 K without wind and by 4 K at
 # 3 m/s (energy balance). The middle of that range is drawn: HIT-UAV's median car is 46 +- 12 levels darker than
 # the ground at its middle, which is 7.7 K at 6 levels per kelvin, and mirroring the sky makes some 4 K of it.
@@ -97,7 +104,11 @@ _DAY_SUN: Mapping[str, Range] = {
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
     deltas = _deltas(params["state"], params["colour"])
-    return {part: made_of(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
+    roles = {part: made_of(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
+    what = "ground sheltered from the sky (est.)"
+    for part, (_, opacity) in GROUND_RINGS.items():
+        roles[part] = made_of("asphalt", _GROUND_K, what, label=False, opacity=opacity)
+    return roles
 
 
 def _deltas(state: str, colour: str) -> dict[str, Range]:
@@ -210,6 +221,7 @@ ALLOWED: Mapping[str, Range] = {**DRAWN, "length_m": (3.0, 6.5)}
 """What `build_car` takes."""
 
 NOMINAL: Mapping[str, Any] = {
+    "sheltered": False,
     "body": "saloon",
     "state": "parked_cold",
     "colour": "grey",
@@ -261,6 +273,10 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         params["rails"] = params["rails"] and params["body"] in ("suv", "estate")
     if "panelled" not in options:
         params["panelled"] = params["panelled"] and params["body"] == "van"
+    sheltered = options.get("sheltered", when == "night" and params["state"] == "parked_cold")
+    if not isinstance(sheltered, bool):
+        raise _bad("sheltered", sheltered, "true or false")
+    params["sheltered"] = sheltered
     return params
 
 
@@ -312,7 +328,10 @@ def _require_params(params: Params) -> None:
         if name not in params:
             raise ModelError(f"car: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
         value = params[name]
-        if name in CHOICES:
+        if name == "sheltered":
+            if not isinstance(value, bool):
+                raise _bad(name, value, "true or false", "parameter")
+        elif name in CHOICES:
             if not any(a == value and type(a) is type(value) for a in CHOICES[name]):
                 raise _bad(name, value, f"one of {', '.join(map(repr, CHOICES[name]))}", "parameter")
         elif not _is_number(value, *ALLOWED[name]):
@@ -688,6 +707,10 @@ def build_car(params: Params) -> Mesh:
     pieces = _build_pieces(params)
     vertices = np.concatenate([v for _, v, _, _ in pieces])
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
+    if params["sheltered"]:
+        reach = vertices[:, :2].max(axis=0)
+        pieces = [*pieces, *_ground_rings(float(reach[0]), 0.94 * float(reach[1]))]
+        vertices = np.concatenate([vertices, *(v for _, v, _, _ in pieces[-len(GROUND_RINGS) :])])
     first = np.cumsum([0, *(len(v) for _, v, _, _ in pieces[:-1])])
     parts = np.concatenate([p for p, _, _, _ in pieces])
     used, index = np.unique(parts, return_inverse=True)
@@ -711,7 +734,25 @@ def _build_pieces(params: Params) -> list[Piece]:
     return out.items
 
 
+def _ground_rings(half_x_m: float, half_y_m: float) -> list[Piece]:
+    """Flat rings around the car, just above the ground, the innermost begun well below the car."""
+    pieces, inner = [], shapes.rounded_rectangle(half_x_m - 0.5, half_y_m - 0.3, 0.3, 5)
+    for part, (out_m, _) in GROUND_RINGS.items():
+        outer = shapes.rounded_rectangle(half_x_m + out_m, half_y_m + out_m, 0.3 + out_m, 5)
+        n = len(outer)
+        flat = np.concatenate([inner, outer])
+        i = np.arange(n)
+        j = (i + 1) % n
+        triangles = np.concatenate([np.stack([i, i + n, j], 1), np.stack([j, i + n, j + n], 1)]).astype(np.int32)
+        vertices = np.concatenate([flat, np.full((2 * n, 1), 0.005)], axis=1)
+        pieces.append((np.full(len(triangles), _PART_NAMES.index(part), np.int32), vertices, triangles, False))
+        inner = outer
+    return pieces
+
+
 def _option_text(name: str) -> str:
+    if name == "sheltered":
+        return "true or false: whether the ground around glows, kept from the sky; by default of cars parked by night"
     if name in CHOICES:
         return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
     low, high = DRAWN[name]

@@ -119,6 +119,15 @@ class Found:
             self.left_out.setdefault(key, Counter()).update(reasons)
         self.unreadable += other.unreadable
 
+    def keep_twins(self) -> None:
+        """Leave inserts out whose picture shows no real object of their class: nothing there says how one looks."""
+        beside = {(m.category, m.group) for m in self.objects.get("real", [])}
+        inserted = self.objects.get("inserted", [])
+        self.objects["inserted"] = [m for m in inserted if (m.category, m.group) in beside]
+        for m in inserted:
+            if (m.category, m.group) not in beside:
+                self.skip("inserted", m.category, "none_beside")
+
     def of(self, population: str, category: str) -> list[Measured]:
         """Sorted by key, so that the order of finishing does not matter."""
         return sorted((m for m in self.objects.get(population, []) if m.category == category), key=lambda m: m.key)
@@ -385,6 +394,7 @@ def gather(
     found = Found()
     for part in _run(settings, surveyed, workers, in_process, clock):
         found.take(part)
+    found.keep_twins()
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), most_pairs) for c in chosen}
     sensor = any(r.facts.get("sensor") for r in records)
     controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
