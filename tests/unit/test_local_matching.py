@@ -132,3 +132,48 @@ def test_an_annotated_object_beside_the_insert_is_no_ground():
     free[:, 110:] = False
     assert ring_level(picture, np.array([90.0, 90, 110, 110]), free) == 100
     assert ring_level(picture, np.array([90.0, 90, 110, 110]), np.zeros_like(free)) in (100, 220)
+
+
+def test_the_gain_of_warm_objects_comes_from_warm_anchors():
+    """People say 9 levels per kelvin, cars 4: what is warm follows the people, what is cold the cars."""
+    picture, labels = scene(9, people=8)
+    cold, cars = scene(4, cars=6)
+    picture[390:430] = cold[390:430]
+    means = {}
+    for warm in (True, False):
+        insert = [Insert(INSERT[0].box_xyxy, warm=warm)]
+        drawn = [
+            local_mapping(picture, insert, labels + cars, WEATHER, "night", LEVELS, np.random.default_rng(n))
+            for n in range(40)
+        ]
+        means[warm] = np.mean([(m.bright - m.dark) * float(band_radiance_slope(AIR_K)) for m, _ in drawn])
+        assert set(drawn[0][1]["gain"]) == {"warm" if warm else "cold"}
+    assert means[True] > means[False] + 1
+    assert means[False] < 6 < means[True]
+
+
+def test_each_insert_is_set_against_its_own_ground():
+    picture = np.full((512, 640), 80, np.uint8)
+    picture[:, 320:] = 160
+    inserts = [Insert(np.array([x, 200.0, x + 20, 240.0])) for x in (100.0, 500.0)]
+    mapping, facts = local_mapping(picture, inserts, [], WEATHER, "night", LEVELS, np.random.default_rng(0))
+    assert facts["ground_grey"] == [80, 160]
+    assert GreyMapping.from_json(mapping.to_json()) == mapping
+    ground = np.full((512, 640), band_radiance(WEATHER.ground_k), np.float32)
+    grey = mapping.apply(ground, np.ones_like(ground))
+    assert grey[220, 110] == pytest.approx(80, abs=0.1)
+    assert grey[220, 510] == pytest.approx(160, abs=0.1)
+    # A crop knows where it lies.
+    assert mapping.apply(ground[:5, :5], np.ones((5, 5), np.float32), (500, 200)) == pytest.approx(160, abs=0.1)
+
+
+def test_near_objects_lose_less_to_the_air():
+    picture = np.full((512, 640), 100, np.uint8)
+    box = INSERT[0].box_xyxy
+    (near, _), (on, _) = (
+        local_mapping(picture, [i], [], WEATHER, None, LEVELS, np.random.default_rng(0))
+        for i in (Insert(box, 20.0, 150.0), Insert(box, 150.0, 150.0))
+    )
+    hot = float(band_radiance(AIR_K + 30))
+    contrast = [m.dark + (m.bright - m.dark) * hot - 100 for m in (near, on)]
+    assert 1.01 < contrast[0] / contrast[1] < 1.1

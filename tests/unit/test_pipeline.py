@@ -408,7 +408,7 @@ def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_p
         by_day = record.background["time_of_day"] == "day"
         assert (weather.ground_k - weather.air_k >= 2) if by_day else (-1 <= weather.ground_k - weather.air_k <= 4)
         facts = record.facts["matching"]
-        assert 2.5 <= facts["gain_grey_per_k"] <= 12
+        assert 2.5 <= facts["gain"]["warm" if facts["warm"][0] else "cold"]["grey_per_k"] <= 12
         low, high = facts["levels"]
         assert 16 <= low < 40
         assert 210 < high <= 235

@@ -27,6 +27,8 @@ CLIP_MARGIN = 3
 # What an annotated object's level is worth as a reading, beside its temperature's uncertainty.
 _READING_GREY = 5.0
 _FACE_K = 301.15
+# An anchor on the other side of the ground is this much less sure.
+_OTHER_SIDE = 2.0
 # This share of an object must stand out from the ground.
 _SEEN_SHARE = 0.2
 # What the middle of a person's box shows of the clothes' contrast: limbs, straps and the optics take the rest. Measured
@@ -75,11 +77,13 @@ class Insert:
         box_xyxy: (4,) pixels; may reach outside the frame.
         range_m: From the camera, or None with a virtual camera, which knows no real distances.
         ground_range_m: From the camera to the ground behind it, or None for none in sight.
+        warm: Whether it is on the whole warmer than the ground.
     """
 
     box_xyxy: NDArray[np.float64]
     range_m: float | None = None
     ground_range_m: float | None = None
+    warm: bool = True
 
 
 def local_mapping(
@@ -97,7 +101,8 @@ def local_mapping(
 ) -> tuple[GreyMapping, dict[str, Any]]:
     """The mapping for the inserts of one frame, and what was estimated on the way.
 
-    Every insert is set against the ground around itself; the gain is the frame's.
+    Every insert is set against the ground around itself. Cameras stretch what is warmer than the ground and what is
+    colder differently, so what is warm takes its gain above all from warm anchors, what is cold from cold ones.
 
     Args:
         background: (h, w) grey, 8 or 16 bit.
@@ -123,7 +128,9 @@ def local_mapping(
         x0, y0, x1, y1 = _pixels(i.box_xyxy, picture.shape)
         free[y0:y1, x0:x1] = False
     anchors = find_anchors(picture, free, labels, weather, time_of_day, levels, scale, clothing_k)
-    gain, gain_facts = _draw_gain(anchors, weather, scale, prior, rng)
+    gains, gain_facts = {}, {}
+    for warm in (True, False):  # both are drawn, so that one insert's draw does not depend on another's
+        gains[warm], gain_facts[warm] = _draw_gain(anchors, weather, scale, prior, warm, rng)
 
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
     grounds, places = [], []
@@ -131,6 +138,7 @@ def local_mapping(
         ground = ring_level(picture, insert.box_xyxy, free)
         # Contrasts in the picture have come through the air down to the ground; an object nearer loses less.
         clearer, hazier = _through_air(insert, weather)
+        gain = gains[insert.warm]
         span = gain * clearer
         dark = ground - gain * of_ground + gain * hazier * of_air
         if polarity == "black-hot":
@@ -142,11 +150,24 @@ def local_mapping(
     mapping = GreyMapping(first.dark, first.bright, (low, high), tuple(places) if len(places) > 1 else ())
     facts = {
         "ground_grey": grounds,
-        **gain_facts,
+        "warm": [i.warm for i in inserts],
+        "gain": {("warm" if w else "cold"): gain_facts[w] for w in (True, False) if w in {i.warm for i in inserts}},
         "anchors": {w: sum(a.what == w for a in anchors) for w in ANCHORS},
         "levels": [low, high],
     }
     return mapping, facts
+
+
+def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> bool:
+    """Whether an object is on the whole warmer than the ground: by area of its labelled parts, half sky mirrored."""
+    zenith = float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))
+    ground = float(band_radiance(weather.ground_k))
+    total = 0.0
+    for name, part in item.parts.items():
+        if part.label:
+            own = part.emissivity * float(band_radiance(part.temperature_k))
+            total += areas.get(name, 0.0) * (own + (1 - part.emissivity) * (zenith + ground) / 2 - ground)
+    return bool(total > 0)
 
 
 def expected_contrast(
@@ -203,9 +224,17 @@ def _through_air(insert: Insert, weather: Weather) -> tuple[float, float]:
 
 
 def _draw_gain(
-    anchors: Sequence[Anchor], weather: Weather, scale: float, prior: GainPrior, rng: np.random.Generator
+    anchors: Sequence[Anchor],
+    weather: Weather,
+    scale: float,
+    prior: GainPrior,
+    warm: bool,
+    rng: np.random.Generator,
 ) -> tuple[float, dict[str, Any]]:
-    """The gain, levels per W m^-2 sr^-1, from its posterior, and what the posterior is, in 8-bit levels per kelvin."""
+    """The gain, levels per W m^-2 sr^-1, from its posterior, and what the posterior is, in 8-bit levels per kelvin.
+
+    `warm` says on which side of the ground it will be used; an anchor on the other side counts for half as sure.
+    """
     slope = float(band_radiance_slope(weather.air_k))
     of_ground = float(band_radiance(weather.ground_k))
     mean, variance = prior.mean * scale / slope, (prior.sd * scale / slope) ** 2
@@ -215,22 +244,24 @@ def _draw_gain(
         if a.what.endswith("clipped") or abs(contrast) < 1e-6:
             continue
         noise = math.hypot(_READING_GREY * scale, mean * slope * a.sd_k)
+        if (contrast > 0) != warm:
+            noise *= _OTHER_SIDE
         weight += (contrast / noise) ** 2
         total += contrast * a.grey / noise**2
     bounds = [prior.low * scale / slope, prior.high * scale / slope]
     for what in ("face_clipped", "clothing_clipped"):
-        clipped = [a for a in anchors if a.what == what]
-        warm = float(band_radiance(clipped[0].kelvin)) - of_ground if clipped else 0.0
-        if warm > 0:
-            at_least = float(np.median([a.grey for a in clipped])) / warm
+        clipped = [a for a in anchors if a.what == what] if warm else []
+        hotter = float(band_radiance(clipped[0].kelvin)) - of_ground if clipped else 0.0
+        if hotter > 0:
+            at_least = float(np.median([a.grey for a in clipped])) / hotter
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
     centre, sd = total / weight, 1 / math.sqrt(weight)
     gain = _truncated_normal(rng, centre, sd, bounds[0], bounds[1])
     unit = slope / scale
     return gain, {
-        "gain_grey_per_k": round(gain * unit, 4),
-        "gain_posterior": [round(centre * unit, 4), round(sd * unit, 4)],
-        "gain_bounds": [round(b * unit, 4) for b in bounds],
+        "grey_per_k": round(gain * unit, 4),
+        "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
+        "bounds": [round(b * unit, 4) for b in bounds],
     }
 
 

@@ -20,7 +20,7 @@ from infrablend.annotation.labels import LabelSettings, annotate
 from infrablend.annotation.merge import MergeSettings, cover_of, merge, partly_covered
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.compositing.local import GainPrior, Insert, expected_contrast, grey_unit, local_mapping
+from infrablend.compositing.local import GainPrior, Insert, expected_contrast, grey_unit, is_warm, local_mapping
 from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper, Place
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
@@ -336,12 +336,14 @@ def insert_of(spec: SceneSpec, number: int, mesh: Mesh) -> Insert:
     world = object_to_world(mesh.vertices_m, o.position_m, o.yaw_rad, o.scale)
     xy, _ = camera.project(world)
     box = np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)])
+    assert spec.weather is not None
+    warm = is_warm(o, part_areas(camera, o, mesh), spec.weather)
     if spec.view is None:
-        return Insert(box)
+        return Insert(box, warm=warm)
     away = float(np.linalg.norm(np.asarray(o.position_m) - camera.position_m))
     u, v = ((box[:2] + box[2:]) / 2).tolist()
     below = ground_point(camera, u, v, spec.view.ground_z_m)
-    return Insert(box, away, None if below is None else float(np.linalg.norm(below - camera.position_m)))
+    return Insert(box, away, None if below is None else float(np.linalg.norm(below - camera.position_m)), warm)
 
 
 def part_areas(camera: CameraSpec, item: ObjectSpec, mesh: Mesh) -> dict[str, float]:
