@@ -205,7 +205,7 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
     "spokes": (0.5, 0.2, 0.3),
 }
 # What is parked and what has been driven in the last minutes (est.).
-_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.75, 0.25, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
+_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.85, 0.15, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),
     "width": (0.97, 1.04),
