@@ -166,6 +166,8 @@ def test_the_same_bytes_each_time(data: Path, tmp_path: Path) -> None:
     [
         ({"to": "pascal"}, UnknownFormatError, "'pascal' cannot be written: expected one of yolo, yolo-obb"),
         ({"to": "yolo", "rename": {"car": "x"}}, DatasetError, r"--rename: car; expected classes of the dataset"),
+        ({"to": "yolo", "rename": {"Car": ""}}, DatasetError, "--rename: new name ''; expected a name"),
+        ({"to": "yolo", "rename": {"Car": "a\nb", "Person": " c"}}, DatasetError, r"new name 'a\\nb', ' c'; expected"),
         ({"to": "yolo", "drop": ["car"]}, DatasetError, r"--drop-class: car; expected classes of the dataset"),
         ({"to": "yolo", "format": "dota"}, DatasetError, "labelTxt"),
     ],

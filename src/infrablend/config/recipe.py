@@ -109,7 +109,8 @@ class PartOverride(Strict):
     """Emissivity at normal incidence; uniform."""
 
 
-ClassName = Annotated[str, Field(pattern=r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$")]
+CLASS_NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+ClassName = Annotated[str, Field(pattern=CLASS_NAME)]
 
 
 class Object(Strict):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, rename_classes, unknown_classes
+from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import output_error, write_json
 from infrablend.errors import DatasetError, OutputError, Problem
@@ -91,6 +93,7 @@ def convert_dataset(
         problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
     _require_classes(dataset, rename or {}, "--rename")
+    _require_names(dataset, (rename or {}).values())
     renamed = rename_classes(dataset, rename or {})
     _require_classes(renamed, drop, "--drop-class")
     wanted = drop_classes(renamed, drop)
@@ -177,6 +180,15 @@ def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str],
         known = ", ".join(c.name for c in dataset.categories) or "it has none"
         problem = Problem(option, "category-unknown", ", ".join(unknown), f"classes of the dataset ({known})")
         raise DatasetError(f"{dataset.root}: no such class", [problem])
+
+
+def _require_names(dataset: Dataset, names: Iterable[str]) -> None:
+    """A name that formats of lines and words can hold: the same rule as a recipe's."""
+    bad = [repr(n) for n in names if not re.fullmatch(CLASS_NAME, n)]
+    if bad:
+        expected = "a name without line breaks, and without blanks at its ends"
+        problem = Problem("--rename", "category-malformed", f"new name {', '.join(bad)}", expected)
+        raise DatasetError(f"{dataset.root}: no name for a class", [problem])
 
 
 def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:

@@ -152,7 +152,7 @@ def split_dataset(
         leakage(dataset.images),
         leakage(images),
         "list" if lists or native is None else native.name,
-        problems=_warnings(images, names, wanted),
+        problems=_warnings(images, names, wanted, by),
     )
     report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
     write_json(out / RECORD, report.to_json())
@@ -233,7 +233,9 @@ def _improve(
             return
 
 
-def _warnings(images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float]) -> tuple[Problem, ...]:
+def _warnings(
+    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: By
+) -> tuple[Problem, ...]:
     """Splits that got no image, and classes that a split got none of."""
     problems = []
     for split, share in zip(SPLITS, wanted, strict=True):
@@ -242,7 +244,8 @@ def _warnings(images: Sequence[ImageRecord], names: Sequence[str], wanted: Seque
         here = [i for i in images if i.split == split]
         if not here:
             found = "no group is left for it"
-            problems.append(Problem(split, "split-empty", found, "smaller groups", "take --by gap", "warning"))
+            todo = "take a smaller --gap, if there is one" if by == "gap" else "take --by gap"
+            problems.append(Problem(split, "split-empty", found, "more and smaller groups", todo, "warning"))
             continue
         lacking = [
             n
