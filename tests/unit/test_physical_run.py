@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.errors import DatasetError
 from infrablend.pipeline.record import FrameRecord, read_record
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
@@ -120,6 +121,14 @@ def test_the_ground_is_drawn_with_people_and_a_legend(tmp_path):
     assert yellow[:26].any() and pink[:26].any()  # the legend, 26 px
     assert yellow[52:].sum() > 5 * 2 * 2 * 6  # five people, at 92 m more than 6 px high, drawn twice as large
     assert not pink[52:].any()  # no cars where none are labelled
+
+
+def test_realism_says_which_times_of_day_there_are(tmp_path):
+    pytest.importorskip("sklearn")
+    data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
+    generate(data, tmp_path / "run")
+    with pytest.raises(DatasetError, match=r"no frame by day .* those that have are night 2"):
+        api.realism(tmp_path / "run", data, time_of_day="day")
 
 
 def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):

@@ -412,17 +412,24 @@ def _background_key(record: FrameRecord) -> str:
 
 
 def _records(run: Path, time_of_day: Time) -> list[FrameRecord]:
-    found = []
+    inserted = []
     for split in SPLITS:
         for path in sorted((run / "scenes" / split).glob("*.json")):
             record = read_record(path)
             if record is None:
                 raise DatasetError(f"{path}: is no frame record that can be read. Run `generate --resume`.")
-            if record.inserted and time_of_day in ("all", record.background["time_of_day"]):
-                found.append(record)
+            if record.inserted:
+                inserted.append(record)
+    found = [r for r in inserted if time_of_day in ("all", r.background["time_of_day"])]
+    if not inserted:
+        raise DatasetError(f"{run}: no frame with an inserted object; there is nothing to compare")
     if not found:
-        when = "" if time_of_day == "all" else f" by {time_of_day}"
-        raise DatasetError(f"{run}: no frame with an inserted object{when}; there is nothing to compare")
+        times = Counter(r.background["time_of_day"] or "unknown" for r in inserted)
+        raise DatasetError(
+            f"{run}: no frame by {time_of_day} has an inserted object; those that have are "
+            f"{', '.join(f'{t} {n}' for t, n in sorted(times.items()))}. Leave --time away, or generate on more "
+            "backgrounds (--limit takes the first in sorted order)."
+        )
     return found
 
 

@@ -104,7 +104,8 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
         if (place := ground_point(camera, u * w, v * h, view.ground_z_m)) is not None:
             _draw_cuboid(canvas, camera, place, PERSON_M, _PERSON)
     rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items()))
-    source = f"from {rests}" if rests else "no object of known size"
+    as_stated = view.camera_height_m == view.stated_height_m
+    source = f"from {rests}" if rests else "as stated" if as_stated else "no object of known size"
     title = (
         f"{frame.frame_id}   pitch {math.degrees(camera.pitch_rad):.0f}\u00b0   stated {view.stated_height_m:.0f} m, "
         f"used {view.camera_height_m:.0f} m ({source})   grid {spacing} m"
