@@ -166,6 +166,13 @@ def test_no_data_yaml_of_yolo(tmp_path: Path, text: str) -> None:
         yolo.read(tmp_path)
 
 
+def test_a_wrong_number_of_classes_is_said(tmp_path: Path) -> None:
+    picture(tmp_path / "images" / "train" / "a.png")
+    for nc, found in (("2", ["names"]), ("1", []), ("many", ["names"])):
+        (tmp_path / "data.yaml").write_text(f"train: images/train\nnc: {nc}\nnames: [Person]\n")
+        assert [c for c in codes(detection.read(tmp_path), "warning") if c == "names"] == found
+
+
 def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:
     for n in range(4):
         picture(tmp_path / "images" / f"{n}.png")

@@ -657,6 +657,9 @@ def read(
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
     folders, lists, problems = _split_places(root, top, wanted, path.name)
+    if (said := top.get("nc")) is not None and said != len(names):
+        expected = f"{len(names)}, as many as there are names: Ultralytics stops at another number"
+        problems.append(Problem(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it", "warning"))
     listed = _listed_pictures(root, lists, problems)
     in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]
     if twice := sum(f in listed for _, _, f in in_folders):
