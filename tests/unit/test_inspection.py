@@ -73,6 +73,12 @@ def test_text_for_people_and_json_for_programs(tmp_path: Path, write_tiny_hit_ua
     assert data["leakage"][0] == {"split": "test", "other": "train", "images": 1, "near": 1, "distance": 5}
 
 
+def test_pictures_without_labels_get_no_table_of_classes(tmp_path: Path) -> None:
+    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(tmp_path / "a.png")
+    shown = CliRunner().invoke(build_app(), ["inspect", str(tmp_path)]).output
+    assert "images" in shown and "objects by class" not in shown
+
+
 def test_bins_hold_what_they_say() -> None:
     assert _binned([30.0, None, -5.0], "°", 10) == (["30°", "unknown", "-5°"], ("-5°", "30°", "unknown"))
     of, order = _binned([float(v) for v in range(0, 100, 3)], " m", 10)

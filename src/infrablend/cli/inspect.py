@@ -78,7 +78,8 @@ def _blocks(facts: Inspection) -> list[str]:
         title = f"{name} (ignored)" if name in facts.ignored else name
         rows.append([title, *_summed([of[s] for s in splits]), *sizes])
     header = ["objects by class", *splits, "all", "size px min", "5 %", "50 %", "95 %", "max"]
-    blocks.append(grid(header, rows) + "\n(size: square root of the box's area)")
+    if rows:
+        blocks.append(grid(header, rows) + "\n(size: square root of the box's area)")
     blocks.append(_coverage(facts))
     kinds = sorted({k for of in facts.time_of_day.values() for k in of})
     rows = [[k, *_summed([facts.time_of_day[s].get(k, 0) for s in splits])] for k in kinds]
