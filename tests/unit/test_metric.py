@@ -102,6 +102,19 @@ def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCar
     return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
 
 
+def test_a_height_that_the_recipe_states_is_meant():
+    recipe = load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 50}"])
+    assert draw(recipe).view.camera_height_m == 50
+
+
+def test_people_go_by_several_names():
+    camera = hit_uav_camera(60, 100)
+    for name in ("Person", "human", "Pedestrian"):
+        labels = annotated(hit_uav_camera(60, 130), 130, "Person", 4, np.random.default_rng(2))
+        labels = [Instance(name, i.box_xyxy) for i in labels]
+        assert calibrate(camera, 100, labels).anchors == {"person": 4}
+
+
 def test_what_stands_stands_on_the_ground_at_true_size():
     recipe = load_recipe("hit-uav-person", ["placement.size_px=[1, 500]"])
     for number in range(8):
@@ -138,6 +151,8 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
         for o in spec.objects:
             xy, _ = spec.camera.project(np.array([o.position_m]))
             assert xy[0, 0] > 290 and xy[0, 1] > 240
+    sunk = draw(load_recipe("hit-uav-person", ["objects.0.z_m=[-5, -1]"]))
+    assert set(sunk.draws["rejected"]) == {"below_ground"}
     covered = draw(recipe, labels=[Instance("DontCare", np.array([0.0, 0, 640, 512]))])
     assert not covered.objects
     assert covered.draws["absent"] == {"no_place": 6}

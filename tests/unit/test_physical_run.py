@@ -161,3 +161,17 @@ def test_a_run_without_places_says_so(tmp_path):
     (found,) = [p for p in report.problems if p.code == "objects-absent"]
     assert found.found == "1 of 1 objects were not inserted (no_place 1, no_ground 200)"
     assert not [p for p in generate(data, tmp_path / "good").problems if p.code == "objects-absent"]
+
+
+def test_levels_are_the_datasets_whatever_the_limit(tmp_path):
+    wide = {f"{n}.png": Image.fromarray(scenery(k) // (1 + k)) for k, n in enumerate(RECORDS)}
+    data = folder(tmp_path / "data", wide)
+    for name, limit in (("all", None), ("one", 1)):
+        api.generate(
+            "hit-uav-drone-physical", data, tmp_path / name, limit=limit, renderer="fake", in_process=True,
+            settings=["output.image=png", "configurations=1"],
+        )  # fmt: skip
+    runs = [json.loads((tmp_path / n / "run.json").read_text()) for n in ("all", "one")]
+    assert runs[0]["levels"] == runs[1]["levels"]
+    first = f"images/train/{RECORDS[0]}_c0.png"
+    assert (tmp_path / "all" / first).read_bytes() == (tmp_path / "one" / first).read_bytes()

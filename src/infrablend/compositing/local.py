@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage, GreyMapping, Place
 from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.kinds import kind_of
 from infrablend.core.scene import ObjectSpec, Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
@@ -306,11 +307,11 @@ def find_anchors(
         if inside.size < 20:
             continue
         around = ring_level(picture, i.box_xyxy, free)
-        name = i.category.casefold()
+        kind = kind_of(i.category)
         h, w = inside.shape
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
-        if name == "person":
+        if kind == "person":
             bright = float(np.percentile(inside, 95))
             seen = (middle - around) / _CLOTHING_SEEN
             if floor < middle:
@@ -319,7 +320,7 @@ def find_anchors(
                 found.append(Anchor(what, seen, weather.air_k + clothing_k, 3.0))
             if bright >= ceiling:
                 found.append(Anchor("face_clipped", bright - around, _FACE_K, 3.0))
-        elif name == "car" and time_of_day == "night" and floor < middle < ceiling:
+        elif kind == "car" and time_of_day == "night" and floor < middle < ceiling:
             found.append(Anchor("car_roof", middle - around, weather.air_k - 8, 3.0))
     return tuple(found)
 

@@ -67,8 +67,8 @@ class Camera(Strict):
     """Metric placement: height above the ground, each background's own (`metadata`), `{fixed_m: 60}` or
     `{random_m: [60, 120]}`."""
     calibrate: bool = True
-    """Metric placement: correct the height until the annotated people, cars and two-wheelers of the image have their
-    real size. Stated heights count from take-off; without any annotated object they are taken 1.15 times."""
+    """Metric placement: correct the metadata's height until the annotated people, cars and two-wheelers of the image
+    have their real size. Such heights count from take-off; without any annotated object they are taken 1.15 times."""
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Turn about the optical axis, degrees; uniform. Paper: phi_min, phi_max = -10, 10."""
     focal_length_mm: float = Field(50.0, gt=0, le=10_000)

@@ -25,6 +25,7 @@ from infrablend.sampling.scene import FrameKey, require_parts
 # CPU seconds for one frame on the machine in docs/explanation/performance.md; for estimates only.
 TYPICAL_FRAME_CPU_S = 0.18
 START_S = 4.0
+LEVELS_SAMPLE = 64
 # Labels, records and per-format copies of one frame, bytes; images are hard-linked.
 TYPICAL_LABELS_BYTES = 12_000
 
@@ -86,6 +87,8 @@ class RunPlan:
         problems: What is left out and why; warnings too.
         key: What must be equal for a run to be resumed; field -> digest or value.
         ignored: The source's own names of the categories that mark ignore regions.
+        sample: Pictures that the dataset's grey levels are measured on, spread over all that were read: a run of the
+            first few backgrounds gives the same frames as a run of all.
     """
 
     recipe: Recipe
@@ -98,6 +101,7 @@ class RunPlan:
     problems: tuple[Problem, ...]
     key: Mapping[str, Any]
     ignored: tuple[str, ...] = ()
+    sample: tuple[ImageRecord, ...] = ()
 
     def estimate(self, workers: int) -> dict[str, Any]:
         """Frames, disk and time the run will take, roughly."""
@@ -204,7 +208,17 @@ def make_plan(
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return RunPlan(
-        recipe, seed, trimmed, models, tuple(categories), tuple(new), tuple(frames), tuple(problems), key, ignored
+        recipe,
+        seed,
+        trimmed,
+        models,
+        tuple(categories),
+        tuple(new),
+        tuple(frames),
+        tuple(problems),
+        key,
+        ignored,
+        dataset.images[:: max(1, len(dataset.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
     )
 
 

@@ -30,7 +30,6 @@ from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 
 log = logging.getLogger(__name__)
 
-LEVELS_SAMPLE = 64
 FACTORY = "infrablend.pipeline.frame:make_frame_maker"
 # Versions that decide pixels or labels.
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
@@ -123,6 +122,9 @@ def run_plan(
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
         header = _header(plan, workers, device, renderer)
+        levels = _levels(plan, previous)
+        if levels is not None:
+            header["levels"] = list(levels)
         folder.write_run({**header, "status": "running"})
         state = _State()
         todo = _remaining(plan, folder, state) if previous is not None else list(plan.frames)
@@ -137,7 +139,7 @@ def run_plan(
             renderer=renderer,
             device=device,
             pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
-            levels=dataset_levels(plan) if _needs_levels(plan) else None,
+            levels=levels,
             ignored=plan.ignored,
         )
         worker = WorkerSpec(FACTORY, settings)
@@ -201,15 +203,24 @@ def _needs_levels(plan: RunPlan) -> bool:
     return r.matching.mode == "local" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
 
+def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
+    """The dataset's levels if the recipe needs them; a resumed run goes on with those it began with."""
+    if not _needs_levels(plan):
+        return None
+    if previous is not None and previous.get("levels"):
+        low, high = previous["levels"]
+        return float(low), float(high)
+    return dataset_levels(plan)
+
+
 def dataset_levels(plan: RunPlan) -> tuple[float, float]:
-    """Darkest and brightest level that the plan's backgrounds use, measured on at most 64 of them, evenly spread.
+    """Darkest and brightest level that the plan's dataset uses, measured on at most 64 pictures, evenly spread.
 
     Raises:
         DatasetError: If none of them can be read.
     """
-    images = plan.dataset.images
     pictures = []
-    for image in images[:: max(1, len(images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE]:
+    for image in plan.sample or plan.dataset.images:
         with contextlib.suppress(DatasetError):  # named and counted when its frame is made
             pictures.append(load_background(image.path, image.size_wh).pixels)
     if not pictures:

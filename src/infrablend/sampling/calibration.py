@@ -15,6 +15,7 @@ import numpy as np
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
+from infrablend.core.kinds import Kind, kind_of
 from infrablend.core.mesh import FloatArray
 from infrablend.sampling.ground import ground_point, ground_z_m
 
@@ -41,7 +42,7 @@ class Reference:
 
 # 1.68 m people with 0.45 m shoulders (arms and stride make them some 0.5 m wide and 0.4 m deep); 4.6 x 1.8 m cars;
 # 1.75 m two-wheelers, mostly with nobody on them.
-REFERENCES: Mapping[str, Reference] = {
+REFERENCES: Mapping[Kind, Reference] = {
     "person": Reference((0.4, 0.5, 1.68), 0.22, turns=False),
     "car": Reference((4.6, 1.8, 1.45), 0.10),
     "bicycle": Reference((1.75, 0.6, 1.05), 0.18),
@@ -78,14 +79,14 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
         stated_m: That height.
         labels: The image's own objects; those cut by the frame's edge are left out.
     """
-    ratios: dict[str, list[float]] = {}
+    ratios: dict[Kind, list[float]] = {}
     for label in labels:
-        reference = REFERENCES.get(label.category.casefold())
-        if reference is None or label.truncated:
+        kind = kind_of(label.category)
+        if kind is None or label.truncated:
             continue
-        ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, reference)
+        ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])
         if ratio is not None:
-            ratios.setdefault(label.category.casefold(), []).append(math.log(ratio))
+            ratios.setdefault(kind, []).append(math.log(ratio))
     # A box seen larger than predicted: the camera is nearer than stated.
     weight, total = 1 / _NOMINAL_SD**2, math.log(NOMINAL_FACTOR) / _NOMINAL_SD**2
     for name, found in sorted(ratios.items()):

@@ -70,7 +70,9 @@ def real_camera(
     roll = math.radians(rng.uniform(*c.roll_deg))
     camera = CameraSpec(1.0, pitch_rad, roll, c.focal_length_mm, c.sensor_width_mm, size_wh)
     camera = at_height(camera, stated)
-    found = calibrate(camera, stated, site.labels) if c.calibrate else Calibration(stated, stated, 1.0, 0.0, {})
+    # A height that the recipe states is meant; only what metadata say is nominal.
+    nominal = c.calibrate and c.altitude == "metadata"
+    found = calibrate(camera, stated, site.labels) if nominal else Calibration(stated, stated, 1.0, 0.0, {})
     camera = at_height(camera, found.height_m)
     ground = ground_z_m(camera, found.height_m)
     return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd)
@@ -135,6 +137,8 @@ def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator
     if item.model.stands:
         if below is None:
             return "no_ground"
+        if above < 0:
+            return "below_ground"
         return float(below[0]), float(below[1]), view.ground_z_m + above, yaw
     if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
         return "beyond_ground"
