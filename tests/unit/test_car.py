@@ -123,7 +123,7 @@ def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
 def test_temperatures_follow_the_state() -> None:
     cold, driven = (MODEL.roles({**NOMINAL, "state": s}) for s in ("parked_cold", "driven"))
     assert cold["roof"].delta_t_k == (-7.0, -4.5)
-    assert driven["bonnet"].delta_t_k == (20.0, 50.0)
+    assert driven["bonnet"].delta_t_k == (10.0, 40.0)
     assert driven["tyre"].delta_t_k == (8.0, 11.0)
     assert driven["exhaust"].delta_t_k == (50.0, 250.0)
     assert driven["roof"].delta_t_k[1] < 0 < driven["front"].delta_t_k[0]
