@@ -432,7 +432,7 @@ def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
     run, data = crowd
     with pytest.raises(DatasetError, match=r"Car: expected classes that are both inserted \(Person\) and annotated"):
         api.realism(run, data, tmp_path, categories=["Car"], in_process=True)
-    with pytest.raises(DatasetError, match="no frame with an inserted object by day"):
+    with pytest.raises(DatasetError, match="no frame by day has an inserted object"):
         api.realism(run, data, tmp_path, time_of_day="day", in_process=True)
 
 
