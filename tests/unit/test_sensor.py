@@ -282,9 +282,10 @@ def generate(pictures, out, **settings):
     return [(r, np.array(Image.open(out / "images" / r.image))) for _, r in found]
 
 
-def test_shipped_recipes_do_without_and_give_the_plain_overlay(pictures, tmp_path):
+def test_the_papers_recipes_do_without_and_give_the_plain_overlay(pictures, tmp_path):
     for name in list_recipes():
-        assert load_recipe(name).sensor.profile == "off"
+        recipe = load_recipe(name)
+        assert (recipe.sensor.profile == "off") == (recipe.placement.mode == "paper"), name
     models = {"drone": load_model("drone")}
     for record, picture in generate(pictures, tmp_path / "off"):
         assert "sensor" not in record.facts
