@@ -4,12 +4,12 @@ SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
 
-# TOOLS=0 leaves out the environment with Ultralytics and torch; the tests that need it are then skipped, loudly.
+# TOOLS=0 leaves out torch, Ultralytics and the libraries of .venv-tools; the tests that need it are then skipped, loudly.
 TOOLS ?= 1
 # Further arguments for pytest: make test ARGS="-k masks".
 ARGS ?=
 
-.PHONY: help setup tools demo test check bench lock reference clean
+.PHONY: help setup train tools demo test check bench lock reference clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -17,7 +17,10 @@ help: ## Show this list
 setup: ## Install everything, locked, into .venv; nothing to do the second time
 	@scripts/setup.sh
 
-tools: setup ## Install what checks our datasets (Ultralytics, ...) into .venv-tools (the download size is said first)
+train: setup ## Install torch and Ultralytics into .venv: infrablend train (the download size is said first)
+	@scripts/train_env.sh
+
+tools: train ## The same, and in .venv-tools other libraries that load our datasets
 	@scripts/tools_env.sh
 
 demo: setup ## Render drones into a small virtual thermal world; the last line is the picture's path

@@ -11,7 +11,8 @@ compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-
 "${compile[@]}" --universal ../pyproject.toml project.in --group ../pyproject.toml:dev --output-file project.txt
 
 "${compile[@]}" --universal --no-deps --constraints project.txt tools.in --output-file tools.txt
+"${compile[@]}" --universal --no-deps --constraints project.txt train.in --output-file train.txt
 
-# What torch loads on import; the rest of its dependencies is not needed for the check.
+# What torch loads on import and train.txt does not name.
 unneeded=(triton sympy mpmath networkx jinja2 markupsafe fsspec filelock setuptools typing-extensions)
 "${compile[@]}" --universal "${unneeded[@]/#/--no-emit-package=}" torch.in --output-file torch.txt

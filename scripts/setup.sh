@@ -90,6 +90,7 @@ free_mb="$(df -Pm . | awk 'NR == 2 { print $4 }')"
 [ "${free_mb:-9999}" -ge 3000 ] || say "only $free_mb MB free on this disk: that may not be enough"
 .venv/bin/uv --quiet pip sync --python .venv/bin/python --require-hashes \
   requirements/uv.txt requirements/project.txt || stop "$registry"
+rm -f .venv/infrablend-train.stamp  # what `make tools` added is gone with the sync
 
 # The build back end is among the locked packages, so nothing is fetched unlocked for building.
 .venv/bin/uv --quiet pip install --python .venv/bin/python --no-deps --no-build-isolation --offline --editable . ||

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes .venv-tools: Ultralytics (AGPL-3.0, not part of InfraBlend) with torch, Supervision and Datumaro, only for
-# checking that they load our datasets. A second run does nothing until a requirement file changes. Needs .venv (make setup).
+# Makes .venv-tools: Supervision and Datumaro, only for checking that they load our datasets.
+# A second run does nothing until a requirement file changes. Needs .venv (make setup).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -10,15 +10,13 @@ stop() { say "$*"; exit 1; }
 mkdir -p build
 if command -v flock >/dev/null; then exec 9>build/.tools.lock; flock 9; fi
 
-inputs=(requirements/{tools,torch,torch-cpu}.txt scripts/tools_env.sh)
+inputs=(requirements/tools.txt scripts/tools_env.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv-tools/infrablend-tools.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && .venv-tools/bin/python -c '' 2>/dev/null; then exit 0; fi
 
-say "Ultralytics, Supervision and Datumaro go into .venv-tools. To download: about 340 MB (1.4 GB on disk) where pip's
-tools: settings lead to the CPU build of torch (PIP_FIND_LINKS or a mirror that has it); else on Linux about 2.7 GB
-tools: (4.5 GB on disk), because the registry's own build comes with CUDA. To do without: make test TOOLS=0"
+say "Supervision and Datumaro go into .venv-tools: about 150 MB to download. To do without: make test TOOLS=0"
 
 if [ -e .venv-tools ]; then
   [ -f .venv-tools/pyvenv.cfg ] || [ -z "$(ls -A .venv-tools)" ] || stop ".venv-tools is no environment; move it away"
@@ -28,18 +26,12 @@ fi
 
 registry="the package registry could not be used, or gave other files than the locked ones: check the network and pip's
 tools: settings and run the same command again, or do without: make test TOOLS=0"
-# pip and not uv: it is pip's settings that may lead to the small build of torch.
 install=(.venv-tools/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes
   --only-binary :all:)
 log=build/tools-env.log
 "${install[@]}" -r requirements/tools.txt >"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
-if ! "${install[@]}" -r requirements/torch-cpu.txt >>"$log" 2>&1 || ! .venv-tools/bin/python -W ignore -c 'import torch' 2>>"$log"
-then
-  say "no CPU build of torch within reach (see $log): fetching the registry's own"
-  "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
-fi
-.venv-tools/bin/python -W ignore -c 'import torch, ultralytics, supervision, datumaro' >/dev/null ||
-  stop "torch, Ultralytics, Supervision or Datumaro does not import; the lines above say why"
+.venv-tools/bin/python -W ignore -c 'import supervision, datumaro' >/dev/null ||
+  stop "Supervision or Datumaro does not import; the lines above say why"
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

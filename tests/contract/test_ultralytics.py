@@ -1,10 +1,12 @@
-"""Ultralytics' own dataset check, run in .venv-tools, accepts what we write and drops nothing."""
+"""Ultralytics' own dataset check, run in a process of its own, accepts what we write and drops nothing."""
 
 from __future__ import annotations
 
 import json
 import os
 import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +14,19 @@ import pytest
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
-TOOLS_PYTHON = ROOT / ".venv-tools" / "bin" / "python"
 
 
 @pytest.fixture(scope="session")
 def ultralytics_check():
     """Call Ultralytics' check: (data.yaml, task) -> (exit code, its JSON answer)."""
-    if not TOOLS_PYTHON.exists():
-        message = "NEEDS .venv-tools: run `make tools` (its download size is said first)"
+    if find_spec("ultralytics") is None:
+        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
         if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
             pytest.fail(message)
         pytest.skip(message)
 
     def check(data_yaml: Path, task: str) -> tuple[int, dict]:
-        command = [TOOLS_PYTHON, ROOT / "scripts" / "ultralytics_check.py", data_yaml, task]
+        command = [sys.executable, ROOT / "scripts" / "ultralytics_check.py", data_yaml, task]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         assert done.stdout, done.stderr
         return done.returncode, json.loads(done.stdout)

@@ -1,0 +1,40 @@
+#!/usr/bin/env bash
+# Adds what training needs to .venv: Ultralytics (AGPL-3.0, no part of InfraBlend) and torch, the extra `train`.
+# A second run does nothing until a requirement file changes. Needs .venv (make setup).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { printf 'train: %s\n' "$*" >&2; }
+stop() { say "$*"; exit 1; }
+
+mkdir -p build
+if command -v flock >/dev/null; then exec 9>build/.setup.lock; flock 9; fi
+
+inputs=(requirements/{project,train,torch,torch-cpu}.txt scripts/train_env.sh)
+want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
+want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
+stamp=.venv/infrablend-train.stamp
+if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then exit 0; fi
+
+say "Ultralytics and torch go into .venv. To download: about 270 MB (1.1 GB on disk) where pip's settings lead to the
+train: CPU build of torch (PIP_FIND_LINKS or a mirror that has it); else on Linux about 2.7 GB (4.5 GB on disk), because
+train: the registry's own build comes with CUDA. To do without: make test TOOLS=0"
+
+registry="the package registry could not be used, or gave other files than the locked ones: check the network and pip's
+train: settings and run the same command again, or do without: make test TOOLS=0"
+# pip and not uv: it is pip's settings that may lead to the small build of torch.
+install=(.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes
+  --only-binary :all:)
+log=build/train-env.log
+"${install[@]}" -r requirements/train.txt >"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
+if ! "${install[@]}" -r requirements/torch-cpu.txt >>"$log" 2>&1 || ! .venv/bin/python -W ignore -c 'import torch' 2>>"$log"
+then
+  say "no CPU build of torch within reach (see $log): fetching the registry's own"
+  "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
+fi
+YOLO_CONFIG_DIR="$PWD/build" .venv/bin/python -W ignore -c 'import torch, ultralytics' >/dev/null ||
+  stop "torch or Ultralytics does not import; the lines above say why"
+
+printf '%s\n' "$want" >"$stamp.new"
+mv "$stamp.new" "$stamp"
+say "ready: infrablend train"
