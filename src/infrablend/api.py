@@ -10,7 +10,6 @@ api.preview("runs/first", "runs/first/preview.png")
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ import psutil
 
 from infrablend.assets import catalogue
 from infrablend.config import loading
+from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset
 from infrablend.core.files import write_json
 from infrablend.core.tasks import OnProgress, Progress
@@ -36,6 +36,7 @@ from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.realism import RealismReport, Time, compare
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.train import TrainPlan, TrainReport, choose_preset, plan_training, train_dataset
 
 if TYPE_CHECKING:
     from infrablend.pipeline.profile import ProfileReport
@@ -49,6 +50,8 @@ __all__ = [
     "PlanReport",
     "RealismReport",
     "RunReport",
+    "TrainPlan",
+    "TrainReport",
     "check",
     "convert",
     "describe_source",
@@ -500,9 +503,82 @@ def convert(
     return convert_dataset(dataset, to, Path(out), rename=rename, drop=drop, settings=settings, overwrite=overwrite)
 
 
+def train(
+    dataset: str | Path,
+    out: str | Path,
+    *,
+    preset: str = "small",
+    task: str = "detect",
+    weights: str = "auto",
+    device: str = "auto",
+    seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
+    classes: Sequence[str] | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> TrainReport:
+    """Train a detector on a dataset, with Ultralytics (the extra `train`).
+
+    Args:
+        dataset: Folder of a dataset of any format that can be read; a run of `generate` is one.
+        out: Folder for `weights.pt` and `train.json`.
+        preset: `paper`, `small` or `smoke`, see `training.presets`.
+        task: detect, obb or segment.
+        weights: Where to start: a file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's own published
+            weights if they can be had, else from scratch.
+        device: auto, cpu, cuda, or the number of a GPU.
+        seed: Of weights, order, augmentation and tiles.
+        settings: Fields of the preset set otherwise (`{"passes": 4000}`), and arguments of Ultralytics.
+        classes: Train on these classes only.
+        format: Format of the dataset; detected by default.
+        options: Of its reader.
+        resume: Go on with an interrupted training.
+        overwrite: Replace an earlier training in `out`.
+        on_progress: Told the images passed.
+
+    Raises:
+        InfraBlendError: Of many kinds, see `pipeline.train.train_dataset`.
+    """
+    _require_apart(Path(dataset), Path(out))
+    chosen = choose_preset(preset, settings or {})
+    found = read_dataset(dataset, format=format, options=options)
+    return train_dataset(
+        found,
+        Path(out),
+        preset=chosen,
+        task=task,
+        start=weights,
+        device=device,
+        seed=seed,
+        classes=classes,
+        resume=resume,
+        overwrite=overwrite,
+        on_progress=on_progress,
+    )
+
+
+def plan_train(
+    dataset: str | Path,
+    *,
+    preset: str = "small",
+    task: str = "detect",
+    settings: Mapping[str, Any] | None = None,
+    classes: Sequence[str] | None = None,
+    gpu: bool = False,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+) -> TrainPlan:
+    """What `train` would do: images, epochs, time, disk. Nothing is written."""
+    found = read_dataset(dataset, format=format, options=options)
+    return plan_training(found, choose_preset(preset, settings or {}), task=task, classes=classes, gpu=gpu)
+
+
 def default_workers() -> int:
     """One per processor core this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    return available_cores()
 
 
 def _affordable_workers(wanted: int | None) -> int:

@@ -25,6 +25,7 @@ from infrablend.cli import (
     recipes,
     rerender,
     split,
+    train,
     world,
 )
 from infrablend.cli.session import open_session
@@ -105,6 +106,7 @@ def build_app() -> typer.Typer:
     app.command("inspect")(inspect.inspect)
     app.command("check")(check.check)
     app.command("split")(split.split)
+    app.command("train")(train.train)
     app.command("realism")(realism.realism)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)

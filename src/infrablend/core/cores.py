@@ -1,4 +1,4 @@
-"""Keeping a worker process on a processor core of its own."""
+"""How many processor cores there are, and keeping a worker process on one of its own."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 _CORE_LOCKS: list[int] = []
+
+
+def available_cores() -> int:
+    """Processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def take_core() -> int | None:

@@ -1,0 +1,125 @@
+"""`infrablend train`: a detector from a dataset."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from infrablend.cli.options import DatasetArgument, FormatOption, JsonOption, ReadingOption, comma_list, key_values
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+
+class PresetName(StrEnum):
+    """How to train."""
+
+    PAPER = "paper"
+    SMALL = "small"
+    SMOKE = "smoke"
+
+
+class TaskName(StrEnum):
+    """What is predicted."""
+
+    DETECT = "detect"
+    OBB = "obb"
+    SEGMENT = "segment"
+
+
+def train(
+    ctx: typer.Context,
+    dataset: DatasetArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for weights.pt and train.json.")],
+    preset: Annotated[
+        PresetName,
+        typer.Option(help="paper: YOLOv8s as in the paper, for a GPU; small: two cores, minutes; smoke: a few steps."),
+    ] = PresetName.SMALL,
+    task: Annotated[TaskName, typer.Option(help="Boxes, oriented boxes or masks.")] = TaskName.DETECT,
+    weights: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|NAME|scratch|auto",
+            help="Where to start; auto: the preset's published weights if they can be had, else from scratch.",
+        ),
+    ] = "auto",
+    classes: Annotated[str | None, typer.Option(metavar="A,B", help="Only these classes [default: all].")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, or a GPU's number.")] = "auto",
+    seed: Annotated[int, typer.Option(help="Of weights, order, augmentation and tiles.")] = 0,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Field of the preset (passes, epochs, batch ...) or Ultralytics' own."
+        ),
+    ] = None,
+    format_in: FormatOption = None,
+    reading: ReadingOption = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Say images, epochs, time and disk; do nothing.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in DIR.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the training in DIR.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Train a detector (Ultralytics; the extra `train`); stops cleanly, and goes on with --resume."""
+    session: Session = ctx.obj
+    session.json = as_json
+
+    from infrablend import api
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import human_bytes, human_seconds, say, say_json, table
+
+    settings: dict[str, Any] = {k: yaml.safe_load(v) for k, v in key_values(setting, "--set").items()}
+    chosen: dict[str, Any] = {
+        "preset": preset.value,
+        "task": task.value,
+        "settings": settings,
+        "classes": comma_list(classes, "--classes"),
+        "format": format_in,
+        "options": key_values(reading, "--read"),
+    }
+    if plan:
+        p = api.plan_train(dataset, gpu=device not in ("auto", "cpu"), **chosen)
+        rows = {
+            "images per epoch": str(p.images),
+            "labels": str(p.labels),
+            "epochs": str(p.epochs),
+            "time, about": human_seconds(p.seconds),
+            "disk": human_bytes(p.disk_bytes),
+        }
+        if as_json:
+            say_json({"images": p.images, "labels": p.labels, "epochs": p.epochs, "seconds": p.seconds,
+                      "disk_bytes": p.disk_bytes})  # fmt: skip
+        else:
+            say(table(rows))
+        return
+    with shown_progress(session, "training") as on_progress:
+        report = api.train(
+            dataset,
+            out,
+            weights=weights,
+            device=device,
+            seed=seed,
+            resume=resume,
+            overwrite=overwrite,
+            on_progress=on_progress,
+            **chosen,
+        )
+    if as_json:
+        say_json(report.to_json())
+        return
+    r = report.record
+    start = r["start"]
+    rows = {
+        "classes": ", ".join(r["classes"]),
+        "started from": start["model"] + (f" ({start['why']})" if start["why"] else ""),
+        "images, labels": f"{r['prepared']['images']}, {r['prepared']['labels']}: all used",
+        "epochs": f"{r['epochs_done']} ({r['passes']} images passed)",
+        "time": human_seconds(r["seconds"]),
+    }
+    if r["left_out"]:
+        rows["labels left out"] = ", ".join(f"{k} {n}" for k, n in r["left_out"].items())
+    say(table(rows))
+    say(str(report.weights))

@@ -1,0 +1,36 @@
+"""Ultralytics kept to itself: no network, no settings outside our folder, and no torchvision where none can work."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+
+def settle_ultralytics(folder: Path) -> None:
+    """To be called before Ultralytics is imported: settings go into `folder`; no installs, no reports, no network."""
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ.update(
+        YOLO_CONFIG_DIR=str(folder), YOLO_OFFLINE="1", YOLO_AUTOINSTALL="0", YOLO_VERBOSE="1", WANDB_MODE="disabled"
+    )
+    _settle_torchvision()
+
+
+def _settle_torchvision() -> None:
+    """Put a stand-in where torchvision does not import, as its CUDA build beside torch's CPU build.
+
+    Detection needs one function of it, non-maximum suppression, and Ultralytics has that one itself.
+    """
+    try:
+        import torchvision  # noqa: F401
+    except Exception as error:  # RuntimeError for operators that the other build lacks
+        for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
+            del sys.modules[name]
+        from ultralytics.utils.nms import TorchNMS
+
+        stand_in, ops = ModuleType("torchvision"), ModuleType("torchvision.ops")
+        stand_in.__doc__ = f"Stand-in: the real one does not import ({error})."
+        ops.nms = TorchNMS.nms  # type: ignore[attr-defined]
+        stand_in.ops = ops  # type: ignore[attr-defined]
+        sys.modules |= {"torchvision": stand_in, "torchvision.ops": ops}

@@ -1,0 +1,235 @@
+"""One training in a process of its own, so that a crash, a full memory or a stop costs the caller nothing.
+
+    python -m infrablend.training.trainer JOB.json
+
+writes one JSON object per line to standard output: `gate` (what Ultralytics loaded), `step` (progress), `epoch`
+(losses), `end`, or `error` with a code and a message. Ultralytics' own talk goes to standard error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import random
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.training.environment import settle_ultralytics
+
+CHECKPOINT = "checkpoint.pt"
+WEIGHTS = "weights.pt"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the process is to do.
+
+    Attributes:
+        data: Ultralytics' data.yaml.
+        out: Folder for checkpoint and weights.
+        task: detect, obb or segment.
+        model: Weights or a network's description.
+        device: `cpu`, `0`, ...
+        epochs: In all.
+        batch: Images per step.
+        image_size: Side of the network's input, px.
+        patience: See `presets.Preset`.
+        seed: For everything drawn.
+        images: Images the train split must have.
+        labels: Labels it must have.
+        arguments: Further ones for Ultralytics.
+    """
+
+    data: str
+    out: str
+    task: str
+    model: str
+    device: str
+    epochs: int
+    batch: int
+    image_size: int
+    patience: int
+    seed: int
+    images: int
+    labels: int
+    arguments: dict[str, Any] = field(default_factory=dict)
+
+    def write(self, path: Path) -> None:
+        """As `main` reads it."""
+        path.write_text(json.dumps(asdict(self), indent=1, sort_keys=True), "utf-8")
+
+
+class _Stopped(Exception):  # noqa: N818
+    """The gate found the trainer to have dropped something."""
+
+
+def main(arguments: list[str]) -> int:
+    """Train; 0 done, 1 not, as the last line on standard output says."""
+    job = Job(**json.loads(Path(arguments[0]).read_text("utf-8")))
+    out = sys.stdout
+
+    def say(event: str, **facts: Any) -> None:
+        out.write(json.dumps({"event": event, **facts}) + "\n")
+        out.flush()
+
+    with contextlib.redirect_stdout(sys.stderr):
+        try:
+            _train(job, say)
+        except _Stopped as error:
+            say("error", code="labels-dropped", message=str(error))
+            return 1
+        except Exception as error:
+            text = f"{type(error).__name__}: {error}"
+            code = "out-of-memory" if "out of memory" in text.lower() or "can't allocate memory" in text else "failed"
+            import traceback
+
+            traceback.print_exc()
+            say("error", code=code, message=text)
+            return 1
+    return 0
+
+
+def _train(job: Job, say: Any) -> None:
+    out = Path(job.out)
+    settle_ultralytics(out / "ultralytics")
+    import numpy as np
+    import torch
+    import ultralytics
+    from ultralytics.models import yolo
+    from ultralytics.utils import torch_utils
+
+    base = {"detect": yolo.detect.DetectionTrainer, "obb": yolo.obb.OBBTrainer,
+            "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
+    on_cpu = job.device == "cpu"
+
+    class Trainer(base):  # type: ignore[misc,valid-type]
+        """The usual one; on a processor, pixels are laid out as its convolutions like them."""
+
+        def set_model_attributes(self) -> None:
+            super().set_model_attributes()
+            if on_cpu:
+                self.model: Any = self.model.to(memory_format=torch.channels_last)
+
+    checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
+    begun = _epochs_done(checkpoint, torch)
+    overrides: dict[str, Any] = {
+        "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
+        "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
+        "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": "run",
+        "exist_ok": True, "verbose": False, "save_dir": str(out / "run"), **job.arguments,
+    }  # fmt: skip
+    if job.model.endswith(".yaml"):
+        overrides["pretrained"] = False
+    if begun:
+        overrides["resume"] = str(checkpoint)
+    trainer = Trainer(overrides=overrides)
+    state = {"steps": 0, "next": 0.0}
+
+    def gate(t: Any) -> None:
+        found = t.train_loader.dataset
+        images, labels = len(found.labels), sum(len(label["cls"]) for label in found.labels)
+        per_epoch = len(t.train_loader.sampler)
+        say("gate", images=images, labels=labels, images_per_epoch=per_epoch)
+        if (images, labels) != (job.images, job.labels) or per_epoch != job.images:
+            raise _Stopped(
+                f"of {job.images} images and {job.labels} labels the trainer would use {min(images, per_epoch)} and "
+                f"{labels}; its own log says which it left out ({out / 'train.log'})"
+            )
+
+    def reseed(t: Any) -> None:
+        # From seed and epoch alone, so that a resumed run draws what an uninterrupted one would have.
+        seed = (job.seed * 100_003 + t.epoch) % 2**31
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
+        torch.manual_seed(seed)
+        if getattr(t.train_loader, "generator", None) is not None:
+            t.train_loader.generator.manual_seed(seed)
+
+    def step(t: Any) -> None:
+        state["steps"] += 1
+        if time.monotonic() >= state["next"]:
+            state["next"] = time.monotonic() + 1.0
+            total = len(t.train_loader)
+            done = (t.epoch * total + state["steps"] % (total + 1)) * t.batch_size
+            losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
+            say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.images), losses=losses)
+
+    def epoch_end(t: Any) -> None:
+        state["steps"] = 0
+
+    def saved(t: Any) -> None:
+        temporary = checkpoint.with_suffix(".new")
+        temporary.write_bytes(t.last.read_bytes())
+        temporary.replace(checkpoint)
+        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=t.batch_size,
+            losses={k: round(float(v), 5) for k, v in (t.tloss or {}).items()},
+            metrics={k: round(float(v), 5) for k, v in (t.metrics or {}).items()} if job.patience else {})  # fmt: skip
+
+    trainer.add_callback("on_pretrain_routine_end", gate)
+    trainer.add_callback("on_train_epoch_start", reseed)
+    trainer.add_callback("on_train_batch_end", step)
+    trainer.add_callback("on_train_epoch_end", epoch_end)
+    trainer.add_callback("on_model_save", saved)
+    precision = "float32"
+    with contextlib.ExitStack() as stack:
+        if on_cpu and _has_fast_bfloat16(torch):
+            precision = "bfloat16"
+            stack.enter_context(_bfloat16_forward(torch))
+        if begun < job.epochs:
+            trainer.train()
+    best = out / "run" / "weights" / "best.pt"
+    torch_utils.strip_optimizer(best if job.patience and best.is_file() else checkpoint, weights)
+    say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,
+        batch=trainer.batch_size, threads=torch.get_num_threads(),
+        versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+
+
+def _epochs_done(checkpoint: Path, torch: Any) -> int:
+    if not checkpoint.is_file():
+        return 0
+    return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
+
+
+def _has_fast_bfloat16(torch: Any) -> bool:
+    """Whether the processor has matrix units for it; elsewhere it is slower than float32."""
+    known = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return bool(known and known())
+
+
+@contextlib.contextmanager
+def _bfloat16_forward(torch: Any) -> Iterator[None]:
+    """While entered, networks in training compute in bfloat16 and hand on float32.
+
+    The loss stays outside: anchors of 39.5 strides and more are not exact in eight bits, and boxes of 10 px would move.
+    """
+    from ultralytics.nn.tasks import BaseModel
+
+    plain = BaseModel._predict_once
+
+    def floats(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: floats(v) for k, v in value.items()}
+        if isinstance(value, list | tuple):
+            return type(value)(floats(v) for v in value)
+        return value.float() if torch.is_tensor(value) and value.dtype == torch.bfloat16 else value
+
+    def predict_once(self: Any, x: Any, *args: Any, **kwargs: Any) -> Any:
+        if not self.training:
+            return plain(self, x, *args, **kwargs)
+        with torch.autocast("cpu", torch.bfloat16):
+            found = plain(self, x.contiguous(memory_format=torch.channels_last), *args, **kwargs)
+        return floats(found)
+
+    BaseModel._predict_once = predict_once
+    try:
+        yield
+    finally:
+        BaseModel._predict_once = plain
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,108 @@
+"""Where a training starts: a file, a usual name where there is a network, or nothing at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from pathlib import Path
+
+from infrablend.core.files import replace_atomically
+from infrablend.errors import FetchError, MissingDependencyError
+from infrablend.training.presets import SUFFIX, Preset
+
+SCRATCH = "scratch"
+AUTO = "auto"
+# Where Ultralytics publishes its weights.
+_ADDRESS = "https://github.com/ultralytics/assets/releases/latest/download/{name}"
+_TIMEOUT_S = 10
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a network begins with.
+
+    Attributes:
+        model: What Ultralytics is given: a file of weights, or the name of a network's description.
+        kind: `scratch`, `file` or `published`.
+        why: For the record, e.g. why there are no weights.
+    """
+
+    model: str
+    kind: str
+    why: str = ""
+
+
+def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None) -> Start:
+    """The weights to start from.
+
+    Args:
+        wanted: A file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's own published weights if they
+            can be had, else from scratch.
+        preset: Names the network.
+        task: One of `presets.TASKS`.
+        cache: Folder for what is downloaded; `$XDG_CACHE_HOME/infrablend/weights` by default.
+
+    Raises:
+        FetchError: No such file, and no such published weights within reach.
+    """
+    own = f"{preset.model}{SUFFIX[task]}"
+    if wanted == SCRATCH:
+        return Start(f"{own}.yaml", "scratch", "asked for")
+    path = Path(wanted)
+    if wanted != AUTO and path.is_file():
+        return Start(str(path.resolve()), "file")
+    name = f"{own}.pt" if wanted == AUTO else wanted
+    if wanted != AUTO and (path.name != wanted or path.suffix != ".pt"):
+        raise FetchError(
+            f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
+        )
+    try:
+        return Start(str(_published(name, cache or _cache())), "published", name)
+    except FetchError as error:
+        if wanted != AUTO:
+            raise
+        return Start(f"{own}.yaml", "scratch", f"{name} could not be had: {error.message}")
+
+
+def require_ultralytics() -> None:
+    """Raise MissingDependencyError, saying what to install, where Ultralytics or torch is missing."""
+    from importlib.util import find_spec
+
+    missing = [name for name in ("ultralytics", "torch") if find_spec(name) is None]
+    if missing:
+        raise MissingDependencyError(
+            f"{' and '.join(missing)} not installed, which training and prediction need; install with\n"
+            '  pip install "infrablend[train]"\n(in a checkout: make train)'
+        )
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infrablend" / "weights"
+
+
+def _published(name: str, folder: Path) -> Path:
+    """The file of that name from the cache, or downloaded whole into it."""
+    path = folder / name
+    if path.is_file():
+        return path
+    address = _ADDRESS.format(name=name)
+    try:
+        with urllib.request.urlopen(address, timeout=_TIMEOUT_S) as answer:
+            length = int(answer.headers.get("Content-Length") or 0)
+            with replace_atomically(path) as temporary, temporary.open("wb") as file:
+                shutil.copyfileobj(answer, file)
+                got = file.tell()
+                if length and got != length:
+                    raise FetchError(f"{address}: broke off after {got} of {length} bytes; run the command again")
+    except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+        raise FetchError(
+            f"{address}: {getattr(error, 'reason', error)}; put the file there by hand ({path}), "
+            "name a file with --weights, or train from --weights scratch"
+        ) from error
+    return path
