@@ -1,4 +1,4 @@
-"""Ultralytics' own verdict on a dataset: `ultralytics_check.py DATA_YAML [detect|obb|segment]`, run by .venv (make train).
+"""Ultralytics' own verdict on a dataset: `ultralytics_check.py DATA_YAML [detect|obb|segment]` (needs `make train`).
 
 Writes one JSON object to standard output:
 

@@ -194,7 +194,6 @@ def write_tiles(tiles: Iterable[Tile], folder: Path) -> tuple[list[ImageRecord],
                 counts["labels_left_out"] += 1
         counts["labels"] += len(labels)
         counts["tiles_reduced"] += tile.span_px != tile.side_px
-        side = tile.side_px
         record = replace(image, id=Path(name).stem, path=path, size_wh=(tile.side_px, tile.side_px), file_name=name)
         records.append(replace(record, instances=tuple(labels), source_id=None, extra={}))
     return records, counts
