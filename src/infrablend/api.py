@@ -36,6 +36,7 @@ from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.realism import RealismReport, Time, compare
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.select import Selection
 from infrablend.pipeline.train import TrainPlan, TrainReport, choose_preset, plan_training, train_dataset
 
 if TYPE_CHECKING:
@@ -469,6 +470,13 @@ def convert(
     options: Mapping[str, str] | None = None,
     rename: Mapping[str, str] | None = None,
     drop: Sequence[str] = (),
+    only: str | None = None,
+    with_class: str | None = None,
+    without: Sequence[str] = (),
+    images: int | None = None,
+    objects: int | None = None,
+    like: str | None = None,
+    seed: int = 0,
     ids: Literal["new", "source"] = "new",
     category_ids: Literal["source", "from_one"] = "source",
     dont_care: Literal["drop", "keep"] = "drop",
@@ -488,6 +496,14 @@ def convert(
         options: Further options of the source's reader.
         rename: Other names for classes; several may become one.
         drop: Classes to leave out, by the name after renaming.
+        only: The one class to keep, instead of `drop`.
+        with_class: Only pictures that show this class.
+        without: Only pictures that show none of these classes (regions to ignore may be among them).
+        images: Draw as many of the pictures.
+        objects: Draw them so that they show as many objects of `with_class`, or as nearly as can be.
+        like: Draw the pictures, some several times, so that heights and times of day are shared out as among those
+            that show this class.
+        seed: Of the draw.
         ids: Image and annotation ids numbered anew, or the source's own.
         category_ids: The source's, or numbered from 1 (many tools take COCO's category 0 for background).
         dont_care: YOLO: regions to ignore are left out, or kept as a class.
@@ -500,7 +516,17 @@ def convert(
     _require_apart(Path(source), Path(out))
     dataset = read_dataset(source, splits=splits, form=form, metadata=metadata, format=format, options=options)
     settings = WriteSettings(ids, category_ids, dont_care, without_mask)
-    return convert_dataset(dataset, to, Path(out), rename=rename, drop=drop, settings=settings, overwrite=overwrite)
+    return convert_dataset(
+        dataset,
+        to,
+        Path(out),
+        rename=rename,
+        drop=drop,
+        only=only,
+        selection=Selection(with_class, tuple(without), images, objects, like, seed),
+        settings=settings,
+        overwrite=overwrite,
+    )
 
 
 def train(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from infrablend.compositing.mapping import GreyMapping, PercentileMapper
-from infrablend.compositing.overlay import blur_radius_px, compose, compose_float, make_layer
+from infrablend.compositing.overlay import blur_radius_px, compose, compose_float, flat_layer, make_layer
 from infrablend.core.render import RenderResult
 
 
@@ -86,3 +86,16 @@ def test_nothing_rendered_nothing_changed():
     layer = make_layer(nothing, GreyMapping(0, 255), 0.45)
     assert (compose(background, layer) == background).all()
     assert (compose_float(background, layer) == background).all()
+
+
+def test_flat_paste_is_one_level_for_each_object_with_a_hard_edge():
+    alpha = np.array([[0.4, 1.0, 1.0, 0.6, 0.0, 0.3]], np.float32)
+    shown = np.array([[0.1, 0.2, 0.4, 0.9, 0.0, 0.5]], np.float32)
+    coverage = np.stack([np.where(np.arange(6) < 5, alpha, 0), np.where(np.arange(6) == 5, alpha, 0)]).astype(
+        np.float32
+    )
+    r = RenderResult((4, 2), (20, 16), shown * alpha, alpha, coverage)
+    picture = compose(np.full((16, 20), 7, np.uint8), flat_layer(r, GreyMapping(0, 200)))
+    # Median of 40, 80 and 180 for the first; the second covers no pixel by half and gets the one it has.
+    assert picture[2, 4:10].tolist() == [7, 80, 80, 80, 7, 100]
+    assert (picture != 7).sum() == 4

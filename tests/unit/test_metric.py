@@ -186,3 +186,49 @@ def test_the_same_frame_twice_and_through_json():
     a, b = draw(recipe), draw(recipe)
     assert a == b
     assert type(a).from_json(a.to_json()) == a
+
+
+def nearest_m(spec):
+    places = np.array([o.position_m[:2] for o in spec.objects])
+    away = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(away, np.inf)
+    return away.min(axis=1)
+
+
+def test_people_keep_company_as_often_and_as_close_as_the_recipe_says():
+    alone = load_recipe("hit-uav-person", ["objects.0.count=10"])
+    settings = ["objects.0.count=10", "objects.0.group={share: 0.6, apart_m: [1, 2], max_overlap: 1}"]
+    grouped = load_recipe("hit-uav-person", settings)
+    near = {
+        name: np.concatenate([nearest_m(draw(r, number=n)) for n in range(12)])
+        for name, r in (("alone", alone), ("grouped", grouped))
+    }
+    assert (near["alone"] < 2).mean() < 0.15
+    # The nine after the first: 60 % beside another, whose neighbours they then are; some of these are alone else.
+    assert 0.6 < (near["grouped"] <= 2 + 1e-9).mean() < 0.95
+    assert load_recipe("hit-uav-people").objects[0].group is not None
+
+
+def test_cars_stand_in_rows():
+    settings = ["objects.0.count=5", "objects.0.group={share: 1, apart_m: [2.5, 3], in_row: true, max_overlap: 0.6}"]
+    spec = draw(load_recipe("hit-uav-car", settings))
+    assert len(spec.objects) == 5
+    first = spec.objects[0]
+    for o in spec.objects[1:]:
+        # One or two steps of at most 4 degrees for each car between; heads may point either way.
+        turn = math.remainder(o.yaw_rad - first.yaw_rad, math.pi)
+        assert abs(math.degrees(turn)) <= 4 * 4
+    assert (nearest_m(spec) <= 3 + 1e-9).all()
+    assert (nearest_m(spec) >= 2.4).all()
+    side = np.array([-math.sin(first.yaw_rad), math.cos(first.yaw_rad)])
+    along = np.array([math.cos(first.yaw_rad), math.sin(first.yaw_rad)])
+    away = np.array([np.subtract(o.position_m[:2], first.position_m[:2]) for o in spec.objects[1:]])
+    assert (np.abs(away @ side) > 3 * np.abs(away @ along)).all()
+
+
+def test_without_company_nothing_is_drawn_otherwise():
+    """A recipe that names no group gets the scenes it always got."""
+    plain = load_recipe("hit-uav-person", ["objects.0.count=3"])
+    never = load_recipe("hit-uav-person", ["objects.0.count=3", "objects.0.group={share: 0}"])
+    assert [o.position_m for o in draw(plain).objects] != []
+    assert len(draw(never).objects) == 3

@@ -103,3 +103,19 @@ def test_recipe_survives_json():
 def test_model_paths_are_relative_to_the_recipe(tmp_path):
     (tmp_path / "r.yaml").write_text("name: r\nobjects: [{model: fox.yaml}]")
     assert load_recipe(tmp_path / "r.yaml").objects[0].model == str(tmp_path / "fox.yaml")
+
+
+def test_an_unquoted_off_is_the_sensors_off():
+    assert load_recipe("hit-uav-person", ["sensor.profile=off"]).sensor.profile == "off"
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        (["overlay.flat=true"], "overlay.flat does not go with a sensor"),
+        (["placement.mode=paper", "objects.0.group={share: 0.5}"], r"objects\.group needs placement\.mode metric"),
+    ],
+)
+def test_what_does_not_go_together_is_said(settings, match):
+    with pytest.raises(RecipeError, match=match):
+        load_recipe("hit-uav-person", settings)

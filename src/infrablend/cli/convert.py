@@ -61,6 +61,28 @@ def convert(
         str | None,
         typer.Option("--drop-class", metavar="LIST", help="Classes to leave out, by their name after --rename."),
     ] = None,
+    only: Annotated[
+        str | None, typer.Option("--only-class", metavar="NAME", help="Keep this class's labels alone.")
+    ] = None,
+    with_class: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only pictures that show this class (name after --rename).")
+    ] = None,
+    without: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Only pictures that show none of these classes.")
+    ] = None,
+    images: Annotated[int | None, typer.Option(metavar="N", help="Draw so many of the pictures.")] = None,
+    objects: Annotated[
+        int | None, typer.Option(metavar="N", help="Draw them so that they show so many of --with-class.")
+    ] = None,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            "--like-class",
+            metavar="NAME",
+            help="Draw pictures, some several times, to get heights and times of day as of those that show this class.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the draw.")] = 0,
     ids: Annotated[Ids, typer.Option(help="Ids numbered anew, or the source's, where the format has ids.")] = Ids.NEW,
     category_ids: Annotated[
         CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools take 0 for background.")
@@ -94,6 +116,13 @@ def convert(
         options=key_values(reading, "--read"),
         rename=key_values(pairs, "--rename"),
         drop=comma_list(drop, "--drop-class") or (),
+        only=only,
+        with_class=with_class,
+        without=comma_list(without, "--without") or (),
+        images=images,
+        objects=objects,
+        like=like,
+        seed=seed,
         ids=ids.value,
         category_ids=category_ids.value,
         dont_care=dont_care.value,

@@ -76,6 +76,22 @@ def make_layer(
     return Layer((x0, y0), grey, np.clip(alpha, 0, 1))
 
 
+def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
+    """Every object in one level, the median of what it would show, with a hard edge at half a pixel's coverage.
+
+    An object that covers no pixel by half gets the one it covers most: none that has a label is invisible.
+    """
+    grey = mapping.apply(result.radiance, result.alpha, result.offset_xy)
+    alpha, level = np.zeros_like(result.alpha), np.zeros_like(result.alpha)
+    for share in result.coverage:
+        if not share.size or share.max() <= 0:
+            continue
+        own = share >= min(0.5, float(share.max()))
+        alpha[own] = 1
+        level[own] = np.median(grey[own] / np.maximum(result.alpha[own], _NOTHING))
+    return Layer(result.offset_xy, level, alpha)
+
+
 def motion_kernel(motion_px: tuple[float, float], sigma_px: float) -> NDArray[np.float32]:
     """(2 r + 1, 2 r + 1) kernel of a Gaussian of `sigma_px` with a one-sided exponential tail, as slow detectors leave.
 

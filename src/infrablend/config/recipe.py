@@ -21,6 +21,8 @@ def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _known_profile(value: Any) -> Any:
+    if value is False:  # YAML's own reading of an unquoted off
+        return "off"
     known = ("off", *PROFILES)
     if isinstance(value, str) and value not in known:
         raise ValueError(f"one of {', '.join(known)}, or the path of a profile's .json or .yaml")
@@ -109,6 +111,21 @@ class PartOverride(Strict):
     """Emissivity at normal incidence; uniform."""
 
 
+class Group(Strict):
+    """Company that objects keep: people walk in groups, cars are parked in rows. Metric placement, what stands."""
+
+    share: float = Field(ge=0, le=1)
+    """Share of a frame's objects of this kind, after its first, that are put beside one that is already there; one
+    that finds no place so is put anywhere."""
+    apart_m: range_of(0.1, 100) = (0.6, 2.5)  # type: ignore[valid-type]
+    """Distance between the middles of the two, metres; uniform."""
+    in_row: bool = False
+    """To the other's side, with its heading or the opposite one, give or take 4 degrees: as cars are parked. Else in
+    any direction, with a heading of its own."""
+    max_overlap: float = Field(0.3, ge=0, le=1)
+    """Share of an object's box that may lie over the box of another insert; without company 0.02."""
+
+
 CLASS_NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 ClassName = Annotated[str, Field(pattern=CLASS_NAME)]
 
@@ -134,6 +151,8 @@ class Object(Strict):
     """Heading, degrees counter-clockwise seen from above; uniform. Paper: 0, 360."""
     scale: range_of(1e-4, 1e4) = (1.0, 1.0)  # type: ignore[valid-type]
     """Factor on the model's size; log-uniform."""
+    group: Group | None = None
+    """Company it keeps: none, or `{share: 0.7, apart_m: [0.6, 2.5]}`."""
     options: dict[str, Any] = Field(default_factory=dict)
     """What the model lets a recipe fix, e.g. `pose: grazing`; see `infrablend models show NAME`."""
     parts: dict[str, PartOverride] = Field(default_factory=dict)
@@ -240,6 +259,9 @@ class Matching(Strict):
 class Overlay(Strict):
     """How the rendered object is laid over the background."""
 
+    flat: bool = False
+    """Each object in one grey level, the median of what it would show, with a hard edge: the simplest paste, to compare
+    with. Scenes and labels are those of the same recipe without it. Needs `sensor.profile: off`."""
     softness_px: float = Field(0.45, ge=0, le=10)
     """Gaussian blur (sigma) of the rendered layer, pixels: the softness Blender's default pixel filter would give.
     Labels describe the object before it."""
@@ -370,6 +392,10 @@ class Recipe(Strict):
                 f"appearance.mode {self.appearance.mode} does not go with matching.mode {self.matching.mode}: "
                 "physical needs local, artistic needs percentile"
             )
+        if self.overlay.flat and self.sensor.profile != "off":
+            raise ValueError("overlay.flat does not go with a sensor: set sensor.profile to off")
+        if self.placement.mode == "paper" and any(o.group is not None for o in self.objects):
+            raise ValueError("objects.group needs placement.mode metric: the paper's placement knows no ground")
         return self
 
     @property

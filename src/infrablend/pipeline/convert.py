@@ -21,6 +21,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.select import Selection, select
 from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
 
 RECORD_FILE = "convert.json"
@@ -68,6 +69,8 @@ def convert_dataset(
     *,
     rename: Mapping[str, str] | None = None,
     drop: Sequence[str] = (),
+    only: str | None = None,
+    selection: Selection | None = None,
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
@@ -79,6 +82,8 @@ def convert_dataset(
         out: Folder; new or empty, or with `overwrite` one that an earlier call wrote.
         rename: Other names for classes; several may become one.
         drop: Classes to leave out, by the name after renaming.
+        only: The one class to keep, instead of `drop`.
+        selection: Which pictures to take, by the names after renaming and before `drop`; all by default.
         settings: What the writer lets one choose.
         overwrite: Delete what the earlier call wrote first.
 
@@ -96,6 +101,12 @@ def convert_dataset(
     _require_names(dataset, (rename or {}).values())
     renamed = rename_classes(dataset, rename or {})
     _require_classes(renamed, drop, "--drop-class")
+    if only is not None:
+        _require_classes(renamed, [only], "--only-class")
+        drop = [c.name for c in renamed.categories if c.name != only]
+    chosen: dict[str, Any] | None = None
+    if selection:
+        renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
     problems = list(dataset.problems)
     images = _with_sizes(wanted, problems)
@@ -110,6 +121,7 @@ def convert_dataset(
         "labels": _per_class(images),
         "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
         "source_format": dataset.format,
+        **({} if chosen is None else {"selection": chosen}),
     }
     folder = RunFolder(out)
     with folder.claimed():
@@ -135,7 +147,7 @@ def convert_dataset(
                 raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
             raise
         problems += written.problems
-        changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems)
+        changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems, chosen)
         card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
         problems += write_card(out, card)
         problems += _background_class(writer.name, wanted, settings)
@@ -145,7 +157,13 @@ def convert_dataset(
     return report
 
 
-def _changes(to: str, rename: Mapping[str, str], dropped: Mapping[str, int], problems: Sequence[Problem]) -> list[str]:
+def _changes(
+    to: str,
+    rename: Mapping[str, str],
+    dropped: Mapping[str, int],
+    problems: Sequence[Problem],
+    chosen: Mapping[str, Any] | None,
+) -> list[str]:
     """What was done, for the card."""
     texts = [f"The labels were written in the form `{to}`; the pictures are the same files."]
     if rename:
@@ -153,6 +171,9 @@ def _changes(to: str, rename: Mapping[str, str], dropped: Mapping[str, int], pro
     if dropped:
         which = ", ".join(f"{name} {n}" for name, n in dropped.items())
         texts.append(f"{sum(dropped.values())} labels of left-out classes ({which}) are not in it.")
+    if chosen is not None:
+        what = ", ".join(f"{n} {why}" for why, n in chosen["left_out"].items()) or "none"
+        texts.append(f"It is a selection of the source's pictures; left out: {what}; see `{RECORD_FILE}`.")
     left_out = Counter(p.code for p in problems if p.severity == "error")
     if left_out:
         found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))

@@ -22,9 +22,9 @@ from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.local import GainPrior, Insert, expected_contrast, grey_unit, is_warm, local_mapping
 from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper, Place
-from infrablend.compositing.overlay import compose, make_layer
+from infrablend.compositing.overlay import compose, flat_layer, make_layer
 from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import Overlay, Recipe
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
@@ -116,7 +116,7 @@ class FrameMaker:
         sampled = drop_barely_visible(sampled, self._recipe.placement.min_visibility)
         sampled, mapping, matching_facts = self._match(frame.as_read, background, sampled)
         sensor = self._sensor(background, sampled)
-        picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay.softness_px, sensor)
+        picture = paint(sampled, background, self._renderer, mapping, self._recipe.overlay, sensor)
 
         labels, label_report = annotate(
             sampled.spec, sampled.meshes, picture.result, LabelSettings(obb=self._recipe.labels.obb)
@@ -290,14 +290,15 @@ def paint(
     background: Background,
     renderer: Renderer,
     mapping: GreyMapping,
-    softness_px: float,
+    overlay: Overlay,
     sensor: Sensor | None = None,
 ) -> Picture:
     """Render a scene and lay it over its background, as the background's camera would show it if `sensor` says how."""
     result = renderer.render(sampled.spec, sampled.meshes)
     if sensor is None:
-        return Picture(compose(background.pixels, make_layer(result, mapping, softness_px)), result)
-    layer = make_layer(result, mapping, sensor.layer_sigma_px(softness_px), sampled.spec.motion_px)
+        layer = flat_layer(result, mapping) if overlay.flat else make_layer(result, mapping, overlay.softness_px)
+        return Picture(compose(background.pixels, layer), result)
+    layer = make_layer(result, mapping, sensor.layer_sigma_px(overlay.softness_px), sampled.spec.motion_px)
     return Picture(apply_sensor(background.pixels, layer, sensor), result)
 
 
@@ -325,7 +326,7 @@ def repaint(
         background,
         renderer,
         GreyMapping.from_json(record.mapping),
-        recipe.overlay.softness_px,
+        recipe.overlay,
         None if fitted is None else Sensor.from_json(fitted),
     )
 

@@ -246,13 +246,13 @@ class Worker:
         if self._renderer is None:
             self._renderer = make_renderer(self._settings.renderer, self._settings.device)
         rendered = _Shown(self._renderer.render(sampled.spec, sampled.meshes))
-        mapping, softness = GreyMapping.from_json(record.mapping), self._recipe.overlay.softness_px
+        mapping, overlay = GreyMapping.from_json(record.mapping), self._recipe.overlay
         labels = [job.background.instances[k] for k in record.kept] + list(record.inserted)
         where = Labels(background.pixels.shape, labels)
         for step, sensor in chain_steps(Sensor.from_json(fitted)).items():
             # The motion tail belongs to the optics.
             shown = replace(sampled, spec=replace(record.scene, motion_px=(0.0, 0.0))) if step == STEPS[0] else sampled
-            made = paint(shown, background, rendered, mapping, softness, sensor).pixels
+            made = paint(shown, background, rendered, mapping, overlay, sensor).pixels
             picture = eight_bit(_saved(made, background, self._recipe.output.image), self._settings.levels)
             for n in numbers:
                 found.add(

@@ -22,7 +22,7 @@ from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
 from infrablend.sampling.calibration import Calibration, calibrate
 from infrablend.sampling.ground import at_height, ground_point, ground_z_m, pixel_ray
-from infrablend.sampling.placement import Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
+from infrablend.sampling.placement import MAX_OVERLAP, Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
 
 # A flying object keeps this share of the way to the ground at most.
 _BEFORE_GROUND = 0.9
@@ -31,6 +31,10 @@ _RELIEF_WINDOW_PX = 7
 _FEET_MARGIN_PX = 3
 # What of an object counts as its feet: its lowest part, share of its height.
 _FEET = 0.12
+# After this share of the draws beside its like, an object is put anywhere.
+_IN_COMPANY = 0.5
+# Heading of a parked car against its neighbour's, degrees either way.
+_ROW_TURN_DEG = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +95,20 @@ def place_metric(
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
     ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
-    taken = boxes_of([i for i in site.labels if i.category not in site.ignored])
+    annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
+    inserted = boxes_of([])
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
     poses: list[Pose | None] = []
-    for item in wanted:
+    for number, item in enumerate(wanted):
         found = None
-        for _ in range(rules.attempts):
+        group = item.kind.group
+        mates: list[Pose] = []
+        if group is not None and item.model.stands and rng.random() < group.share:
+            mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
+        for attempt in range(rules.attempts):
             tally.attempts += 1
-            pose = _draw(camera, view, item, rng)
+            company = bool(mates) and attempt < _IN_COMPANY * rules.attempts
+            pose = _beside(item, mates, rng) if company else _draw(camera, view, item, rng)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -106,9 +116,10 @@ def place_metric(
             reason = rejection(camera, world, item, rules)
             box = None if reason else box_px(camera, world, item)
             if reason is None:
+                near = group.max_overlap if company and group is not None else MAX_OVERLAP
                 if rules.clear_of_ignored is not False and overlaps(box, ignored):
                     reason = "on_ignored"
-                elif rules.clear_of_labels and overlaps(box, taken):
+                elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):
                     reason = "on_annotated"
                 elif item.model.stands and relief is not None:
                     feet = feet_box(camera, world)
@@ -116,7 +127,7 @@ def place_metric(
             if reason is None:
                 found = pose
                 assert box is not None
-                taken = np.concatenate([taken, box[None]])
+                inserted = np.concatenate([inserted, box[None]])
                 break
             tally.reject(reason)
         if found is None:
@@ -144,6 +155,21 @@ def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator
         return "beyond_ground"
     place = camera.position_m + away * pixel_ray(camera, u, v)
     return float(place[0]), float(place[1]), float(place[2]), yaw
+
+
+def _beside(item: Wanted, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
+    """A pose beside one of those that are there, on the same ground."""
+    kind, group = item.kind, item.kind.group
+    assert group is not None
+    x, y, z, mate_yaw = mates[int(rng.integers(len(mates)))]
+    away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())
+    low, high = (math.radians(d) for d in kind.yaw_deg)
+    if group.in_row:
+        yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
+        towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
+    else:
+        yaw, towards = low + (high - low) * heading, 2 * math.pi * turn
+    return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
 
 
 def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:

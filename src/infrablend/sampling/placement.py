@@ -164,12 +164,12 @@ def boxes_of(labels: Sequence[Instance]) -> FloatArray:
     return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
 
 
-def overlaps(box_xyxy: FloatArray | None, others: FloatArray) -> bool:
-    """Whether more than `MAX_OVERLAP` of the box lies under one of (n, 4) others."""
+def overlaps(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:
+    """Whether more than `share` of the box lies under one of (n, 4) others."""
     if box_xyxy is None or not len(others):
         return False
     low = np.maximum(others[:, :2], box_xyxy[:2])
     high = np.minimum(others[:, 2:], box_xyxy[2:])
     shared = np.prod(np.maximum(high - low, 0), axis=1)
     area = float(np.prod(box_xyxy[2:] - box_xyxy[:2]))
-    return bool((shared > MAX_OVERLAP * area).any())
+    return bool((shared > share * area).any())

@@ -1,0 +1,219 @@
+"""A part of a dataset: pictures with or without a class, as many as asked for, with as many of its objects."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.annotation.classes import unknown_classes
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.rng import stream
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import sort_images
+
+# No picture is drawn more often, however rare its height is.
+MOST_COPIES = 4
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which pictures to take; the default takes all.
+
+    Attributes:
+        with_class: Only pictures that show this class.
+        without: No pictures that show one of these classes; those to ignore (DontCare) may be among them.
+        images: As many pictures, drawn at random.
+        like: Draw them so that heights and times of day are shared out as among the pictures that show this class,
+            some up to `MOST_COPIES` times (under names of their own); as many as there are to choose from by default.
+        objects: Of `with_class`: the pictures are drawn so that they show this many, or as nearly as can be.
+        seed: Of the draw.
+    """
+
+    with_class: str | None = None
+    without: Sequence[str] = ()
+    images: int | None = None
+    objects: int | None = None
+    like: str | None = None
+    seed: int = 0
+
+    def __bool__(self) -> bool:
+        return self != Selection(seed=self.seed)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "with_class": self.with_class,
+            "without": sorted(self.without),
+            "images": self.images,
+            "objects": self.objects,
+            "like": self.like,
+            "seed": self.seed,
+        }
+
+
+def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:
+    """The part of a dataset that a selection asks for, and what it left out, counted by reason.
+
+    Same dataset and selection, same pictures; they keep their order, splits, and all their labels.
+
+    Raises:
+        DatasetError: No such class, no picture left, or fewer pictures than asked for; all problems at once.
+    """
+    problems = _faults(dataset, wanted)
+    if problems:
+        raise DatasetError(f"{dataset.root}: no such selection", problems)
+    named, avoided = wanted.with_class, set(wanted.without)
+    left_out: Counter[str] = Counter()
+    pool: list[ImageRecord] = []
+    for image in dataset.images:
+        shown = {i.category for i in image.instances}
+        if named is not None and named not in shown:
+            left_out[f"without {named}"] += 1
+        elif found := sorted(shown & avoided):
+            left_out[f"with {found[0]}"] += 1
+        else:
+            pool.append(image)
+    size = len(pool) if wanted.images is None else wanted.images
+    most = len(pool) * (1 if wanted.like is None else MOST_COPIES)
+    if not pool or size > most:
+        expected = "at least one" if wanted.images is None else f"{wanted.images} (--images)"
+        what = "; ".join(f"{n} {why}" for why, n in sorted(left_out.items())) or "none left out"
+        raise DatasetError(
+            f"{dataset.root}: too few pictures to choose from",
+            [Problem("selection", "selection-short", f"{len(pool)} picture(s) that fit ({what})", expected)],
+        )
+    if wanted.like is not None:
+        like = [i for i in dataset.images if any(o.category == wanted.like for o in i.instances)]
+        return _drawn_alike(dataset, pool, like, size, wanted, left_out)
+    counts = np.array([sum(i.category == named for i in image.instances) for image in pool], np.int64)
+    order = stream(wanted.seed, "select").permutation(len(pool))
+    taken = order[:size] if wanted.objects is None else draw_with_sum(counts, order, size, wanted.objects)
+    kept = [pool[k] for k in sorted(int(k) for k in taken)]
+    if size < len(pool):
+        left_out["not drawn"] += len(pool) - size
+    facts: dict[str, Any] = {**wanted.to_json(), "left_out": dict(sorted(left_out.items()))}
+    if named is not None:
+        facts["objects_taken"] = int(counts[taken].sum())
+    return replace(dataset, images=tuple(kept)), facts
+
+
+def _drawn_alike(
+    dataset: Dataset,
+    pool: Sequence[ImageRecord],
+    like: Sequence[ImageRecord],
+    size: int,
+    wanted: Selection,
+    left_out: Counter[str],
+) -> tuple[Dataset, dict[str, Any]]:
+    copies = copies_alike([_flight(i) for i in pool], [_flight(i) for i in like], size, wanted.seed)
+    kept = []
+    for image, n in zip(pool, copies, strict=True):
+        kept += [image] * (n > 0)
+        for k in range(1, n):
+            name = PurePosixPath(image.name)
+            again = name.with_name(f"{name.stem}_again{k}{name.suffix}").as_posix()
+            kept.append(replace(image, id=f"{image.id}_again{k}", file_name=again))
+    if never := sum(n == 0 for n in copies):
+        left_out["not drawn"] += never
+    facts = {
+        **wanted.to_json(),
+        "left_out": dict(sorted(left_out.items())),
+        "pictures": sum(n > 0 for n in copies),
+        "drawn_again": sum(n - 1 for n in copies if n > 1),
+    }
+    return replace(dataset, images=sort_images(kept)), facts
+
+
+Flight = tuple[str, float]
+
+
+def _flight(image: ImageRecord) -> Flight:
+    """Time of day and height; -1 for an unknown height."""
+    return image.time_of_day or "", -1.0 if image.altitude_m is None else image.altitude_m
+
+
+def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
+    """How often to take each of a pool, `size` in all, so that its flights are shared out as those of `like`.
+
+    What a flight cannot give, even with every picture taken `MOST_COPIES` times, the nearest height of the same time of
+    day gives, then the other time of day.
+    """
+    members: dict[Flight, list[int]] = {}
+    for k in stream(seed, "select").permutation(len(pool)).tolist():
+        members.setdefault(pool[k], []).append(k)
+    counts = Counter(like)
+    shares = {f: size * n / len(like) for f, n in sorted(counts.items())}
+    wanted = {f: int(s) for f, s in shares.items()}
+    for f in sorted(shares, key=lambda f: (wanted[f] - shares[f], f))[: size - sum(wanted.values())]:
+        wanted[f] += 1
+    copies = [0] * len(pool)
+    room = {f: MOST_COPIES * len(of) for f, of in members.items()}
+    given: Counter[Flight] = Counter()
+    # First what each flight can give of its own, then what others lack.
+    lacking: list[Flight] = []
+    for f, n in wanted.items():
+        own = min(n, room.get(f, 0))
+        given[f] += own
+        lacking += [f] * (n - own)
+    for f in lacking:
+        free = [g for g in members if given[g] < room[g]]
+        given[min(free, key=lambda g: (g[0] != f[0], abs(g[1] - f[1]), g))] += 1
+    for f, of in members.items():
+        for n in range(given[f]):
+            copies[of[n % len(of)]] += 1
+    return copies
+
+
+def draw_with_sum(counts: NDArray[np.int64], order: NDArray[np.int64], size: int, total: int) -> NDArray[np.int64]:
+    """`size` of the indices in `order` whose counts add up to `total`, or as nearly as exchanges of two bring them.
+
+    The first ones are taken, then the exchange of one taken with one left that comes nearest to `total` is made, as
+    long as one helps: so the others stay as they were drawn.
+    """
+    taken, left = order[:size].copy(), order[size:].copy()
+    missing = int(total - counts[taken].sum())
+    while missing and len(taken) and len(left):
+        after = np.abs(missing - (counts[left][None, :] - counts[taken][:, None]))
+        a, b = np.unravel_index(int(np.argmin(after)), after.shape)
+        if after[a, b] >= abs(missing):
+            break
+        missing -= int(counts[left[b]] - counts[taken[a]])
+        taken[a], left[b] = left[b], taken[a]
+    return taken
+
+
+def _faults(dataset: Dataset, wanted: Selection) -> list[Problem]:
+    known = ", ".join(c.name for c in dataset.categories) or "it has none"
+    named = {
+        "--with-class": [] if wanted.with_class is None else [wanted.with_class],
+        "--without": wanted.without,
+        "--like-class": [] if wanted.like is None else [wanted.like],
+    }
+    problems = []
+    for option, names in named.items():
+        if unknown := unknown_classes(dataset, names):
+            expected = f"classes of the dataset ({known})"
+            problems.append(Problem(option, "category-unknown", ", ".join(unknown), expected))
+    if wanted.with_class is not None and wanted.with_class in wanted.without:
+        problems.append(
+            Problem("--without", "selection-empty", f"{wanted.with_class}, as --with-class", "another class")
+        )
+    for option, number in (("--images", wanted.images), ("--objects", wanted.objects)):
+        if number is not None and number < 1:
+            problems.append(Problem(option, "selection-number", str(number), "a number above 0"))
+    if wanted.like is not None and wanted.objects is not None:
+        problems.append(Problem("--like-class", "selection-class", "--objects, too", "one of the two"))
+    elif wanted.like in {c.name for c in dataset.categories} and not any(
+        o.category == wanted.like for i in dataset.images for o in i.instances
+    ):
+        problems.append(Problem("--like-class", "selection-empty", f"no {wanted.like}", "a class that is shown"))
+    if wanted.objects is not None and wanted.with_class is None:
+        found = f"{wanted.objects} objects of no class"
+        problems.append(Problem("--objects", "selection-class", found, "objects of one class", "give --with-class"))
+    return problems

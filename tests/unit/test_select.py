@@ -1,0 +1,163 @@
+"""A part of a dataset: pictures with or without a class, as many as asked for, with as many of its objects."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError
+from infrablend.formats import writing
+from infrablend.pipeline.select import MOST_COPIES, Selection, copies_alike, draw_with_sum, select
+
+CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
+
+
+def image(number: int, objects: dict[str, int], altitude: float = 60.0, time="night", root=Path()) -> ImageRecord:
+    boxes = tuple(Instance(name, np.array([4.0 * k, 4, 4 * k + 3, 9])) for name, n in objects.items() for k in range(n))
+    path = root / f"{number:03d}.png"
+    return ImageRecord(f"{number:03d}", path, "train", (64, 64), 60.0, altitude, time, boxes)
+
+
+def dataset(counts, root=Path()) -> Dataset:
+    return Dataset(root, "coco", CATEGORIES, tuple(image(k, c, root=root) for k, c in enumerate(counts)))
+
+
+def people(count: int) -> dict[str, int]:
+    return {"Person": count} if count else {"Car": 1}
+
+
+def test_pictures_without_a_class_and_without_regions_to_ignore():
+    data = dataset([{"Person": 2}, {"Car": 1}, {}, {"DontCare": 1}, {"Car": 1, "DontCare": 1}])
+    part, facts = select(data, Selection(without=("Person", "DontCare")))
+    assert [i.id for i in part.images] == ["001", "002"]
+    assert facts["left_out"] == {"with DontCare": 2, "with Person": 1}
+    assert part.images[0].instances is data.images[1].instances
+
+
+@pytest.mark.parametrize("objects", [60, 77, 90, 111])
+def test_so_many_pictures_with_exactly_so_many_objects(objects):
+    counts = np.random.default_rng(3).integers(0, 9, 60)
+    data = dataset([people(int(c)) for c in counts])
+    part, facts = select(data, Selection("Person", images=20, objects=objects, seed=5))
+    assert len(part.images) == len({i.id for i in part.images}) == 20
+    shown = [sum(o.category == "Person" for o in i.instances) for i in part.images]
+    assert min(shown) > 0
+    assert sum(shown) == facts["objects_taken"] == objects
+    assert facts["left_out"] == {"not drawn": int((counts > 0).sum()) - 20, "without Person": int((counts == 0).sum())}
+    same, _ = select(data, Selection("Person", images=20, objects=objects, seed=5))
+    other, _ = select(data, Selection("Person", images=20, objects=objects, seed=6))
+    assert [i.id for i in same.images] == [i.id for i in part.images] != [i.id for i in other.images]
+
+
+def test_what_cannot_be_reached_is_come_near_to_and_said():
+    data = dataset([people(c) for c in (1, 2, 3, 4)])
+    for objects, found in ((100, 7), (1, 3)):
+        part, facts = select(data, Selection("Person", images=2, objects=objects))
+        assert len(part.images) == 2
+        assert facts["objects_taken"] == found
+        assert facts["objects"] == objects
+
+
+def test_the_draw_is_changed_no_more_than_it_must():
+    counts = np.array([5, 5, 5, 5, 5, 5, 2], np.int64)
+    taken = draw_with_sum(counts, np.arange(7), 4, 17)
+    assert set(taken.tolist()) - {0, 1, 2, 3} == {6}
+    assert counts[taken].sum() == 17
+    assert draw_with_sum(counts, np.arange(7), 4, 20).tolist() == [0, 1, 2, 3]
+
+
+def test_heights_and_times_are_shared_out_as_among_those_with_the_class():
+    like = [image(k, {"Person": 1}, 60.0 if k < 30 else 100.0) for k in range(40)]
+    pool = [image(100 + k, {"Car": 1}, 60.0 if k < 10 else 100.0) for k in range(40)]
+    data = Dataset(Path(), "coco", CATEGORIES, (*like, *pool))
+    part, facts = select(data, Selection(without=("Person",), images=40, like="Person"))
+    assert Counter(i.altitude_m for i in part.images) == {60.0: 30, 100.0: 10}
+    assert len({i.id for i in part.images}) == len({i.name for i in part.images}) == 40
+    assert facts["drawn_again"] == 20
+    assert facts["pictures"] == 20
+    assert facts["left_out"] == {"not drawn": 20, "with Person": 40}
+    again = [i for i in part.images if "_again" in i.id]
+    assert {i.name for i in again} == {f"{i.id}.png" for i in again}
+    assert {i.path for i in again} <= {i.path for i in pool}
+
+
+def test_what_a_height_cannot_give_the_nearest_of_the_same_time_gives():
+    pool = [("night", 60.0), ("night", 80.0), ("night", 120.0), ("night", 120.0), ("day", 60.0)]
+    copies = copies_alike(pool, [("night", 60.0)] * 3 + [("day", 90.0)], 12, 0)
+    # Nine at night from 60 m, of which four are to be had; four from 80 m, one from 120 m. Three by day.
+    assert copies[0] == copies[1] == MOST_COPIES
+    assert copies[2] + copies[3] == 1
+    assert copies[4] == 3
+    assert sum(copies_alike(pool, [("night", 60.0)], MOST_COPIES * 5, 0)) == MOST_COPIES * 5
+
+
+@pytest.mark.parametrize(
+    ("wanted", "match"),
+    [
+        (Selection("Dog", ("Cat",)), r"--with-class: Dog[\s\S]*--without: Cat"),
+        (Selection("Car", ("Car",)), "--without: Car, as --with-class"),
+        (Selection("Car", images=0), "--images: 0"),
+        (Selection(objects=3), "Give --with-class"),
+        (Selection(like="Car", objects=3), "--like-class"),
+        (Selection(like="DontCare"), "no DontCare"),
+        (Selection("Car", images=3), r"2 picture\(s\) that fit \(1 without Car\); expected 3"),
+        (Selection(without=("Car", "Person")), r"0 picture\(s\) that fit"),
+    ],
+)
+def test_what_cannot_be_selected_is_said(wanted, match):
+    with pytest.raises(DatasetError, match=match):
+        select(dataset([{"Car": 1}, {"Car": 2}, {"Person": 1}]), wanted)
+
+
+def written(root: Path) -> Path:
+    (root / "pictures").mkdir(parents=True)
+    data = dataset([{"Person": k % 4, "Car": 1, "DontCare": int(k == 7)} for k in range(12)], root / "pictures")
+    for i in data.images:
+        Image.fromarray(np.full((64, 64), 90, np.uint8)).save(i.path)
+    writing.write("coco", root / "data", data.images, CATEGORIES, source=data)
+    return root / "data"
+
+
+def test_convert_writes_a_selection_with_one_class_and_says_so(tmp_path):
+    data, out = written(tmp_path), tmp_path / "out"
+    words = ["-q", "convert", data, out, "--to", "coco", "--with-class", "Person", "--without", "DontCare"]
+    words += ["--only-class", "Person", "--images", 4, "--objects", 9, "--seed", 1]
+    done = CliRunner().invoke(build_app(), [str(w) for w in words])
+    assert done.exit_code == 0, done.output
+    again = api.read_dataset(out)
+    assert [c.name for c in again.categories] == ["Person"]
+    assert len(again.images) == 4
+    assert sum(len(i.instances) for i in again.images) == 9
+    counts = json.loads((out / "convert.json").read_text())["counts"]
+    assert counts["labels_dropped"] == {"Car": 4}
+    assert counts["selection"]["left_out"] == {"not drawn": 4, "with DontCare": 1, "without Person": 3}
+    assert "left out: 4 not drawn, 1 with DontCare, 3 without Person" in (out / "README.md").read_text()
+
+
+def test_pictures_drawn_again_are_written_under_names_of_their_own(tmp_path):
+    data = written(tmp_path)
+    api.convert(data, tmp_path / "out", "coco", without=("Person", "DontCare"), like="Person", images=8)
+    again = api.read_dataset(tmp_path / "out")
+    assert len({i.path for i in again.images}) == 8
+    assert len({i.path.stat().st_ino for i in again.images}) == 3
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("name", "pictures", "boxes"), [("Person", 417, 3095), ("Car", 450, 2400)])
+def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures, boxes):
+    data = api.read_dataset(real_data / "hit-uav", splits=["train"])
+    free, facts = select(data, Selection(without=(name, "DontCare"), like=name))
+    assert not any(o.category in (name, "DontCare") for i in free.images for o in i.instances)
+    assert sum(n for n in facts["left_out"].values()) + facts["pictures"] == len(data.images)
+    real, found = select(data, Selection(name, ("DontCare",), pictures, boxes))
+    assert (len(real.images), found["objects_taken"]) == (pictures, boxes)
+    assert min(sum(o.category == name for o in i.instances) for i in real.images) > 0
