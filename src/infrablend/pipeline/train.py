@@ -420,18 +420,19 @@ def _watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]
                 time.sleep(0.2)
 
         threading.Thread(target=end_it, daemon=True).start()
-        try:
-            for line in process.stdout:
-                try:
-                    event = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(event, dict) and "event" in event:
-                    take(event)
-            code = process.wait()
-        except BaseException:
-            process.kill()
-            raise
+        with process:
+            try:
+                for line in process.stdout:
+                    try:
+                        event = json.loads(line)
+                    except ValueError:
+                        continue
+                    if isinstance(event, dict) and "event" in event:
+                        take(event)
+                code = process.wait()
+            except BaseException:
+                process.kill()
+                raise
         return code, interruption.requested
 
 
