@@ -203,7 +203,7 @@ def test_a_download_that_breaks_off_leaves_nothing_behind(tmp_path, monkeypatch)
     import threading
 
     class Broken(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:  # noqa: N802
+        def do_GET(self) -> None:
             self.send_response(200)
             self.send_header("Content-Length", "1000")
             self.end_headers()
@@ -216,7 +216,7 @@ def test_a_download_that_breaks_off_leaves_nothing_behind(tmp_path, monkeypatch)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         monkeypatch.setattr(weights, "_ADDRESS", f"http://127.0.0.1:{server.server_port}/{{name}}")
-        with pytest.raises(FetchError, match="broke off|run the command again"):
+        with pytest.raises(FetchError, match="run the command again"):
             weights.find_start("yolov8n.pt", PRESETS["small"], "detect", tmp_path / "cache")
     finally:
         server.shutdown()

@@ -48,8 +48,8 @@ class Preset:
         return self.epochs or max(1, round(self.passes / max(images, 1)))
 
 
-# The scale stays near 1 and nothing is put together: tiles exist so that sizes stay what they are, and the few passes that
-# two cores can do are better spent on pictures as they come.
+# The scale stays near 1 and nothing is put together: tiles exist so that sizes stay what they are, and the few passes
+# that two cores can do are better spent on pictures as they come.
 _TILE_ARGUMENTS = {
     "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "scale": 0.2, "mosaic": 0.0,
     "hsv_h": 0.0, "hsv_s": 0.0, "warmup_epochs": 0.5,
