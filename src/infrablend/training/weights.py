@@ -10,7 +10,7 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
-from infrablend.core.files import replace_atomically
+from infrablend.core.files import write_bytes
 from infrablend.errors import FetchError, MissingDependencyError
 from infrablend.training.presets import SUFFIX, Preset
 
@@ -92,17 +92,12 @@ def _published(name: str, folder: Path) -> Path:
     address = _ADDRESS.format(name=name)
     try:
         with urllib.request.urlopen(address, timeout=_TIMEOUT_S) as answer:
-            length = int(answer.headers.get("Content-Length") or 0)
-            with replace_atomically(path) as temporary, temporary.open("wb") as file:
-                shutil.copyfileobj(answer, file)
-                got = file.tell()
-                if length and got != length:
-                    raise FetchError(f"{address}: broke off after {got} of {length} bytes; run the command again")
+            data = answer.read()
+    except http.client.IncompleteRead as error:
+        raise FetchError(f"{address}: broke off ({error}); run the command again") from error
     except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
-        with contextlib.suppress(OSError):
-            folder.rmdir()
         raise FetchError(
             f"{address}: {getattr(error, 'reason', error)}; put the file there by hand ({path}), "
             "name a file with --weights, or train from --weights scratch"
         ) from error
-    return path
+    return write_bytes(path, data)
