@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
+import http.client
 import os
-import shutil
 import urllib.error
 import urllib.request
 from dataclasses import dataclass
