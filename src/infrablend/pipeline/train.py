@@ -154,7 +154,7 @@ def train_dataset(
         record = _begin(out, resume, overwrite)
         asked = {
             "preset": preset.name, "task": task, "seed": seed, "settings": dataclasses.asdict(preset),
-            "classes": [c.name for c in wanted.categories], "data": str(dataset.root), "start_asked": start,
+            "classes": [c.name for c in wanted.categories], "data": str(dataset.root.resolve()), "start_asked": start,
         }  # fmt: skip
         if record is not None:
             _require_same(out, record, asked)
