@@ -40,6 +40,7 @@ from infrablend.pipeline.select import Selection
 from infrablend.pipeline.train import TrainPlan, TrainReport, choose_preset, plan_training, train_dataset
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.evaluate import EvaluationReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.split import SplitReport
     from infrablend.report.checking import CheckReport
@@ -54,9 +55,11 @@ __all__ = [
     "TrainPlan",
     "TrainReport",
     "check",
+    "compare_evaluations",
     "convert",
     "describe_source",
     "diagnose",
+    "evaluate",
     "fetch",
     "generate",
     "inspect",
@@ -743,6 +746,96 @@ def realism(
         in_process=in_process,
         on_progress=on_progress,
     )
+
+
+def evaluate(
+    weights: str | Path,
+    dataset: str | Path,
+    out: str | Path,
+    *,
+    split: str = "test",
+    task: str | None = None,
+    device: str = "auto",
+    classes: Sequence[str] | None = None,
+    format: str | None = None,
+    form: str | None = None,
+    metadata: str | Path | None = None,
+    options: Mapping[str, str] | None = None,
+    image_size: int = 640,
+    ignore_regions: bool = True,
+    bootstrap: int = 1000,
+    group: str = "image",
+    seed: int = 0,
+    against: str | Path | None = None,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> EvaluationReport:
+    """Judge a detector on a split: tables, strata, intervals, plots; weights need the extra `infrablend[train]`.
+
+    Writes `predictions.json`, `evaluation.json`, `evaluation.html`, `matches.npz` and `plots/`; see
+    docs/how_to/evaluate.md for what each figure means.
+
+    Args:
+        weights: A .pt file of Ultralytics', or the `predictions.json` (or folder) of an earlier evaluation, which
+            needs neither torch nor Ultralytics.
+        dataset: Folder of the dataset.
+        out: Folder to write; new or empty, or an earlier evaluation with `overwrite`.
+        split: train, val or test.
+        task: detect, obb, segment; what the detector finds by default. `detect` judges the boxes of any.
+        device: auto, cpu, cuda, cuda:1, mps.
+        classes: Those of the dataset to judge, by name; all by default. A detector has to know all of them.
+        format: As in `read_dataset`, and so are `form`, `metadata`, `options`.
+        form: See `read_dataset`.
+        metadata: See `read_dataset`.
+        options: See `read_dataset`.
+        image_size: The longer side the network sees, px; 0: each picture's own.
+        ignore_regions: What is found in regions to ignore (DontCare) counts neither way.
+        bootstrap: Draws for the intervals; 0: none.
+        group: What is drawn: image, sequence, date, gap (runs of frame numbers).
+        seed: Of the draws.
+        against: Folder of another evaluation on the same images and labels, to compare with.
+        overwrite: Replace an earlier evaluation in `out`.
+        on_progress: Called after each few pictures.
+
+    Raises:
+        MissingDependencyError: Ultralytics is not installed, or the device is not there.
+        ModelError, DatasetError, OutputError: See `infrablend.errors`; all that is wrong at once.
+    """
+    from infrablend.pipeline.evaluate import evaluate_detector
+
+    root, target = Path(dataset), Path(out)
+    _require_apart(root, target)
+    data = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
+    return evaluate_detector(
+        Path(weights), data, target, split=split, task=task, device=device, classes=classes, image_size=image_size,
+        ignore_regions=ignore_regions, bootstrap=bootstrap, group=group, seed=seed,
+        against=None if against is None else Path(against), overwrite=overwrite, on_image=_paced(on_progress),
+    )  # fmt: skip
+
+
+def compare_evaluations(
+    ours: str | Path,
+    theirs: str | Path,
+    *,
+    classes: Sequence[str] | None = None,
+    bootstrap: int = 1000,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Two evaluations on the same images, by class: the difference of mAP50 and mAP50-95 with its interval.
+
+    Args:
+        ours: Folder that `evaluate` wrote.
+        theirs: Another one, on the same images and labels.
+        classes: Those to compare; all that both judged by default.
+        bootstrap: Draws of the images (or groups, as `ours` was made with), the same for both.
+        seed: Of the draws.
+
+    Raises:
+        DatasetError: One is no finished evaluation, or images, labels, task or treatment of regions differ.
+    """
+    from infrablend.pipeline import evaluate as judging
+
+    return judging.compare_evaluations(Path(ours), Path(theirs), classes=classes, bootstrap=bootstrap, seed=seed)
 
 
 def make_world(

@@ -14,6 +14,7 @@ from infrablend.cli import (
     check,
     convert,
     doctor,
+    evaluate,
     exits,
     fetch,
     generate,
@@ -108,6 +109,7 @@ def build_app() -> typer.Typer:
     app.command("split")(split.split)
     app.command("train")(train.train)
     app.command("realism")(realism.realism)
+    app.command("evaluate")(evaluate.evaluate)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -15,6 +19,24 @@ def settle_ultralytics(folder: Path) -> None:
         YOLO_CONFIG_DIR=str(folder), YOLO_OFFLINE="1", YOLO_AUTOINSTALL="0", YOLO_VERBOSE="1", WANDB_MODE="disabled"
     )
     _settle_torchvision()
+
+
+@contextlib.contextmanager
+def quiet_ultralytics() -> Iterator[None]:
+    """While entered, Ultralytics may be used in this process: settled if it is not yet imported, and silent."""
+    if "ultralytics" not in sys.modules:
+        # Read on import; nothing in there is of use to us, so that it may go with the next clean-up.
+        folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        settle_ultralytics(folder)
+    from ultralytics.utils import LOGGER
+
+    before = LOGGER.level
+    LOGGER.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        LOGGER.setLevel(before)
 
 
 def _settle_torchvision() -> None:

@@ -1,0 +1,137 @@
+"""`infrablend evaluate`: what a detector finds of a split, and how well."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from infrablend.cli.options import (
+    DatasetArgument,
+    FormatOption,
+    FormOption,
+    JsonOption,
+    MetadataOption,
+    ReadingOption,
+    comma_list,
+    key_values,
+)
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+    from infrablend.pipeline.evaluate import EvaluationReport
+
+
+class DetectorTask(StrEnum):
+    """What is compared."""
+
+    DETECT = "detect"
+    OBB = "obb"
+    SEGMENT = "segment"
+
+
+class DrawnBy(StrEnum):
+    """What the bootstrap draws."""
+
+    IMAGE = "image"
+    SEQUENCE = "sequence"
+    DATE = "date"
+    GAP = "gap"
+
+
+def evaluate(
+    ctx: typer.Context,
+    weights: Annotated[
+        Path, typer.Argument(metavar="WEIGHTS", help="Weights (.pt), or the predictions.json of an earlier evaluation.")
+    ],
+    dataset: DatasetArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write; new or empty.")] = Path("evaluation"),
+    split: Annotated[str, typer.Option(help="train, val or test.")] = "test",
+    task: Annotated[
+        DetectorTask | None, typer.Option(help="What is compared [default: what the detector finds].")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1, mps.")] = "auto",
+    classes: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Judge these classes alone [default: all of the dataset].")
+    ] = None,
+    image_size: Annotated[
+        int, typer.Option(min=0, metavar="PX", help="The longer side the network sees; 0: each picture's own.")
+    ] = 640,
+    ignore_regions: Annotated[
+        bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Nothing found in DontCare regions counts.")
+    ] = True,
+    bootstrap: Annotated[int, typer.Option(min=0, metavar="N", help="Draws for the intervals; 0: none.")] = 1000,
+    group: Annotated[
+        DrawnBy, typer.Option(help="What is drawn: images, sequences, days, runs of frames.")
+    ] = DrawnBy.IMAGE,
+    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    against: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Another evaluation on the same images, to compare with.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier evaluation.")] = False,
+    format: FormatOption = None,
+    form: FormOption = None,
+    metadata: MetadataOption = None,
+    reading: ReadingOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge a detector: P, R, mAP50, mAP50-95 by class with intervals, by size, pitch, altitude, day and night."""
+    session: Session = ctx.obj
+    session.json = as_json
+    chosen = comma_list(classes, "--classes")
+
+    from infrablend import api
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import say, say_json, tell_problems
+
+    with shown_progress(session, "detecting") as on_progress:
+        report = api.evaluate(
+            weights,
+            dataset,
+            out,
+            split=split,
+            task=None if task is None else task.value,
+            device=device,
+            classes=chosen,
+            format=format,
+            form=form,
+            metadata=metadata,
+            options=key_values(reading, "--read"),
+            image_size=image_size,
+            ignore_regions=ignore_regions,
+            bootstrap=bootstrap,
+            group=group.value,
+            seed=seed,
+            against=against,
+            overwrite=overwrite,
+            on_progress=on_progress,
+        )
+    tell_problems(report.problems, session.log_path, report.out / "evaluation.json")
+    if as_json:
+        say_json({"out": str(report.out)} | report.to_json())
+    else:
+        say("\n\n".join(_blocks(report)))
+
+
+def _blocks(report: EvaluationReport) -> list[str]:
+    from infrablend.cli.results import grid
+    from infrablend.report.evaluation import HEAD, show, span, table_rows
+
+    metrics: Any = report.metrics
+    classes = metrics["classes"]
+    rows = [[*row, span(classes[row[0]]["ci"], "map50_95")] for row in table_rows(classes)]
+    blocks = [grid([*HEAD, "interval"], rows)]
+    if metrics["ultralytics"]:
+        blocks.append("by Ultralytics' own code:\n" + grid(HEAD, table_rows(metrics["ultralytics"])))
+    if metrics["paired"]:
+        lines = []
+        for name, of in metrics["paired"]["classes"].items():
+            d = of["map50_95"]
+            if d is not None:
+                ends = "-" if d["ci"] is None else f"{d['ci'][0]:+.3f} to {d['ci'][1]:+.3f}"
+                lines.append([name, show(d["ours"]), show(d["theirs"]), f"{d['difference']:+.3f}", ends])
+        head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
+        blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
+    return [*blocks, str(report.out / "evaluation.html")]

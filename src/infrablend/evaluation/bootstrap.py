@@ -1,0 +1,85 @@
+"""How sure the figures are: the images (or whole sequences) drawn again and again, with replacement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.rng import stream
+from infrablend.evaluation.detections import FloatArray
+from infrablend.evaluation.matching import ClassMatches
+from infrablend.evaluation.precision import average_precisions
+
+LEVEL = 0.95
+MEASURES = ("map50", "map50_95")
+
+
+def draw_images(groups: Sequence[str], draws: int, seed: int) -> NDArray[np.int32]:
+    """(draws, i) how often each image is drawn; as many groups are drawn as there are, all images of one together."""
+    names, number = np.unique(np.array(groups, dtype=np.str_), return_inverse=True)
+    rng = stream(seed, "bootstrap", draws, len(names))
+    drawn = rng.integers(0, len(names), (draws, len(names)))
+    counts = np.zeros((draws, len(names)), np.int32)
+    np.add.at(counts, (np.arange(draws)[:, None], drawn), 1)
+    return np.asarray(counts[:, number], np.int32)
+
+
+def drawn_figures(all_matches: Sequence[ClassMatches], weights: NDArray[Any]) -> FloatArray:
+    """(b, 1 + classes, 2) mAP50 and mAP50-95 for each weighting of the images: the mean of the classes, then each.
+
+    The mean is over the classes that a weighting has objects of; NaN where a class has none.
+    """
+    figures = np.full((len(weights), 1 + len(all_matches), len(MEASURES)), np.nan)
+    for k, matches in enumerate(all_matches, 1):
+        ap = average_precisions(matches, weights)
+        figures[:, k, 0], figures[:, k, 1] = ap[:, 0], ap.mean(axis=1)
+    known = ~np.isnan(figures[:, 1:])
+    count = known.sum(axis=1)
+    total = np.where(known, figures[:, 1:], 0.0).sum(axis=1)
+    figures[:, 0] = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return figures
+
+
+def interval(values: FloatArray) -> list[float] | None:
+    """The middle 95 % of drawn values, NaN left out; None if there are none."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return None
+    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return [float(low), float(high)]
+
+
+def paired(
+    ours: Sequence[ClassMatches],
+    theirs: Sequence[ClassMatches],
+    classes: Sequence[str],
+    weights: NDArray[Any],
+) -> dict[str, dict[str, Any]]:
+    """Ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
+
+    `same_sign` is the share of the draws in which the difference has the sign of the undrawn one, or is none if that
+    is none.
+    """
+    once = np.ones((1, weights.shape[1]), np.int32)
+    first, second = drawn_figures(ours, once)[0], drawn_figures(theirs, once)[0]
+    drawn = drawn_figures(ours, weights) - drawn_figures(theirs, weights)
+    result: dict[str, dict[str, Any]] = {}
+    for k, name in enumerate(("all", *classes)):
+        result[name] = {}
+        for m, measure in enumerate(MEASURES):
+            if np.isnan(first[k, m]) or np.isnan(second[k, m]):
+                result[name][measure] = None
+                continue
+            difference = float(first[k, m] - second[k, m])
+            values = drawn[:, k, m][~np.isnan(drawn[:, k, m])]
+            result[name][measure] = {
+                "ours": float(first[k, m]),
+                "theirs": float(second[k, m]),
+                "difference": difference,
+                "ci": interval(values),
+                "same_sign": float(np.mean(np.sign(values) == np.sign(difference))) if len(values) else None,
+            }
+    return result

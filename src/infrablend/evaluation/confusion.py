@@ -1,0 +1,47 @@
+"""What is taken for what: findings and labels matched whatever their classes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.evaluation.detections import Detections, Task
+from infrablend.evaluation.overlap import overlaps
+from infrablend.evaluation.truth import Truth
+
+IOU = 0.5
+
+
+def confusion_matrix(
+    truths: Sequence[Truth],
+    found: Mapping[str, Detections],
+    class_of: NDArray[np.int64],
+    classes: int,
+    task: Task,
+    confidence: float,
+) -> NDArray[np.int64]:
+    """(classes + 1, classes + 1) counts: row what was found, column what is there; the last ones are background.
+
+    Findings of at least the confidence take labels in the order of their score, each the free one that it overlaps
+    most, by at least 0.5. What lies in regions to ignore is left out.
+    """
+    matrix = np.zeros((classes + 1, classes + 1), np.int64)
+    for truth in truths:
+        ours = found.get(truth.key)
+        free = ~truth.ignore
+        if ours is not None:
+            ours = ours.take(np.flatnonzero((ours.scores >= confidence) & (class_of[ours.classes] >= 0)))
+            overlap = overlaps(ours, truth, task)
+            for d, c in enumerate(class_of[ours.classes]):
+                value = np.where(free, overlap[d], 0.0)
+                if value.max(initial=0.0) >= IOU:
+                    label = int(value.argmax())
+                    matrix[c, truth.classes[label]] += 1
+                    free[label] = False
+                elif not (overlap[d, truth.ignore] >= IOU).any():
+                    matrix[c, classes] += 1
+        for c in truth.classes[free]:
+            matrix[classes, c] += 1
+    return matrix

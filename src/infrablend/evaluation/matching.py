@@ -1,0 +1,160 @@
+"""Which findings are right: COCO's matching, done once for each image, for all thresholds and all sizes together.
+
+A finding takes the label of its class that it overlaps most among those that no surer finding has taken. One that can
+only take a label that is to be ignored (a region, or an object of a size that is not looked at) counts neither way, nor
+does one that takes none and is not of the size that is looked at.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.evaluation.detections import Detections, FloatArray, Task
+from infrablend.evaluation.overlap import overlaps
+from infrablend.evaluation.truth import Truth, long_sides
+
+IOUS: FloatArray = np.linspace(0.5, 0.95, 10)
+IOUS.setflags(write=False)
+SIZE_EDGES_PX = (8, 16, 32, 64, 128)
+"""Of the longer side. HIT-UAV's people are 10 to 30 px, its cars 20 to 80."""
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ClassMatches:
+    """The findings of one class on all images, the surest first, and what became of them.
+
+    Axes: a sizes (0 all, then the bins), t thresholds, n findings, i images.
+
+    Attributes:
+        scores: (n,).
+        images: (n,) int32 number of the image.
+        right: (a, t, n) took an object that counts.
+        neutral: (a, t, n) counts neither way.
+        objects: (a, i) int32 objects that count.
+    """
+
+    scores: FloatArray
+    images: NDArray[np.int32]
+    right: BoolArray
+    neutral: BoolArray
+    objects: NDArray[np.int32]
+
+
+def size_bins(edges_px: Sequence[float] = SIZE_EDGES_PX) -> dict[str, tuple[float, float]]:
+    """Names and half-open ranges of the longer side in px: all, then those between the edges."""
+    ends = [0.0, *edges_px, float("inf")]
+    bins = {"all": (0.0, float("inf"))}
+    for low, high in itertools.pairwise(ends):
+        name = f"<{high:g}" if low == 0 else f">={low:g}" if high == float("inf") else f"{low:g}-{high:g}"
+        bins[name] = (low, high)
+    return bins
+
+
+def match_all(
+    truths: Sequence[Truth],
+    found: Mapping[str, Detections],
+    class_of: NDArray[np.int64],
+    classes: int,
+    task: Task,
+    bins: Mapping[str, tuple[float, float]],
+) -> tuple[ClassMatches, ...]:
+    """Match the findings of every class on every image.
+
+    Args:
+        truths: Labels by image.
+        found: Findings by image; none where an image has no entry.
+        class_of: Number of the judged class for each of the detector's classes; -1 for none.
+        classes: How many are judged.
+        task: What is compared.
+        bins: From `size_bins`.
+    """
+    ranges = np.array(list(bins.values()), np.float64)
+    a, t = len(ranges), len(IOUS)
+    objects = np.zeros((classes, a, len(truths)), np.int32)
+    gathered: list[list[tuple[FloatArray, NDArray[np.int32], BoolArray, BoolArray]]] = [[] for _ in range(classes)]
+    for number, truth in enumerate(truths):
+        ours = found.get(truth.key)
+        its_class = np.full(0, -1) if ours is None else class_of[ours.classes]
+        sizes = truth.long_sides_px
+        away = truth.ignore[None] | (sizes < ranges[:, :1]) | (sizes >= ranges[:, 1:])  # (a, g)
+        for c in range(classes):
+            labels = np.flatnonzero((truth.classes == c) | (truth.classes == -1))
+            objects[c, :, number] = (~away[:, labels]).sum(axis=1)
+            which = np.flatnonzero(its_class == c)
+            if ours is None or not len(which):
+                continue
+            of = ours.take(which)
+            part = _part(truth, labels)
+            taken, neutral = match_image(overlaps(of, part, task), away[:, labels], part.ignore)
+            own = long_sides(of.boxes_xyxy, of.corners_xy)
+            outside = (own < ranges[:, :1]) | (own >= ranges[:, 1:])
+            neutral |= ~taken & outside[:, None]
+            gathered[c].append((of.scores, np.full(len(which), number, np.int32), taken, neutral))
+    return tuple(_joined(parts, objects[c], a, t) for c, parts in enumerate(gathered))
+
+
+def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Match one image's findings of one class.
+
+    Args:
+        overlap: (n, g), findings sorted by falling score.
+        away: (a, g) labels that do not count at a size.
+        region: (g,) those that any number of findings may take.
+
+    Returns:
+        (a, t, n) right, and (a, t, n) neutral.
+    """
+    n, g = overlap.shape
+    a, t = len(away), len(IOUS)
+    right, neutral = np.zeros((a, t, n), np.bool_), np.zeros((a, t, n), np.bool_)
+    if not n or not g:
+        return right, neutral
+    least = np.minimum(IOUS, 1 - 1e-10)
+    taken = np.zeros((a, t, g), np.bool_)
+    at_a, at_t = np.arange(a)[:, None], np.arange(t)[None]
+    for d in np.flatnonzero(overlap.max(axis=1) >= least[0]):
+        near = np.flatnonzero(overlap[d] >= least[0])[::-1]  # backwards: of equal ones COCO takes the last
+        value = overlap[d, near]
+        free = (~taken[:, :, near] | region[near]) & (value >= least[:, None])
+        # What counts comes before what does not, however well it overlaps.
+        rank = np.where(free, value + 2.0 * ~away[:, None, near], -1.0)
+        best = rank.argmax(axis=2)
+        hit = rank[at_a, at_t, best] > 0
+        label = near[best]
+        counts = hit & ~away[at_a, label]
+        right[:, :, d], neutral[:, :, d] = counts, hit & ~counts
+        taken[at_a, at_t, label] |= hit
+    return right, neutral
+
+
+def _part(truth: Truth, which: NDArray[np.intp]) -> Truth:
+    return Truth(
+        truth.key,
+        truth.size_wh,
+        truth.boxes_xyxy[which],
+        truth.classes[which],
+        truth.ignore[which],
+        None if truth.corners_xy is None else truth.corners_xy[which],
+        None if truth.masks is None else tuple(truth.masks[int(k)] for k in which),
+    )
+
+
+def _joined(
+    parts: Sequence[tuple[FloatArray, NDArray[np.int32], BoolArray, BoolArray]],
+    objects: NDArray[np.int32],
+    a: int,
+    t: int,
+) -> ClassMatches:
+    if not parts:
+        none = np.zeros((a, t, 0), np.bool_)
+        return ClassMatches(np.zeros(0), np.zeros(0, np.int32), none, none, objects)
+    scores, images, right, neutral = (np.concatenate(x, axis=-1) for x in zip(*parts, strict=True))
+    order = np.argsort(-scores, kind="stable")
+    return ClassMatches(scores[order], images[order], right[..., order], neutral[..., order], objects)

@@ -1,0 +1,85 @@
+"""How far findings and labels overlap: boxes, oriented boxes, masks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pycocotools import mask as _coco
+
+from infrablend.evaluation.detections import Detections, FloatArray, Task
+from infrablend.evaluation.truth import Truth
+
+
+def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
+    """(n, g) intersection over union; for regions to ignore the share of the finding that lies inside."""
+    if not len(found) or not len(truth.boxes_xyxy):
+        return np.zeros((len(found), len(truth.boxes_xyxy)))
+    if task == "segment":
+        assert found.masks is not None and truth.masks is not None
+        d, g = [m.to_coco() for m in found.masks], [m.to_coco() for m in truth.masks]
+        return np.asarray(_coco.iou(d, g, truth.ignore.astype(np.uint8).tolist()), np.float64)
+    if task == "obb":
+        assert found.corners_xy is not None and truth.corners_xy is not None
+        both = quad_intersections(found.corners_xy, truth.corners_xy)
+        of_found, of_truth = quad_areas(found.corners_xy), quad_areas(truth.corners_xy)
+    else:
+        low = np.maximum(found.boxes_xyxy[:, None, :2], truth.boxes_xyxy[None, :, :2])
+        high = np.minimum(found.boxes_xyxy[:, None, 2:], truth.boxes_xyxy[None, :, 2:])
+        both = np.prod(np.maximum(high - low, 0.0), axis=-1)
+        of_found, of_truth = _areas(found.boxes_xyxy), _areas(truth.boxes_xyxy)
+    whole = np.where(truth.ignore[None], of_found[:, None], of_found[:, None] + of_truth[None] - both)
+    return np.asarray(np.divide(both, whole, out=np.zeros_like(both), where=whole > 0))
+
+
+def _areas(boxes_xyxy: FloatArray) -> FloatArray:
+    return np.asarray(np.prod(np.maximum(boxes_xyxy[:, 2:] - boxes_xyxy[:, :2], 0.0), axis=-1))
+
+
+def quad_areas(corners_xy: FloatArray) -> FloatArray:
+    """(n,) areas of convex quadrilaterals (n, 4, 2), clockwise."""
+    return _shoelace(corners_xy)
+
+
+def _shoelace(polygons: FloatArray) -> FloatArray:
+    p = polygons - polygons[:, :1]
+    q = np.roll(p, -1, axis=1)
+    return np.asarray(np.maximum(0.5 * (p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]).sum(axis=1), 0.0))
+
+
+def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n, m) areas common to convex quadrilaterals (n, 4, 2) and (m, 4, 2), both clockwise; exact.
+
+    Sutherland and Hodgman's clipping, for all pairs whose bounds meet at once.
+    """
+    meet = (a.min(axis=1)[:, None] < b.max(axis=1)[None]) & (a.max(axis=1)[:, None] > b.min(axis=1)[None])
+    rows, columns = np.nonzero(meet.all(axis=-1))
+    area = np.zeros((len(a), len(b)))
+    if len(rows):
+        polygon, other = a[rows], b[columns]
+        for k in range(4):
+            polygon = _cut(polygon, other[:, k], other[:, (k + 1) % 4])
+        area[rows, columns] = _shoelace(polygon)
+    return area
+
+
+def _cut(polygons: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """(n, k + 1, 2) what of convex polygons (n, k, 2) lies right of lines; corners repeat where there are fewer."""
+    edge = (end - start)[:, None]
+    off = polygons - start[:, None]
+    side = edge[..., 0] * off[..., 1] - edge[..., 1] * off[..., 0]
+    following, side_after = np.roll(polygons, -1, axis=1), np.roll(side, -1, axis=1)
+    crossing = side * side_after < 0
+    share = np.divide(side, side - side_after, out=np.zeros_like(side), where=crossing)
+    cut = polygons + share[..., None] * (following - polygons)
+    n, k = side.shape
+    # Each corner is followed by the point where the edge that leaves it crosses the line.
+    points = np.stack([polygons, cut], axis=2).reshape(n, 2 * k, 2)
+    used = np.stack([side >= 0, crossing], axis=2).reshape(n, 2 * k)
+    order = np.argsort(~used, axis=1, kind="stable")[:, : k + 1]
+    count = used.sum(axis=1)
+    place = np.minimum(np.arange(k + 1)[None], np.maximum(count - 1, 0)[:, None])
+    kept: Any = np.take_along_axis(order, place, axis=1)
+    made = np.take_along_axis(points, kept[..., None], axis=1)
+    made[count == 0] = 0.0
+    return np.asarray(made)

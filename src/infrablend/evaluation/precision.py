@@ -1,0 +1,134 @@
+"""Average precision, and precision and recall at the best confidence, of matched findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.evaluation.detections import FloatArray
+from infrablend.evaluation.matching import IOUS, ClassMatches
+
+RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)
+RECALLS.setflags(write=False)
+CONFIDENCES: FloatArray = np.linspace(0.0, 1.0, 1000)
+CONFIDENCES.setflags(write=False)
+_CELLS = 4_000_000  # of a working array
+
+
+def average_precisions(
+    matches: ClassMatches, weights: NDArray[Any] | None = None, size: int = 0, thresholds: Sequence[int] | None = None
+) -> FloatArray:
+    """(b, t) COCO's average precision (101 recalls) of one class, for several weightings of the images at once.
+
+    Args:
+        matches: Of the class.
+        weights: (b, i) how often each image counts, whole numbers; once each by default. Counting an image twice is
+            the same as having it twice, but for the order of findings of equal score.
+        size: Which bin of sizes.
+        thresholds: Numbers of those wanted in `IOUS`; all by default.
+
+    Returns:
+        NaN where a weighting has no object.
+    """
+    images = matches.objects.shape[1]
+    wanted = list(range(len(IOUS))) if thresholds is None else list(thresholds)
+    counts = np.ones((1, images), np.int32) if weights is None else np.asarray(weights, np.int32)
+    right, neutral = matches.right[size][wanted], matches.neutral[size][wanted]
+    # Precision matters only where something right is found; what is wrong at every threshold is counted between.
+    special = np.flatnonzero((right | neutral).any(axis=0))
+    wrong = np.ones(len(matches.scores), np.bool_)
+    wrong[special] = False
+    before = np.cumsum(wrong)[special]
+    wrong_images = matches.images[wrong][: int(before[-1]) if len(before) else 0]
+    right, neutral, of = right[:, special], neutral[:, special], matches.images[special]
+    result = np.full((len(counts), len(wanted)), np.nan)
+    for rows in _chunks(len(counts), max(len(wrong_images), len(special), 1)):
+        w = counts[rows]
+        total = (w * matches.objects[size]).sum(axis=1).astype(np.float64)
+        some = total > 0
+        passed = np.zeros((len(w), len(wrong_images) + 1), np.int32)
+        np.cumsum(w[:, wrong_images], axis=1, out=passed[:, 1:])
+        base, own = passed[:, before], w[:, of]
+        for t in range(len(wanted)):
+            ap = np.zeros(len(w))
+            if right[t].any():
+                hits = np.cumsum(own * right[t], axis=1, dtype=np.int32)
+                misses = np.cumsum(own * ~(right[t] | neutral[t]), axis=1, dtype=np.int32) + base
+                ap = _area(hits.astype(np.float64), misses.astype(np.float64), np.maximum(total, 1.0))
+            result[rows.start : rows.stop, t] = np.where(some, ap, np.nan)
+    return result
+
+
+def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray:
+    """(b,) mean of the precision still reached at 101 recalls, of (b, s) running counts."""
+    precision = hits / (hits + misses + np.spacing(1.0))
+    reached = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
+    recall = hits / total[:, None]
+    result = np.zeros(len(hits))
+    for row in range(len(hits)):
+        at = np.searchsorted(recall[row], RECALLS, side="left")
+        at = at[at < recall.shape[1]]
+        result[row] = reached[row, at].sum() / len(RECALLS)
+    return result
+
+
+def _chunks(rows: int, columns: int) -> Iterator[slice]:
+    step = max(1, _CELLS // columns)
+    return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
+
+
+def precision_by_recall(matches: ClassMatches) -> FloatArray:
+    """(101,) the precision still reached at each recall, at IoU 0.5: the curve whose mean is the average precision."""
+    right, neutral = matches.right[0, 0], matches.neutral[0, 0]
+    hits, misses = np.cumsum(right), np.cumsum(~right & ~neutral)
+    total = int(matches.objects[0].sum())
+    curve = np.zeros(len(RECALLS))
+    if total and len(hits):
+        reached = np.maximum.accumulate((hits / np.maximum(hits + misses, 1))[::-1])[::-1]
+        at = np.searchsorted(hits / total, RECALLS, side="left")
+        curve[at < len(hits)] = reached[at[at < len(hits)]]
+    return curve
+
+
+def operating_point(all_matches: Sequence[ClassMatches]) -> tuple[float, list[tuple[float, float] | None]]:
+    """The confidence at which F1 (at IoU 0.5, mean over classes, smoothed) is best; precision and recall there.
+
+    This is how Ultralytics chooses what it prints: one confidence for all classes, among 1,000 in [0, 1].
+
+    Returns:
+        The confidence, and for each class (precision, recall), or None where the class has no object.
+    """
+    curves = [confidence_curves(m) if m.objects[0].sum() else None for m in all_matches]
+    known = [c for c in curves if c is not None]
+    if not known:
+        return 0.0, [None] * len(curves)
+    f1 = np.mean([2 * p * r / np.maximum(p + r, 1e-16) for p, r in known], axis=0)
+    best = int(np.argmax(_smoothed(f1)))
+    return float(CONFIDENCES[best]), [None if c is None else (float(c[0][best]), float(c[1][best])) for c in curves]
+
+
+def confidence_curves(matches: ClassMatches) -> tuple[FloatArray, FloatArray]:
+    """(1000,) precision and (1000,) recall at IoU 0.5 of one class by confidence, linear between findings.
+
+    Above the surest finding the precision is 1 and the recall 0; without findings both are 0.
+    """
+    right, neutral = matches.right[0, 0], matches.neutral[0, 0]
+    scores, right = matches.scores[~neutral], right[~neutral]
+    if not len(scores):
+        return np.zeros(len(CONFIDENCES)), np.zeros(len(CONFIDENCES))
+    hits = np.cumsum(right)
+    precision, recall = hits / np.arange(1, len(hits) + 1), hits / matches.objects[0].sum()
+    return (
+        np.interp(-CONFIDENCES, -scores, precision, left=1.0),
+        np.interp(-CONFIDENCES, -scores, recall, left=0.0),
+    )
+
+
+def _smoothed(values: FloatArray) -> FloatArray:
+    """Mean over a tenth of the range to each side's half, the ends repeated."""
+    half = len(values) // 20
+    padded = np.pad(values, half, mode="edge")
+    return np.asarray(np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))

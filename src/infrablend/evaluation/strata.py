@@ -1,0 +1,48 @@
+"""Groups of images by pitch, altitude and time of day, and how many objects each size has."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import ImageRecord
+
+PITCH_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
+ALTITUDE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0)
+_FEW = 10
+
+
+def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[np.bool_]]]:
+    """(i,) which images belong to each bin of pitch, altitude and time; images that do not say it are `unknown`."""
+    return {
+        "pitch": _binned([i.pitch_deg for i in images], PITCH_EDGES_DEG),
+        "altitude": _binned([i.altitude_m for i in images], ALTITUDE_EDGES_M),
+        "time": _named([i.time_of_day for i in images]),
+    }
+
+
+def _binned(values: Sequence[float | None], edges: Sequence[float]) -> dict[str, NDArray[np.bool_]]:
+    """Values that are few have bins of their own (HIT-UAV's are steps of 10); others lie between edges."""
+    known = sorted({v for v in values if v is not None})
+    if len(known) <= _FEW:
+        names: Mapping[float, str] = {v: f"{v:g}" for v in known}
+        ordered = [f"{v:g}" for v in known]
+    else:
+        place = np.searchsorted(np.array(edges), np.array(known), side="right")
+        labels = [f"<{edges[0]:g}", *(f"{a:g}-{b:g}" for a, b in itertools.pairwise(edges))]
+        labels.append(f">={edges[-1]:g}")
+        names = {v: labels[int(k)] for v, k in zip(known, place, strict=True)}
+        ordered = labels
+    return _bins([None if v is None else names[v] for v in values], ordered)
+
+
+def _named(values: Sequence[str | None]) -> dict[str, NDArray[np.bool_]]:
+    return _bins(values, ("day", "night"))
+
+
+def _bins(values: Sequence[str | None], ordered: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
+    told = ["unknown" if v is None else v for v in values]
+    return {name: np.array([v == name for v in told], np.bool_) for name in (*ordered, "unknown") if name in set(told)}

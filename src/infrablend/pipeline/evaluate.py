@@ -1,0 +1,655 @@
+"""Judging a detector on a split of a dataset: findings, tables, strata, intervals, plots, the page that shows them."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend import __version__
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.files import claimed_folder, output_error, replace_atomically, write_bytes, write_json, write_text
+from infrablend.errors import DatasetError, ModelError, OutputError, Problem
+from infrablend.evaluation.bootstrap import LEVEL, MEASURES, draw_images, drawn_figures, interval, paired
+from infrablend.evaluation.coco import MAX_DETECTIONS, coco_precisions
+from infrablend.evaluation.confusion import IOU as CONFUSION_IOU
+from infrablend.evaluation.confusion import confusion_matrix
+from infrablend.evaluation.detections import (
+    TASKS,
+    Detections,
+    Predictions,
+    Task,
+    read_predictions,
+    write_predictions,
+)
+from infrablend.evaluation.matching import ClassMatches, match_all, size_bins
+from infrablend.evaluation.precision import RECALLS, average_precisions, operating_point, precision_by_recall
+from infrablend.evaluation.strata import image_strata
+from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, match_classes, truths
+from infrablend.formats.capture import facts_from_name
+from infrablend.formats.pictures import read_size
+from infrablend.report.evaluation import draw_plots, evaluation_page
+from infrablend.report.groups import BYS, group_images
+
+log = logging.getLogger(__name__)
+
+Group = Literal["image", "sequence", "date", "gap"]
+GROUPS: tuple[Group, ...] = ("image", *BYS)
+
+PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS = (
+    "predictions.json",
+    "evaluation.json",
+    "evaluation.html",
+    "matches.npz",
+    "plots",
+)
+_OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
+_SHOWN = 5
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationReport:
+    """What a detector is worth on a split.
+
+    Attributes:
+        out: The folder.
+        metrics: As in `evaluation.json`.
+        problems: Warnings.
+        seconds: Wall-clock time.
+    """
+
+    out: Path
+    metrics: Mapping[str, Any]
+    problems: tuple[Problem, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def predictions(self) -> Path:
+        """The file of findings."""
+        return self.out / PREDICTIONS
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return dict(self.metrics)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is kept in `matches.npz`: enough to compare two evaluations without their dataset.
+
+    Attributes:
+        classes: Names.
+        matches: By class; sizes all together.
+        groups: Of each image: those of one group are drawn together.
+    """
+
+    classes: tuple[str, ...]
+    matches: tuple[ClassMatches, ...]
+    groups: tuple[str, ...]
+
+
+def evaluate_detector(
+    weights: Path,
+    dataset: Dataset,
+    out: Path,
+    *,
+    split: str = "test",
+    task: str | None = None,
+    device: str = "auto",
+    classes: Sequence[str] | None = None,
+    image_size: int = 640,
+    ignore_regions: bool = True,
+    bootstrap: int = 1000,
+    group: str = "image",
+    seed: int = 0,
+    against: Path | None = None,
+    overwrite: bool = False,
+    on_image: Callable[[int, int], None] | None = None,
+) -> EvaluationReport:
+    """Judge weights, or findings saved before, on a split; see `infrablend.api.evaluate`."""
+    started = time.monotonic()
+    if split not in SPLITS:
+        raise DatasetError(f"split: found {split!r}, expected one of {', '.join(SPLITS)}")
+    if group not in GROUPS:
+        raise DatasetError(f"group: found {group!r}, expected one of {', '.join(GROUPS)}")
+    if bootstrap < 0 or image_size < 0:
+        raise DatasetError("bootstrap and image_size: expected numbers of at least 0")
+    entries = _check_out(out, overwrite)
+    theirs = None if against is None else _read_judged(against)
+    problems: list[Problem] = []
+    images = _sized([i for i in dataset.images if i.split == split], problems)
+    if not images:
+        where, n = f"{dataset.root.name}, split {split}", {s: sum(i.split == s for i in dataset.images) for s in SPLITS}
+        there = ", ".join(f"{s} {k}" for s, k in n.items() if k) or "no images in any split"
+        todo = "name another --split" if any(n.values()) else "check the dataset with `infrablend inspect`"
+        problems.append(Problem(where, "split-empty", f"no images ({there})", "some", todo))
+    source = _Source(weights, device, problems)
+    chosen = _task(task, source, problems)
+    judged = _classes(dataset, images, classes, source.classes, problems)
+    if source.saved is not None:
+        source.saved = _on_images(source.saved, images, weights, problems)
+    grouping = _groups(images, group, problems)
+    errors = [p for p in problems if p.severity == "error"]
+    if errors:
+        kind = ModelError if all(p.code == "weights" for p in errors) else DatasetError
+        raise kind(f"{weights.name} cannot be evaluated on {dataset.root}", errors)
+
+    names = tuple(judged)
+    labels, counts = truths(images, dataset.categories, names, chosen, ignore_regions=ignore_regions)
+    problems += _label_warnings(names, labels, counts)
+    if not any((~t.ignore).any() for t in labels):
+        raise DatasetError(
+            f"{dataset.root.name}, split {split}: no object of {', '.join(names)}",
+            [Problem(f"split {split}", "no-instances", "no object of the classes judged", "some", _masks_todo(chosen))],
+        )
+    key = fingerprint(images)
+    if theirs is not None:
+        _require_same(theirs, key, chosen, ignore_regions, len(images), against or out)
+
+    with claimed_folder(out, "another evaluation is writing here"):
+        _clear(out, entries)
+        predictions = source.predict(images, image_size, on_image)
+        write_predictions(out / PREDICTIONS, predictions)
+        class_of = class_numbers(judged, len(predictions.classes))
+        _count_foreign(predictions, class_of, names, counts, problems)
+        metrics, kept = _judge(labels, images, predictions, class_of, names, chosen, bootstrap, grouping, seed)
+        facts = {
+            "infrablend": __version__,
+            "dataset": {
+                "name": dataset.root.name,
+                "format": dataset.format,
+                "split": split,
+                "images": len(images),
+                "labels_sha256": key,
+            },
+            "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
+            "task": chosen,
+            "settings": {
+                "ignore_regions": ignore_regions,
+                "max_detections": MAX_DETECTIONS,
+                "bootstrap": bootstrap,
+                "group": group,
+                "groups": len(set(grouping)),
+                "seed": seed,
+                "level": LEVEL,
+            },
+            "counts": counts,
+            **metrics,
+            "paired": None
+            if theirs is None
+            else _paired_facts(kept, theirs[1], theirs[0], bootstrap, seed, (against or out).name),
+            "problems": [p.to_json() for p in problems],
+        }
+        _write_judged(out / MATCHES, kept)
+        for name, data in draw_plots(facts).items():
+            write_bytes(out / PLOTS / name, data)
+        write_text(out / PAGE, evaluation_page(facts))
+        write_json(out / RECORD, facts)  # last: it says that all the rest is there
+    return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
+
+
+# -- what goes in ----------------------------------------------------------------------------------------------
+
+
+class _Source:
+    """Where findings come from: weights, or a file of them."""
+
+    def __init__(self, path: Path, device: str, problems: list[Problem]) -> None:
+        self.saved: Predictions | None = None
+        self._detector: Any = None
+        self.classes: tuple[str, ...] | None = None
+        self.task: Task | None = None
+        try:
+            if path.suffix == ".json" or path.is_dir():
+                file = path / PREDICTIONS if path.is_dir() else path
+                self.saved = read_predictions(file)
+                self.classes, self.task = self.saved.classes, self.saved.task
+            else:
+                from infrablend.training.predict import load_detector
+
+                self._detector = load_detector(path, device)
+                self.classes, self.task = self._detector.classes, self._detector.task
+        except (DatasetError, ModelError) as error:
+            problems += error.problems
+
+    def predict(
+        self, images: Sequence[ImageRecord], image_size: int, on_image: Callable[[int, int], None] | None
+    ) -> Predictions:
+        """The findings on the images."""
+        if self.saved is not None:
+            return self.saved
+        from infrablend.training.predict import predict
+
+        return predict(self._detector, images, image_size=image_size, on_image=on_image)
+
+
+def _task(wanted: str | None, source: _Source, problems: list[Problem]) -> Task:
+    task = source.task or "detect"
+    if wanted is None:
+        return task
+    chosen = next((t for t in TASKS if t == wanted), None)
+    if chosen is None:
+        problems.append(Problem("task", "task", f"{wanted!r}", f"one of {', '.join(TASKS)}"))
+    elif chosen not in (task, "detect") and source.task is not None:
+        todo = "leave --task out, or take weights that were trained for it"
+        problems.append(Problem("task", "task", f"{chosen}, but the detector finds {_FINDS[task]}", task, todo))
+    return chosen or task
+
+
+_FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segment": "masks"}
+
+
+def _sized(images: Sequence[ImageRecord], problems: list[Problem]) -> list[ImageRecord]:
+    """With sizes, from the pictures' headers where the labels do not say them."""
+    done = []
+    for image in images:
+        size, problem = (image.size_wh, None) if image.size_wh else read_size(image.path, image_key(image))
+        problems += [] if problem is None else [problem]
+        done.append(replace(image, size_wh=size))
+    return done
+
+
+def _classes(
+    dataset: Dataset,
+    images: Sequence[ImageRecord],
+    wanted: Sequence[str] | None,
+    detector: Sequence[str] | None,
+    problems: list[Problem],
+) -> dict[str, tuple[int, ...]]:
+    """Numbers of the detector's classes by name of the class judged."""
+    own = [c.name for c in dataset.categories if not c.ignore]
+    there = {i.category for image in images for i in image.instances}
+    names = own
+    if wanted is not None:
+        found = match_classes(own, wanted)
+        for name, of in found.items():
+            if not of:
+                problems.append(Problem("classes", "class-unknown", f"{name!r}", f"some of {', '.join(own)}"))
+        names = [n for k, n in enumerate(own) if any(k in of for of in found.values())]
+    if not names:
+        problems.append(Problem(dataset.root.name, "no-classes", "no class to judge", "labelled classes"))
+    if detector is None:
+        return dict.fromkeys(names, ())
+    mapping = match_classes(detector, names)
+    lacking = [n for n, of in mapping.items() if not of and (n in there or wanted is not None)]
+    if lacking:
+        both = [n for n in names if mapping[n]]
+        todo = f"judge the classes that both have with --classes {','.join(both)}" if both else "give other weights"
+        found_text = f"the detector has no class {', '.join(lacking)} (it has {_few(detector)})"
+        problems.append(Problem("classes", "class-absent", found_text, "every class that is judged", todo))
+    others = [n for k, n in enumerate(detector) if not any(k in of for of in mapping.values())]
+    if others:
+        found_text = f"{_few(others)}: findings of {'this class' if len(others) == 1 else 'these classes'} are left out"
+        problems.append(Problem("detector", "class-left-out", found_text, severity="warning"))
+    if wanted is not None and len(names) < len(own):
+        left = ", ".join(n for n in own if n not in names)
+        problems.append(Problem("labels", "class-left-out", f"{left}: not judged", severity="warning"))
+    return {n: of for n, of in mapping.items() if of}
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _on_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
+    """The findings on these images, named as ours; those of a file by other tools may lack the split."""
+    of: dict[str, str] = {}
+    for image in images:
+        key = image_key(image)
+        name = next((n for n in (key, image.name) if n in saved.images), None)
+        if name is not None:
+            of[key] = name
+            if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+                found = "{}x{} px".format(*saved.sizes_wh[name])
+                problems.append(
+                    Problem(f"{file.name}, {name}", "prediction-size", found, "{}x{} px".format(*image.size_wh))
+                )
+    lacking = [image_key(i) for i in images if image_key(i) not in of]
+    if lacking:
+        found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
+        todo = "give the dataset and split that the file was made on"
+        problems.append(Problem(file.name, "prediction-images", found, "an entry for every image", todo))
+    rest = len(saved.images) - len(of)
+    if rest and of:
+        found = f"{rest} images that are not in the split: left out"
+        problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
+    cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
+    if cut:
+        found = f"more than {MAX_DETECTIONS} findings in {cut} images: the surest are judged"
+        problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
+    first = np.arange(MAX_DETECTIONS)
+    kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}
+    return replace(saved, images=kept, sizes_wh={k: saved.sizes_wh[n] for k, n in of.items()})
+
+
+def _groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:
+    """The group of each image. Pictures that were made of one background in several configurations are one."""
+    if by == "image":
+        names = []
+        for image in images:
+            facts = facts_from_name(image.name)
+            made = facts is not None and facts.configuration is not None
+            names.append(f"frame {facts.frame}" if facts is not None and made else image_key(image))
+        return tuple(names)
+    kind = next(b for b in BYS if b == by)
+    try:
+        groups = group_images(images, kind)
+    except DatasetError as error:
+        todo = "take --group image, gap or date, whichever the dataset says"
+        problems += [replace(p, where="--group", todo=todo) for p in error.problems]
+        return ()
+    of = {image_key(i): name for name, group in groups.items() for i in group}
+    return tuple(of[image_key(i)] for i in images)
+
+
+def _masks_todo(task: Task) -> str:
+    return "the labels have no masks: take --task detect" if task == "segment" else "name another --split"
+
+
+def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mapping[str, int]) -> list[Problem]:
+    there = {int(c) for t in labels for c in t.classes[~t.ignore]}
+    problems = []
+    absent = [n for k, n in enumerate(names) if k not in there]
+    if absent:
+        found = f"no object of {', '.join(absent)} in the split: no figures for {'it' if len(absent) == 1 else 'them'}"
+        problems.append(Problem("labels", "class-empty", found, severity="warning"))
+    told = {
+        "objects_without_mask": "objects without mask: neither found nor missed, their boxes are ignored",
+        "objects_without_oriented_box": "objects without oriented box: their plain boxes are taken",
+        "ignore_regions": "regions to ignore: what is found in them counts neither way",
+    }
+    for key, text in told.items():
+        if counts.get(key):
+            problems.append(Problem("labels", key.replace("_", "-"), f"{counts[key]} {text}", severity="warning"))
+    return problems
+
+
+def _count_foreign(
+    predictions: Predictions,
+    class_of: NDArray[np.int64],
+    names: Sequence[str],
+    counts: dict[str, int],
+    problems: list[Problem],
+) -> None:
+    counts["findings"] = sum(len(d) for d in predictions.images.values())
+    foreign = sum(int((class_of[d.classes] < 0).sum()) for d in predictions.images.values())
+    if foreign:
+        counts["findings_of_other_classes"] = foreign
+    if not counts["findings"]:
+        found = f"not a single finding of {', '.join(names)}"
+        problems.append(Problem("detector", "no-findings", found, "a trained detector", severity="warning"))
+
+
+# -- the figures -----------------------------------------------------------------------------------------------
+
+
+def _judge(
+    labels: Sequence[Truth],
+    images: Sequence[ImageRecord],
+    predictions: Predictions,
+    class_of: NDArray[np.int64],
+    names: Sequence[str],
+    task: Task,
+    draws: int,
+    groups: Sequence[str],
+    seed: int,
+) -> tuple[dict[str, Any], Judged]:
+    found = (
+        predictions.images if task == "obb" else {k: replace(d, corners_xy=None) for k, d in predictions.images.items()}
+    )
+    bins = size_bins()
+    matches = match_all(labels, found, class_of, len(names), task, bins)
+    coco = coco_precisions(labels, found, class_of, len(names), task)[0]
+    ours = np.array([average_precisions(m)[0] for m in matches])
+    if not np.allclose(coco, ours, rtol=0, atol=1e-6, equal_nan=True):
+        raise AssertionError("pycocotools and our own matching disagree: a bug")
+    weights = draw_images(groups, draws, seed)
+    drawn = drawn_figures(matches, weights)
+    confidence, points = operating_point(matches)
+    table: dict[str, Any] = {}
+    means = [p for p in points if p is not None]
+    total = {
+        "p": float(np.mean([p for p, _ in means])),
+        "r": float(np.mean([r for _, r in means])),
+        "map50": float(np.nanmean(coco[:, 0])),
+        "map50_95": float(np.nanmean(coco)),
+    }
+    everything = np.sum([m.objects[0] for m in matches], axis=0)
+    table["all"] = {"images": len(images), "instances": int(everything.sum()), **total, "ci": _intervals(drawn[:, 0])}
+    for k, name in enumerate(names):
+        point, m = points[k], matches[k]
+        table[name] = {
+            "images": int((m.objects[0] > 0).sum()),
+            "instances": int(m.objects[0].sum()),
+            "p": None if point is None else point[0],
+            "r": None if point is None else point[1],
+            "map50": _number(coco[k, 0]),
+            "map50_95": _number(coco[k].mean()),
+            "ci": _intervals(drawn[:, k + 1]),
+        }
+    strata: dict[str, Any] = {"size": {}}
+    for a, name in enumerate(bins):
+        if a:
+            at_size = [_at_size(m, a) for m in matches]
+            strata["size"][name] = _stratum(at_size, names, np.ones(len(images), np.bool_), weights)
+    for kind, parts in image_strata(images).items():
+        strata[kind] = {name: _stratum(matches, names, which, weights) for name, which in parts.items()}
+    matrix = confusion_matrix(labels, found, class_of, len(names), task, confidence)
+    metrics = {
+        "classes": table,
+        "confidence": confidence,
+        "strata": strata,
+        "ultralytics": _by_ultralytics(labels, found, class_of, names, task),
+        "confusion": {
+            "classes": [*names, "background"],
+            "found_by_labelled": matrix.tolist(),
+            "confidence": confidence,
+            "iou": CONFUSION_IOU,
+        },
+        "curves": {
+            "recall": RECALLS.tolist(),
+            "precision": {
+                n: [round(float(v), 6) for v in precision_by_recall(m)]
+                for n, m in zip(names, matches, strict=True)
+                if m.objects[0].sum()
+            },
+        },
+    }
+    return metrics, Judged(tuple(names), tuple(_at_size(m, 0) for m in matches), tuple(groups))
+
+
+def _by_ultralytics(
+    labels: Sequence[Truth],
+    found: Mapping[str, Detections],
+    class_of: NDArray[np.int64],
+    names: Sequence[str],
+    task: Task,
+) -> dict[str, Any] | None:
+    if find_spec("ultralytics") is None or find_spec("torch") is None:
+        return None
+    from infrablend.training.metrics import ultralytics_table
+
+    return ultralytics_table(labels, found, class_of, names, task)
+
+
+def _at_size(m: ClassMatches, size: int) -> ClassMatches:
+    part = slice(size, size + 1)
+    return ClassMatches(m.scores, m.images, m.right[part], m.neutral[part], m.objects[part])
+
+
+def _stratum(
+    matches: Sequence[ClassMatches], names: Sequence[str], which: NDArray[np.bool_], weights: NDArray[Any]
+) -> dict[str, Any]:
+    """Figures of some images: all others count for nothing."""
+    figures = drawn_figures(matches, which[None].astype(np.int32))[0]
+    drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
+    instances = [int(m.objects[0][which].sum()) for m in matches]
+    rows = {}
+    for k, (name, n) in enumerate(zip(("all", *names), (sum(instances), *instances), strict=True)):
+        rows[name] = {
+            "instances": n,
+            "map50": _number(figures[k, 0]),
+            "map50_95": _number(figures[k, 1]),
+            "ci": _intervals(drawn[:, k]) if n else None,
+        }
+    return {"images": int(which.sum()), "classes": rows}
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _intervals(drawn: NDArray[np.float64]) -> dict[str, list[float] | None] | None:
+    """Intervals of (draws, 2) mAP50 and mAP50-95; None without draws."""
+    return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)} if len(drawn) else None
+
+
+# -- two evaluations -------------------------------------------------------------------------------------------
+
+
+def compare_evaluations(
+    ours: Path, theirs: Path, *, classes: Sequence[str] | None = None, bootstrap: int = 1000, seed: int = 0
+) -> dict[str, Any]:
+    """Two evaluations on the same images and labels, by class: the difference, its interval; see `api.compare`."""
+    record, judged = _read_judged(ours)
+    other = _read_judged(theirs)
+    settings = record["settings"]
+    key, images = record["dataset"]["labels_sha256"], record["dataset"]["images"]
+    _require_same(other, key, record["task"], settings["ignore_regions"], images, theirs)
+    if classes is not None:
+        numbers = match_classes(judged.classes, classes)
+        unknown = [name for name, of in numbers.items() if not of]
+        if unknown:
+            raise DatasetError(f"classes: found {', '.join(unknown)}, expected some of {', '.join(judged.classes)}")
+        kept = [k for k in range(len(judged.classes)) if any(k in of for of in numbers.values())]
+        judged = Judged(tuple(judged.classes[k] for k in kept), tuple(judged.matches[k] for k in kept), judged.groups)
+    return _paired_facts(judged, other[1], other[0], bootstrap, seed, theirs.name)
+
+
+def _paired_facts(
+    ours: Judged, theirs: Judged, record: Mapping[str, Any], draws: int, seed: int, name: str
+) -> dict[str, Any]:
+    both = [n for n in ours.classes if n in theirs.classes]
+    if not both:
+        raise DatasetError(f"{name}: judged {', '.join(theirs.classes)}; expected some of {', '.join(ours.classes)}")
+    weights = draw_images(ours.groups, draws, seed)
+    a = [ours.matches[ours.classes.index(n)] for n in both]
+    b = [theirs.matches[theirs.classes.index(n)] for n in both]
+    return {
+        "against": {"name": name, "detector": record["detector"]},
+        "draws": draws,
+        "classes": paired(a, b, both, weights),
+        "left_out": sorted({*ours.classes, *theirs.classes} - set(both)),
+    }
+
+
+def _require_same(
+    other: tuple[Mapping[str, Any], Judged], key: str, task: str, ignore_regions: bool, images: int, where: Path
+) -> None:
+    record = other[0]
+    problems = []
+
+    def differ(what: str, found: object, expected: object, todo: str) -> None:
+        problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
+
+    theirs = record["dataset"]
+    if theirs["images"] != images:
+        differ("images", theirs["images"], images, "evaluate both on the same split of the same dataset")
+    elif theirs["labels_sha256"] != key:
+        differ("labels", "others, or of other images", "the same", "evaluate both on the same split and labels")
+    if record["task"] != task:
+        differ("task", record["task"], task, "give both the same --task")
+    if record["settings"]["ignore_regions"] != ignore_regions:
+        differ("ignored regions", record["settings"]["ignore_regions"], ignore_regions, "treat regions alike in both")
+    if problems:
+        raise DatasetError(f"{where}: not to be compared image by image", problems)
+
+
+def _write_judged(path: Path, judged: Judged) -> None:
+    arrays: dict[str, NDArray[Any]] = {
+        "classes": np.array(judged.classes, dtype=np.str_),
+        "groups": np.array(judged.groups, dtype=np.str_),
+    }
+    for k, m in enumerate(judged.matches):
+        arrays |= {
+            f"scores_{k}": m.scores,
+            f"images_{k}": m.images,
+            f"right_{k}": np.packbits(m.right[0], axis=1),
+            f"neutral_{k}": np.packbits(m.neutral[0], axis=1),
+            f"objects_{k}": m.objects[0],
+        }
+    with replace_atomically(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+
+def _read_judged(folder: Path) -> tuple[dict[str, Any], Judged]:
+    """Record and matches of an earlier evaluation."""
+    import json
+
+    def refuse(why: str) -> DatasetError:
+        todo = "give the folder that `infrablend evaluate` wrote"
+        problem = Problem(str(folder), "evaluation", why, f"{RECORD} and {MATCHES}", todo)
+        return DatasetError(f"{folder}: no finished evaluation", [problem])
+
+    try:
+        record = json.loads((folder / RECORD).read_bytes())
+        with np.load(folder / MATCHES, allow_pickle=False) as data:
+            classes = tuple(str(n) for n in data["classes"])
+            matches = tuple(_unpacked(data, k) for k in range(len(classes)))
+            judged = Judged(classes, matches, tuple(str(g) for g in data["groups"]))
+        known = record["dataset"]["labels_sha256"], record["dataset"]["images"], record["task"]
+        if record["settings"]["ignore_regions"] is None or None in known or record["detector"] is None:
+            raise KeyError("settings")
+    except FileNotFoundError as error:
+        raise refuse(f"no {Path(str(error.filename)).name}") from error
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise refuse(f"cannot be read ({type(error).__name__}: {error})"[:160]) from error
+    return record, judged
+
+
+def _unpacked(data: Any, k: int) -> ClassMatches:
+    scores = data[f"scores_{k}"]
+    right, neutral = (
+        np.unpackbits(data[f"{name}_{k}"], axis=1, count=len(scores)).astype(np.bool_)[None]
+        for name in ("right", "neutral")
+    )
+    return ClassMatches(scores, data[f"images_{k}"], right, neutral, data[f"objects_{k}"][None])
+
+
+# -- the folder ------------------------------------------------------------------------------------------------
+
+
+def _check_out(out: Path, overwrite: bool) -> list[str]:
+    """What is there already, if it may be replaced."""
+    if not out.exists():
+        return []
+    if not out.is_dir():
+        raise OutputError(f"{out}: is a file; give a new folder")
+    entries = sorted(p.name for p in out.iterdir())
+    foreign = [e for e in entries if e not in _OWN]
+    if foreign:
+        raise OutputError(f"{out}: holds what no evaluation wrote ({', '.join(foreign[:_SHOWN])}); give another folder")
+    if entries and not overwrite:
+        raise OutputError(f"{out}: holds an evaluation; --overwrite replaces it, or give another folder")
+    return entries
+
+
+def _clear(out: Path, entries: Sequence[str]) -> None:
+    """Remove an earlier evaluation; its findings stay until the new ones take their place."""
+    try:
+        for name in (RECORD, PAGE, MATCHES):
+            if name in entries:
+                (out / name).unlink(missing_ok=True)
+        if PLOTS in entries:
+            shutil.rmtree(out / PLOTS)
+    except OSError as error:
+        raise output_error(out, error) from error

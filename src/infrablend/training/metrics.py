@@ -1,0 +1,112 @@
+"""The figures as Ultralytics computes them, from findings that are there: its own overlap, matching and curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import cxcywha_of_corners
+from infrablend.evaluation.detections import Detections, Task
+from infrablend.evaluation.matching import IOUS
+from infrablend.evaluation.overlap import overlaps
+from infrablend.evaluation.truth import Truth
+from infrablend.training.environment import quiet_ultralytics
+
+
+def ultralytics_table(
+    truths: Sequence[Truth],
+    found: Mapping[str, Detections],
+    class_of: NDArray[np.int64],
+    classes: Sequence[str],
+    task: Task,
+) -> dict[str, dict[str, Any]]:
+    """Images, instances, P, R, mAP50 and mAP50-95 of `all` and of each class, by Ultralytics' code.
+
+    It knows no regions to ignore. So what overlaps no object of its class by half, but lies by half in such a region,
+    is left out before. Oriented boxes are compared by its probabilistic overlap, which is not the exact one.
+    """
+    with quiet_ultralytics():
+        import torch
+        from ultralytics.engine.validator import BaseValidator
+        from ultralytics.utils.metrics import ap_per_class
+
+        judge = SimpleNamespace(iouv=torch.linspace(0.5, 0.95, len(IOUS)))
+        right, scores, predicted, labels, images = [], [], [], [], []
+        for truth in truths:
+            real = np.flatnonzero(~truth.ignore)
+            labels.append(truth.classes[real])
+            images.append(np.unique(truth.classes[real]))
+            ours = found.get(truth.key)
+            if ours is None:
+                continue
+            ours = _outside_regions(ours.take(np.flatnonzero(class_of[ours.classes] >= 0)), truth, class_of, task)
+            its = class_of[ours.classes]
+            hit = np.zeros((len(ours), len(IOUS)), np.bool_)
+            if len(ours) and len(real):
+                iou = _overlap(ours, truth, real, task)
+                hit = BaseValidator.match_predictions(
+                    judge, torch.from_numpy(its), torch.from_numpy(truth.classes[real]), iou
+                ).numpy()
+            right.append(hit)
+            scores.append(ours.scores)
+            predicted.append(its)
+        target = np.concatenate([np.zeros(0, np.int64), *labels])
+        if not len(target):
+            return {}
+        _, _, p, r, _, ap, which, *_ = ap_per_class(
+            np.concatenate([np.zeros((0, len(IOUS)), np.bool_), *right]),
+            np.concatenate([np.zeros(0), *scores]),
+            np.concatenate([np.zeros(0, np.int64), *predicted]),
+            target,
+        )
+    with_class = np.concatenate(images)
+    table: dict[str, dict[str, Any]] = {
+        "all": _row(len(truths), len(target), p.mean(), r.mean(), ap[:, 0].mean(), ap.mean())
+    }
+    for k, c in enumerate(which):
+        counts = int((with_class == c).sum()), int((target == c).sum())
+        table[classes[c]] = _row(*counts, p[k], r[k], ap[k, 0], ap[k].mean())
+    return table
+
+
+def _row(images: int, instances: int, p: float, r: float, map50: float, map50_95: float) -> dict[str, Any]:
+    return {
+        "images": images,
+        "instances": instances,
+        "p": float(p),
+        "r": float(r),
+        "map50": float(map50),
+        "map50_95": float(map50_95),
+    }
+
+
+def _outside_regions(ours: Detections, truth: Truth, class_of: NDArray[np.int64], task: Task) -> Detections:
+    if not truth.ignore.any() or not len(ours):
+        return ours
+    overlap = overlaps(ours, truth, task)
+    same = class_of[ours.classes][:, None] == truth.classes[None]
+    object_ = (overlap * (same & ~truth.ignore)).max(axis=1) >= IOUS[0]
+    region = (overlap * (truth.ignore & (same | (truth.classes == -1)))).max(axis=1) >= IOUS[0]
+    return ours.take(np.flatnonzero(object_ | ~region))
+
+
+def _overlap(ours: Detections, truth: Truth, real: NDArray[np.intp], task: Task) -> Any:
+    """(g, n) tensor, by Ultralytics; masks by the share of pixels, which is the same as its own."""
+    import torch
+    from ultralytics.utils.metrics import batch_probiou, box_iou
+
+    if task == "segment":
+        return torch.from_numpy(overlaps(ours, truth, task)[:, real].T.copy())
+    if task == "obb":
+        assert ours.corners_xy is not None and truth.corners_xy is not None
+        turned = [
+            torch.from_numpy(cxcywha_of_corners(c).astype(np.float32))
+            for c in (truth.corners_xy[real], ours.corners_xy)
+        ]
+        return batch_probiou(*turned)
+    boxes = [torch.from_numpy(b.astype(np.float32)) for b in (truth.boxes_xyxy[real], ours.boxes_xyxy)]
+    return box_iou(*boxes)

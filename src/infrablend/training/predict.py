@@ -1,0 +1,343 @@
+"""A trained detector's findings on whole images, by Ultralytics: the pictures prepared as its own validation does.
+
+Ultralytics' convenience calls keep one class for a box; its validation, whose figures papers print, keeps every class
+that is sure enough. So the network is called here, and Ultralytics' own suppression on what it says.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_of_points, corners_of_cxcywha
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
+from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
+from infrablend.evaluation.truth import image_key
+from infrablend.training.environment import quiet_ultralytics
+
+INSTALL = 'pip install "infrablend[train]"'
+CONFIDENCE = 0.001
+IOU = 0.7
+MAX_DETECTIONS = 300
+IMAGE_SIZE = 640
+_GREY = 114  # Ultralytics pads with it
+
+
+@dataclass(frozen=True, eq=False)
+class Detector:
+    """Weights that were loaded.
+
+    Attributes:
+        network: In evaluation mode, on its device.
+        task: What it finds.
+        classes: Its classes, in its order.
+        channels: Of the pictures it takes.
+        stride: Pictures' sides are multiples of it.
+        facts: Name and SHA-256 of the file, device, versions.
+    """
+
+    network: Any
+    task: Task
+    classes: tuple[str, ...]
+    channels: int
+    stride: int
+    facts: dict[str, Any]
+
+
+def require_ultralytics() -> None:
+    """See that Ultralytics is there.
+
+    Raises:
+        MissingDependencyError: Says what to install.
+    """
+    lost = [m for m in ("torch", "ultralytics") if find_spec(m) is None]
+    if lost:
+        raise MissingDependencyError(f"detectors need {' and '.join(lost)}: {INSTALL}")
+
+
+def pick_device(wanted: str) -> str:
+    """`auto` as the device that is there, or the one asked for: cpu, cuda, cuda:1, mps.
+
+    Raises:
+        MissingDependencyError: It is not there.
+    """
+    require_ultralytics()
+    import torch
+
+    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
+    if wanted == "auto":
+        return "cuda:0" if cuda else "cpu"
+    try:
+        device = torch.device(f"cuda:{wanted}" if wanted.isdigit() else wanted)
+    except RuntimeError as error:
+        raise MissingDependencyError(f"device {wanted!r}: no such device; expected auto, cpu, cuda or mps") from error
+    there = {"cpu": True, "cuda": cuda and (device.index or 0) < torch.cuda.device_count(), "mps": mps}
+    if not there.get(device.type, False):
+        built = "torch was built without CUDA" if torch.version.cuda is None else "torch sees no such GPU"
+        why = built if device.type == "cuda" else "torch does not have it here"
+        raise MissingDependencyError(
+            f"device {wanted!r} was asked for, but {why}; check the driver and `python -m torch.utils.collect_env`, or "
+            "take --device cpu"
+        )
+    return str(device)
+
+
+def load_detector(weights: Path, device: str = "auto") -> Detector:
+    """The detector that a file of weights (.pt) holds.
+
+    Such a file is a Python pickle: loading it runs what is in it, so load none that you do not trust.
+
+    Raises:
+        MissingDependencyError: Ultralytics is not installed, or the device is not there.
+        ModelError: The file is missing or holds no detector that Ultralytics can load.
+    """
+    require_ultralytics()
+    chosen = pick_device(device)
+
+    def refuse(found: str, expected: str = "a .pt file that Ultralytics' training wrote") -> ModelError:
+        problem = Problem(str(weights), "weights", found, expected, "give the best.pt or last.pt of a training")
+        return ModelError(f"{weights}: no weights that can be used", [problem])
+
+    # Ultralytics would take a name that is no file for one to download.
+    if not weights.is_file():
+        raise refuse("no such file" if not weights.exists() else "no file")
+    with quiet_ultralytics():
+        import torch
+        import ultralytics
+
+        try:
+            data = weights.read_bytes()
+            model = ultralytics.YOLO(str(weights))
+            network = model.model
+            network = network.float().fuse(verbose=False).eval().to(chosen)
+        except OSError as error:
+            raise refuse(f"cannot be read: {error.strerror or error}") from error
+        except Exception as error:  # unpickling raises what it likes
+            raise refuse(f"cannot be loaded: {type(error).__name__}: {error}"[:300]) from error
+    task = next((t for t in TASKS if t == model.task), None)
+    if task is None:
+        raise refuse(f"a network for {model.task}", "one that detects boxes, oriented boxes or masks")
+    names = network.names
+    return Detector(
+        network,
+        task,
+        tuple(str(names[k]) for k in sorted(names)),
+        int(getattr(network, "yaml", {}).get("channels", 3)),
+        max(int(network.stride.max()), 32),
+        {
+            "weights": weights.name,
+            "weights_sha256": hashlib.sha256(data).hexdigest(),
+            "device": chosen,
+            "torch": str(torch.__version__),
+            "ultralytics": str(ultralytics.__version__),
+        },
+    )
+
+
+def predict(
+    detector: Detector,
+    images: Sequence[ImageRecord],
+    *,
+    image_size: int = IMAGE_SIZE,
+    confidence: float = CONFIDENCE,
+    iou: float = IOU,
+    max_detections: int = MAX_DETECTIONS,
+    batch: int | None = None,
+    on_image: Callable[[int, int], None] | None = None,
+) -> Predictions:
+    """Findings on whole images.
+
+    Args:
+        detector: From `load_detector`.
+        images: The pictures; colour or grey, 16-bit ones by their high byte, as Ultralytics reads them for training.
+        image_size: The longer side is scaled to it; 0 leaves every picture its own size.
+        confidence: The least score.
+        iou: Overlap beyond which the less sure of two findings of a class is dropped.
+        max_detections: At most so many an image.
+        batch: Pictures at once; 16 on a GPU, 4 else.
+        on_image: Called with how many of how many are done.
+
+    Raises:
+        DatasetError: Pictures that cannot be read, all of them named.
+        ModelError: Memory does not even hold one picture.
+    """
+    at_once = batch or (4 if detector.facts["device"] == "cpu" else 16)
+    found: dict[str, Detections] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    problems: list[Problem] = []
+    with quiet_ultralytics():
+        for group in _batches(images, detector, image_size, at_once, problems):
+            ours = _run(detector, group, confidence, iou, max_detections)
+            for (image, picture), its in zip(group, ours, strict=True):
+                found[image_key(image)], sizes[image_key(image)] = its, picture.size_wh
+            if on_image is not None:
+                on_image(len(found) + len(problems), len(images))
+    if problems:
+        raise DatasetError(f"{len(problems)} of {len(images)} pictures cannot be used", problems)
+    facts = detector.facts | {
+        "image_size": image_size,
+        "confidence": confidence,
+        "iou": iou,
+        "max_detections": max_detections,
+    }
+    return Predictions(detector.task, detector.classes, found, sizes, facts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A picture ready for the network: (h, w, c) uint8, how much it was scaled, what was added left and on top."""
+
+    pixels: NDArray[np.uint8]
+    size_wh: tuple[int, int]
+    scale_xy: tuple[float, float]
+    pad_xy: tuple[int, int]
+
+
+_Group = list[tuple[ImageRecord, _Picture]]
+
+
+def _batches(
+    images: Sequence[ImageRecord], detector: Detector, image_size: int, at_once: int, problems: list[Problem]
+) -> Iterator[_Group]:
+    """Neighbours of the same shape together."""
+    group: _Group = []
+    for image in images:
+        picture = _read(image, detector, image_size, problems)
+        if picture is None:
+            continue
+        if group and (len(group) >= at_once or group[0][1].pixels.shape != picture.pixels.shape):
+            yield group
+            group = []
+        group.append((image, picture))
+    if group:
+        yield group
+
+
+def _read(image: ImageRecord, detector: Detector, image_size: int, problems: list[Problem]) -> _Picture | None:
+    from ultralytics.utils.patches import imread
+
+    flags = cv2.IMREAD_GRAYSCALE if detector.channels == 1 else cv2.IMREAD_COLOR
+    pixels = imread(str(image.path), flags)
+    if pixels is None:
+        problems.append(Problem(image_key(image), "image-unreadable", "no picture that can be read", "a picture"))
+        return None
+    pixels = pixels if pixels.ndim == 3 else pixels[..., None]
+    if detector.channels not in (1, 3):
+        found = f"weights for pictures of {detector.channels} channels"
+        problems.append(Problem(image_key(image), "channels", found, "weights for 1 or 3"))
+        return None
+    height, width = pixels.shape[:2]
+    if image.size_wh is not None and image.size_wh != (width, height):
+        found, expected = f"{width}x{height} px", f"{image.size_wh[0]}x{image.size_wh[1]} px as annotated"
+        problems.append(Problem(image_key(image), "image-size", found, expected))
+        return None
+    return fit_picture(pixels, image_size, detector.stride)
+
+
+def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Picture:
+    """Scale to a longer side of `image_size` (0: not at all) and pad with grey on all sides, as in validation.
+
+    Each side becomes the multiple of the stride that leaves at least half a stride of padding.
+    """
+    height, width = pixels.shape[:2]
+    size = image_size or max(height, width)
+    scale = size / max(height, width)
+    w, h = min(math.ceil(width * scale), size), min(math.ceil(height * scale), size)
+    if (w, h) != (width, height):
+        pixels = cv2.resize(pixels, (w, h), interpolation=cv2.INTER_LINEAR).reshape(h, w, -1)
+    full_w, full_h = (math.ceil(v / stride + 0.5) * stride for v in (w, h))
+    left, top = round((full_w - w) / 2 - 0.1), round((full_h - h) / 2 - 0.1)
+    padded = np.full((full_h, full_w, pixels.shape[2]), _GREY, np.uint8)
+    padded[top : top + h, left : left + w] = pixels
+    return _Picture(padded, (width, height), (w / width, h / height), (left, top))
+
+
+def _run(detector: Detector, group: _Group, confidence: float, iou: float, most: int) -> list[Detections]:
+    import torch
+
+    try:
+        return _forward(detector, [p for _, p in group], confidence, iou, most)
+    except (torch.OutOfMemoryError, MemoryError) as error:
+        if len(group) == 1:
+            raise ModelError(
+                f"{group[0][0].name}: memory does not hold one picture; take a smaller --image-size or --device cpu"
+            ) from error
+        middle = len(group) // 2
+        return [one for part in (group[:middle], group[middle:]) for one in _run(detector, part, confidence, iou, most)]
+
+
+def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float, iou: float, most: int) -> list[Any]:
+    import torch
+    from ultralytics.utils import nms
+
+    stacked = np.stack([p.pixels[..., ::-1].transpose(2, 0, 1) for p in pictures])
+    with torch.inference_mode():
+        x = torch.from_numpy(np.ascontiguousarray(stacked)).to(detector.facts["device"]).float() / 255
+        said = detector.network(x)
+        prototypes = None
+        if detector.task == "segment":
+            prototypes = said[0][1] if isinstance(said[0], tuple) else said[1]
+            said = said[0]
+        kept = nms.non_max_suppression(
+            said,
+            confidence,
+            iou,
+            nc=0 if detector.task == "detect" else len(detector.classes),
+            multi_label=True,
+            max_det=most,
+            max_time_img=3600.0,  # no clock decides what is found
+            rotated=detector.task == "obb",
+            end2end=bool(getattr(detector.network, "end2end", False)),
+        )
+        return [
+            _scaled(rows, picture, detector.task, None if prototypes is None else prototypes[k])
+            for k, (rows, picture) in enumerate(zip(kept, pictures, strict=True))
+        ]
+
+
+def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detections:
+    """Ultralytics' rows (box, score, class, further) in pixels of the picture as stored."""
+    masks = None
+    if task == "segment":
+        rows, masks = _masks(rows, picture, prototypes)
+    values = rows.cpu().numpy().astype(np.float64)
+    pad, scale = np.array(picture.pad_xy, np.float64), np.array(picture.scale_xy, np.float64)
+    size = np.array(picture.size_wh, np.float64)
+    if task == "obb":
+        corners = (corners_of_cxcywha(np.concatenate([values[:, :4], values[:, 6:7]], axis=1)) - pad) / scale
+        boxes = np.array([box_of_points(c) for c in corners]).reshape(-1, 4)
+        return detections(boxes, values[:, 4], values[:, 5], corners)
+    boxes = ((values[:, :4].reshape(-1, 2, 2) - pad) / scale).clip(0, size).reshape(-1, 4)
+    return detections(boxes, values[:, 4], values[:, 5], None, masks)
+
+
+def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mask]]:
+    """The rows that have a mask, and the masks in the picture as stored, from those of the padded one."""
+    from ultralytics.utils import ops
+
+    height, width = picture.pixels.shape[:2]
+    (left, top), (w, h) = picture.pad_xy, picture.size_wh
+    made, kept = [], []
+    inner_w, inner_h = round(w * picture.scale_xy[0]), round(h * picture.scale_xy[1])
+    for start in range(0, len(rows), 32):  # 300 masks of a large picture at once fill the memory
+        part = rows[start : start + 32]
+        stack = ops.process_mask_native(prototypes, part[:, 6:], part[:, :4], (height, width)).cpu().numpy()
+        for k, padded in enumerate(stack):
+            mask = np.ascontiguousarray(padded[top : top + inner_h, left : left + inner_w]).astype(np.uint8)
+            if mask.shape != (h, w):
+                mask = cv2.resize(mask, (w, h), interpolation=cv2.INTER_NEAREST)
+            if mask.any():
+                made.append(Mask.from_array(mask.astype(np.bool_)))
+                kept.append(start + k)
+    return rows[kept], made
