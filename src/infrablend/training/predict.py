@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -31,6 +31,7 @@ CONFIDENCE = 0.001
 IOU = 0.7
 MAX_DETECTIONS = 300
 IMAGE_SIZE = 640
+Precision = Literal["auto", "float32", "bfloat16"]
 _GREY = 114  # Ultralytics pads with it
 
 
@@ -53,6 +54,15 @@ class Detector:
     channels: int
     stride: int
     facts: dict[str, Any]
+
+    def __call__(self, x: Any) -> Any:
+        """What the network says of (b, c, h, w) pictures in [0, 1]."""
+        import torch
+
+        if self.facts["precision"] == "float32":
+            return self.network(x)
+        with torch.autocast(x.device.type, dtype=torch.bfloat16):
+            return self.network(x)
 
 
 def require_ultralytics() -> None:
@@ -93,8 +103,11 @@ def pick_device(wanted: str) -> str:
     return str(device)
 
 
-def load_detector(weights: Path, device: str = "auto") -> Detector:
+def load_detector(weights: Path, device: str = "auto", precision: Precision = "auto") -> Detector:
     """The detector that a file of weights (.pt) holds.
+
+    With bfloat16 the layers before the head are computed so, several times faster on processors with AMX; the head, which
+    says where objects are, always in 32 bits. `auto` takes it on such processors, and 32 bits elsewhere.
 
     Such a file is a Python pickle: loading it runs what is in it, so load none that you do not trust.
 
@@ -121,6 +134,10 @@ def load_detector(weights: Path, device: str = "auto") -> Detector:
             model = ultralytics.YOLO(str(weights))
             network = model.model
             network = network.float().fuse(verbose=False).eval().to(chosen)
+            if precision == "auto":
+                precision = "bfloat16" if chosen == "cpu" and _has_amx() else "float32"
+            if precision == "bfloat16":
+                _head_in_32_bits(network.model[-1])
         except OSError as error:
             raise refuse(f"cannot be read: {error.strerror or error}") from error
         except Exception as error:  # unpickling raises what it likes
@@ -139,10 +156,30 @@ def load_detector(weights: Path, device: str = "auto") -> Detector:
             "weights": weights.name,
             "weights_sha256": hashlib.sha256(data).hexdigest(),
             "device": chosen,
+            "precision": precision,
             "torch": str(torch.__version__),
             "ultralytics": str(ultralytics.__version__),
         },
     )
+
+
+def _has_amx() -> bool:
+    try:
+        return "amx_bf16" in Path("/proc/cpuinfo").read_text("utf-8")
+    except OSError:
+        return False
+
+
+def _head_in_32_bits(head: Any) -> None:
+    import torch
+
+    forward = head.forward
+
+    def wide(maps: Any) -> Any:
+        with torch.autocast(maps[0].device.type, enabled=False):
+            return forward([m.float() for m in maps])
+
+    head.forward = wide
 
 
 def predict(
@@ -284,7 +321,7 @@ def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float
     stacked = np.stack([p.pixels[..., ::-1].transpose(2, 0, 1) for p in pictures])
     with torch.inference_mode():
         x = torch.from_numpy(np.ascontiguousarray(stacked)).to(detector.facts["device"]).float() / 255
-        said = detector.network(x)
+        said = detector(x)
         prototypes = None
         if detector.task == "segment":
             prototypes = said[0][1] if isinstance(said[0], tuple) else said[1]
