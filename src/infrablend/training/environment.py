@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 
 def settle_ultralytics(folder: Path) -> None:
@@ -56,3 +57,9 @@ def _settle_torchvision() -> None:
         ops.nms = TorchNMS.nms  # type: ignore[attr-defined]
         stand_in.ops = ops  # type: ignore[attr-defined]
         sys.modules |= {"torchvision": stand_in, "torchvision.ops": ops}
+
+
+def has_fast_bfloat16(torch: Any) -> bool:
+    """Whether the processor has matrix units for it; elsewhere it is slower than float32."""
+    known = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return bool(known and known())

@@ -10,7 +10,6 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,9 +23,9 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
-from infrablend.training.environment import quiet_ultralytics
+from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
+from infrablend.training.weights import require_ultralytics
 
-INSTALL = 'pip install "infrablend[train]"'
 CONFIDENCE = 0.001
 IOU = 0.7
 MAX_DETECTIONS = 300
@@ -65,17 +64,6 @@ class Detector:
             return self.network(x)
 
 
-def require_ultralytics() -> None:
-    """See that Ultralytics is there.
-
-    Raises:
-        MissingDependencyError: Says what to install.
-    """
-    lost = [m for m in ("torch", "ultralytics") if find_spec(m) is None]
-    if lost:
-        raise MissingDependencyError(f"detectors need {' and '.join(lost)}: {INSTALL}")
-
-
 def pick_device(wanted: str) -> str:
     """`auto` as the device that is there, or the one asked for: cpu, cuda, cuda:1, mps.
 
@@ -106,8 +94,8 @@ def pick_device(wanted: str) -> str:
 def load_detector(weights: Path, device: str = "auto", precision: Precision = "auto") -> Detector:
     """The detector that a file of weights (.pt) holds.
 
-    With bfloat16 the layers before the head are computed so, several times faster on processors with AMX; the head, which
-    says where objects are, always in 32 bits. `auto` takes it on such processors, and 32 bits elsewhere.
+    With bfloat16 the layers before the head are computed so, several times faster on processors with AMX; the head,
+    which says where objects are, always in 32 bits. `auto` takes it on such processors, and 32 bits elsewhere.
 
     Such a file is a Python pickle: loading it runs what is in it, so load none that you do not trust.
 
@@ -135,7 +123,8 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
             network = model.model
             network = network.float().fuse(verbose=False).eval().to(chosen)
             if precision == "auto":
-                precision = "bfloat16" if chosen == "cpu" and _has_amx() else "float32"
+                fast = chosen == "cpu" and has_fast_bfloat16(torch)
+                precision = "bfloat16" if fast else "float32"
             if precision == "bfloat16":
                 _head_in_32_bits(network.model[-1])
         except OSError as error:
@@ -161,13 +150,6 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
             "ultralytics": str(ultralytics.__version__),
         },
     )
-
-
-def _has_amx() -> bool:
-    try:
-        return "amx_bf16" in Path("/proc/cpuinfo").read_text("utf-8")
-    except OSError:
-        return False
 
 
 def _head_in_32_bits(head: Any) -> None:

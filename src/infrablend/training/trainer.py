@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.training.environment import settle_ultralytics
+from infrablend.training.environment import has_fast_bfloat16, settle_ultralytics
 
 CHECKPOINT = "checkpoint.pt"
 WEIGHTS = "weights.pt"
@@ -186,7 +186,7 @@ def _train(job: Job, say: Any) -> None:
     trainer.add_callback("on_model_save", saved)
     precision = "float32"
     with contextlib.ExitStack() as stack:
-        if on_cpu and _has_fast_bfloat16(torch):
+        if on_cpu and has_fast_bfloat16(torch):
             precision = "bfloat16"
             stack.enter_context(_bfloat16_forward(torch))
         if begun < job.epochs:
@@ -202,12 +202,6 @@ def _epochs_done(checkpoint: Path, torch: Any) -> int:
     if not checkpoint.is_file():
         return 0
     return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
-
-
-def _has_fast_bfloat16(torch: Any) -> bool:
-    """Whether the processor has matrix units for it; elsewhere it is slower than float32."""
-    known = getattr(torch.cpu, "_is_amx_tile_supported", None)
-    return bool(known and known())
 
 
 @contextlib.contextmanager
