@@ -79,7 +79,7 @@ def _pr(facts: Mapping[str, Any]) -> bytes:
             axis.plot([point["r"]], [point["p"]], "o", color=_COLOURS[(k + 1) % len(_COLOURS)], ms=5)
     axis.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
     axis.set_title("Precision by recall at IoU 0.5; dots at the confidence of best mean F1", fontsize=10)
-    axis.legend(frameon=False, fontsize=9, loc="lower left", title="class, AP50", title_fontsize=9)
+    axis.legend(frameon=False, fontsize=9, loc="best", title="class, AP50", title_fontsize=9)
     return _png(figure)
 
 
