@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -41,6 +41,7 @@ from infrablend.pipeline.train import TrainPlan, TrainReport, choose_preset, pla
 
 if TYPE_CHECKING:
     from infrablend.pipeline.evaluate import EvaluationReport
+    from infrablend.pipeline.experiment import ExperimentPlan, ExperimentReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.split import SplitReport
     from infrablend.report.checking import CheckReport
@@ -60,14 +61,17 @@ __all__ = [
     "describe_source",
     "diagnose",
     "evaluate",
+    "experiment",
     "fetch",
     "generate",
     "inspect",
+    "list_experiments",
     "list_models",
     "list_recipes",
     "list_sources",
     "make_world",
     "plan",
+    "plan_experiment",
     "preview",
     "preview_ground",
     "profile",
@@ -867,3 +871,143 @@ def diagnose() -> Any:
     from infrablend.report.doctor import diagnose as survey
 
     return survey()
+
+
+def list_experiments() -> dict[str, str]:
+    """Names of the shipped experiments and what they ask."""
+    from infrablend.config import experiment as experiments
+
+    return {name: experiments.load_experiment(name).description for name in experiments.list_experiments()}
+
+
+def experiment(
+    name: str | Path,
+    data: str | Path | Sequence[str | Path] = (),
+    work: str | Path = "experiments",
+    out: str | Path | None = None,
+    *,
+    scale: str = "small",
+    seed: int = 0,
+    device: str = "auto",
+    only: Sequence[str] = (),
+    adopt: Mapping[str, str | Path] | None = None,
+    workers: int | None = None,
+    renderer: str = "blender",
+    on_stage: Callable[[str, str, int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
+) -> ExperimentReport:
+    """Run an experiment: data, trainings, evaluations, comparisons, page. The same call goes on after any interruption.
+
+    Stages lie in `work` by the digest of what decides them: experiments share those that are the same, and a finished
+    experiment makes nothing anew.
+
+    Args:
+        name: Of a shipped experiment, or the path of a YAML file.
+        data: Folders of the datasets that it needs, told apart by their formats.
+        work: Folder of the stages.
+        out: Folder of the page, its JSON and plots; `default_results` by default.
+        scale: `paper`, `small` or `smoke`.
+        seed: Of scenes, splits and trainings.
+        device: Of the trainer: auto, cpu, cuda:0, ...
+        only: Kinds (`generate`), names or ids (`train:fixed`) of stages: these, and what they need.
+        adopt: Folders of trainings, runs and datasets made by `train`, `generate` and `convert`, by id of the stage to
+            take them for (`train:fixed`). Trainings and runs are checked; how datasets were made cannot be.
+        workers: Rendering processes; one per processor core by default.
+        renderer: `blender`; `fake` draws flat shapes, for tests.
+        on_stage: Told of each stage: id; `there`, `begins` or `done`; its number; how many.
+        on_progress: Given to the stages.
+
+    Raises:
+        RecipeError, DatasetError, OutputError, MissingDependencyError, RenderError, Interrupted: See
+            `infrablend.errors`. The page is written as far as it goes.
+    """
+    from infrablend.pipeline import experiment as experiments
+
+    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, workers, renderer, on_progress)
+    target = default_results(setting.work, setting.scale) if out is None else Path(out)
+    for folder in graph.given.values():
+        _require_apart(folder, target)
+    folders = {i: Path(folder) for i, folder in (adopt or {}).items()}
+    return experiments.run_experiment(loaded, graph, setting, target, only=only, adopt=folders, on_stage=on_stage)
+
+
+def plan_experiment(
+    name: str | Path,
+    data: str | Path | Sequence[str | Path] = (),
+    work: str | Path = "experiments",
+    *,
+    scale: str = "small",
+    seed: int = 0,
+    device: str = "auto",
+    renderer: str = "blender",
+) -> ExperimentPlan:
+    """What `experiment` with the same arguments would do: stages, images, passes, disk, time. Writes nothing."""
+    from infrablend.pipeline import experiment as experiments
+
+    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, None, renderer, None)
+    return experiments.plan_experiment(loaded, graph, setting)
+
+
+def default_results(work: Path, scale: str) -> Path:
+    """Where pages go: `docs/results` of the checkout one stands in, else `results`; smoke ones into the work folder."""
+    if scale == "smoke":
+        return work / "results"
+    here = Path.cwd()
+    in_checkout = (here / "pyproject.toml").is_file() and (here / "src" / "infrablend").is_dir()
+    return here / "docs" / "results" if in_checkout else here / "results"
+
+
+def _experiment(
+    name: str | Path,
+    data: str | Path | Sequence[str | Path],
+    work: str | Path,
+    scale: str,
+    seed: int,
+    device: str,
+    workers: int | None,
+    renderer: str,
+    on_progress: OnProgress | None,
+) -> tuple[Any, Any, Any]:
+    """The experiment, its stages, and how they are made."""
+    from infrablend.config.experiment import SCALES, load_experiment
+    from infrablend.pipeline import experiment as experiments
+    from infrablend.pipeline.stages import Setting, Tools
+
+    loaded = load_experiment(name)
+    known = next((s for s in SCALES if s == scale), None)
+    if known is None:
+        raise DatasetError(f"scale: found {scale!r}, expected one of {', '.join(SCALES)}")
+    folders = [Path(data)] if isinstance(data, str | Path) else [Path(d) for d in data]
+    for folder in folders:
+        _require_apart(folder, Path(work))
+    given = experiments.assign(loaded, folders)
+    tools = Tools(
+        read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, _training_seconds,
+        _require_training,
+    )  # fmt: skip
+    setting = Setting(Path(work), known, seed, device, tools, renderer, workers, on_progress)
+    return loaded, experiments.build(loaded, given, setting), setting
+
+
+def _preset(scale: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a training, plain JSON."""
+    return {k: v for k, v in asdict(choose_preset(scale, settings)).items() if k != "summary"}
+
+
+def _training_seconds(scale: str, settings: Mapping[str, Any], images: int, gpu: bool) -> float:
+    from infrablend.training.presets import estimate_seconds, tiles_expected
+
+    preset = choose_preset(scale, settings)
+    shown = tiles_expected(images, 5 * images) if preset.tile else images
+    shown = min(shown, preset.tiles) if preset.tiles else shown
+    return estimate_seconds(preset, shown, gpu=gpu, cores=available_cores())
+
+
+def _require_training(device: str) -> None:
+    """Ultralytics and the device, before anything is made."""
+    from infrablend.training.weights import require_ultralytics
+
+    require_ultralytics()
+    from infrablend.training.predict import pick_device
+
+    pick_device(device)

@@ -47,8 +47,9 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_package_data_and_licence_and_no_tests(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert any(n.endswith("/LICENSE") for n in names)
-    recipes = {p.name for p in (ROOT / "src" / "infrablend" / "config" / "recipes").glob("*.yaml")}
-    assert recipes <= {n.rsplit("/", 1)[-1] for n in names if n.startswith("infrablend/config/recipes/")}
+    for folder in ("recipes", "experiments"):
+        files = {p.name for p in (ROOT / "src" / "infrablend" / "config" / folder).glob("*.yaml")}
+        assert files <= {n.rsplit("/", 1)[-1] for n in names if n.startswith(f"infrablend/config/{folder}/")}
     assert not [n for n in names if n.startswith(("tests/", "docs/", "src/"))]
 
 

@@ -16,6 +16,7 @@ from infrablend.cli import (
     doctor,
     evaluate,
     exits,
+    experiment,
     fetch,
     generate,
     inspect,
@@ -110,6 +111,7 @@ def build_app() -> typer.Typer:
     app.command("train")(train.train)
     app.command("realism")(realism.realism)
     app.command("evaluate")(evaluate.evaluate)
+    app.command("experiment")(experiment.experiment)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)

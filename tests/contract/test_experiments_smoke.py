@@ -1,0 +1,67 @@
+"""Every shipped experiment at the smoke scale, with the real trainer and judge, on virtual worlds; one work folder."""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from infrablend import api
+from infrablend.config.experiment import list_experiments
+from infrablend.pipeline.stages import Setting, Stage
+
+pytestmark = [pytest.mark.slow, pytest.mark.blender]
+
+
+@pytest.fixture(scope="module")
+def ultralytics() -> None:
+    """Skips, loudly, where Ultralytics is not installed."""
+    if find_spec("ultralytics") is None:
+        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
+        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
+            pytest.fail(message)
+        pytest.skip(message)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A town in HIT-UAV's form."""
+    return api.make_world(tmp_path_factory.mktemp("data") / "hit-uav", 40, 5, workers=2)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("work")
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", list_experiments())
+@pytest.mark.filterwarnings("ignore")  # of torch and Ultralytics
+def test_every_experiment_runs_at_the_smoke_scale(
+    name: str, ultralytics: None, world: Path, work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data: list[Path] = [] if name == "monet-deer" else [world]
+    report = api.experiment(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
+    assert report.status == "complete"
+    facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
+    assert facts["scale"] == "smoke" and facts["hardware"] and facts["versions"]
+    page = report.page.read_text("utf-8")
+    assert "a rendered virtual world stands in for it" in page and str(work) not in page
+    for row in (r for t in facts["tables"] for r in t["rows"] if r["evaluation"] in facts["evaluations"]):
+        if row["ours"] is not None:
+            assert 0 <= (row["ours"]["map50"] or 0) <= 1
+    assert name == "datasets" or facts["evaluations"]
+    if name.startswith("transfer"):
+        by_stage = {s["stage"]: s["images"] for s in facts["stages"]}
+        assert by_stage["convert:synthetic"] == by_stage["convert:real"] == by_stage["convert:flat"] > 0
+
+    def never(stage: Stage, key: str, before: Any, setting: Setting, adopt: Any = None) -> Any:
+        raise AssertionError(f"{stage.id} is made again")
+
+    monkeypatch.setattr("infrablend.pipeline.stages.make", never)
+    again = api.experiment(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
+    assert again.made == () and again.page.read_text("utf-8") == page

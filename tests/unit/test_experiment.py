@@ -1,0 +1,635 @@
+"""Experiments: files, stages by content, sharing, interruption, pages. The trainer and the judge are stand-ins here."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from infrablend import api
+from infrablend.cli import main
+from infrablend.config.experiment import Check, list_experiments, load_experiment, parse_experiment
+from infrablend.config.loading import load_recipe
+from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
+from infrablend.pipeline import experiment as experiments
+from infrablend.pipeline import stages
+from infrablend.report import results
+
+RUN = {"scale": "smoke", "renderer": "fake", "workers": 1}
+
+
+class Bench:
+    """A trainer and a judge that count their calls; what a detector is worth follows from what it was trained on."""
+
+    def __init__(self) -> None:
+        self.trained: list[Path] = []
+        self.judged: list[Path] = []
+        self.stop: Callable[[str], None] = lambda what: None
+
+    def train(self, dataset: Path, out: Path, **said: Any) -> Any:
+        self.stop("train")
+        self.trained.append(Path(out))
+        data = api.read_dataset(dataset, options=said["options"])
+        images = [i for i in data.images if i.split == "train"]
+        names = [c.name for c in data.categories if not c.ignore]
+        objects = {n: sum(o.category == n for i in images for o in i.instances) for n in names}
+        Path(out).mkdir(parents=True, exist_ok=True)
+        record = {
+            "infrablend": "x",
+            "status": "complete",
+            "preset": said["preset"],
+            "task": said["task"],
+            "seed": said["seed"],
+            "classes": names,
+            "settings": json.loads(json.dumps(api._preset(said["preset"], said["settings"]))),
+            "prepared": {
+                "pictures": {"train": len(images)},
+                "objects": {"train": {n: k for n, k in objects.items() if k}},
+            },
+            "start": {"model": "yolov8n.yaml", "kind": "scratch", "why": ""},
+            "device": "cpu",
+            "passes": 8,
+            "epochs_done": 1,
+            "seconds": 1.5,
+        }
+        (Path(out) / "weights.pt").write_text(json.dumps([names, sum(objects.values())]))
+        (Path(out) / "train.json").write_text(json.dumps(record))
+        return SimpleNamespace(out=Path(out), weights=Path(out) / "weights.pt", record=record)
+
+    def evaluate(self, weights: Path, dataset: Path, out: Path, **said: Any) -> Any:
+        self.stop("evaluate")
+        self.judged.append(Path(out))
+        names, worth = json.loads(Path(weights).read_text())
+        data = api.read_dataset(dataset, options=said["options"])
+        images = [i for i in data.images if i.split == said["split"]]
+        chosen = said["classes"] or names
+        value = round(worth / 100, 6)
+        of_all = {"p": value, "r": value, "map50": value, "map50_95": value / 2}
+        ci = {"map50": [value - 0.01, value + 0.01], "map50_95": [value / 2 - 0.01, value / 2 + 0.01]}
+        table = {
+            n: {"images": len(images), "instances": 1, **of_all, "ci": ci}
+            for n in ("all", *(c for c in names if c.casefold() in {x.casefold() for x in chosen}))
+        }
+        metrics = {
+            "classes": table,
+            "ultralytics": dict.fromkeys(table, of_all),
+            "strata": {"time": {"day": {"images": 1, "classes": {"all": {"instances": 3, **of_all}}}}},
+            "curves": {"recall": [0.0, 1.0], "precision": {n: [1.0, 0.5] for n in table if n != "all"}},
+        }
+        Path(out).mkdir(parents=True)
+        (Path(out) / "evaluation.json").write_text(json.dumps(metrics))
+        (Path(out) / "predictions.json").write_text("{}")
+        return SimpleNamespace(out=Path(out), metrics=metrics)
+
+    def compare(self, ours: Path, theirs: Path, **said: Any) -> Any:
+        a, b = (json.loads((Path(p) / "evaluation.json").read_text())["classes"] for p in (ours, theirs))
+        both = [n for n in a if n in b]
+        found = {n: {k: a[n][k] - b[n][k] for k in ("map50", "map50_95")} for n in both}
+        return {
+            "classes": {
+                n: {k: {"difference": d, "ci": [d - 0.02, d + 0.02], "same_sign": 1.0} for k, d in of.items()}
+                for n, of in found.items()
+            },
+            "left_out": [],
+        }
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    found = Bench()
+    monkeypatch.setattr(api, "train", found.train)
+    monkeypatch.setattr(api, "evaluate", found.evaluate)
+    monkeypatch.setattr(api, "compare_evaluations", found.compare)
+    monkeypatch.setattr(api, "_require_training", lambda device: None)
+    return found
+
+
+@pytest.fixture
+def data(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
+    return write_tiny_hit_uav(tmp_path / "hit-uav")
+
+
+def run(name: str, data: Path | list[Path], work: Path, **more: Any) -> Any:
+    return api.experiment(name, data, work, work / "results", **{**RUN, **more})
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+# The files.
+
+
+def test_every_shipped_experiment_is_whole() -> None:
+    assert {
+        "datasets", "hit-uav", "hit-uav-drone", "leak-free", "monet-deer", "pitch-alignment", "transfer-car",
+        "transfer-person", "visible-vs-thermal",
+    } <= set(list_experiments())  # fmt: skip
+    for name in list_experiments():
+        loaded = load_experiment(name)
+        assert loaded.name == name
+        for item in loaded.data.values():
+            if item.kind == "generate":
+                load_recipe(item.recipe, item.settings)
+
+
+def test_the_papers_figures_of_the_pitch_stand_in_the_file() -> None:
+    rows = {r.title: r.paper for r in load_experiment("pitch-alignment").tables[0].rows}
+    assert [rows[t].map50_95 for t in ("Fixed at 0°", "Random [0°, 90°]", "Metadata aligned")] == [0.133, 0.910, 0.964]
+
+
+def test_all_that_is_wrong_in_a_file_is_said_at_once() -> None:
+    text = """
+name: mine
+titel: x
+description: d
+sources: {hit-uav: {format: hit-uav, title: HIT-UAV, limit: 3}}
+trainings: {a: {data: hit-uav, task: guess}}
+"""
+    with pytest.raises(RecipeError) as caught:
+        parse_experiment(text, "mine.yaml")
+    where = {p.where for p in caught.value.problems}
+    assert {"titel", "title", "sources.hit-uav.limit", "trainings.a.task"} <= where
+
+
+@pytest.mark.parametrize(
+    ("more", "what"),
+    [
+        ("data: {x: {kind: convert, of: nobody}}", "data.x: no source or data nobody"),
+        ("trainings: {x: {data: nobody}}", "trainings.x.data: no source or data nobody"),
+        ("evaluations: {x: {training: nobody, data: hit-uav}}", "evaluations.x.training: no training nobody"),
+        ("comparisons: {x: {a: nobody, b: nobody}}", "comparisons.x: no evaluation nobody"),
+        ("tables: [{title: T, rows: [{title: R, evaluation: nobody}]}]", "tables.0: R: no evaluation nobody"),
+        ("facts: [{title: T, data: [nobody]}]", "facts.0.data: no source or data nobody"),
+        ("checks: [{text: T, comparison: nobody, expect: below}]", "checks.0.comparison: no comparison nobody"),
+        ("only_at: {nobody: [paper]}", "only_at: no stage nobody"),
+    ],
+)
+def test_names_that_lead_nowhere_are_named(more: str, what: str) -> None:
+    text = f"name: m\ntitle: t\ndescription: d\nsources: {{hit-uav: {{format: hit-uav, title: H}}}}\n{more}"
+    with pytest.raises(RecipeError, match=what.replace("[", r"\[")):
+        parse_experiment(text, "m.yaml")
+
+
+def test_an_unknown_experiment_is_told_which_there_are(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecipeError, match=r"neither a shipped experiment nor a YAML file.*pitch-alignment"):
+        run("pitch", data, tmp_path / "w")
+
+
+def test_data_items_that_need_each_other_are_refused(data: Path, tmp_path: Path, bench: Bench) -> None:
+    path = tmp_path / "round.yaml"
+    path.write_text(
+        "name: r\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
+        "data: {a: {kind: convert, of: b}, b: {kind: convert, of: a}}\n"
+    )
+    with pytest.raises(DatasetError, match="circle"):
+        run(str(path), data, tmp_path / "w")
+
+
+# A run.
+
+
+def test_a_run_ends_in_a_page_and_a_second_makes_nothing(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    news: list[tuple[str, str]] = []
+    report = run("pitch-alignment", data, work, on_stage=lambda *n: news.append(n[:2]))
+    assert report.status == "complete" and report.ok
+    assert len(bench.trained) == 3 and len(bench.judged) == 3
+    assert ("train:fixed", "done") in news
+    page = report.page.read_text("utf-8")
+    assert report.page.name == "pitch-alignment-smoke.md"
+    for words in ("0.133 → ", "Fixed 0° is below random", "What differs from the paper", "Seed".lower(), "numpy"):
+        assert words in page
+    assert str(tmp_path) not in page and str(tmp_path) not in report.page.with_suffix(".json").read_text("utf-8")
+    facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
+    assert facts["scale"] == "smoke" and facts["command"] == (
+        "infrablend experiment pitch-alignment --scale smoke --data hit-uav"
+    )
+    assert all(c["holds"] is None for c in facts["checks"])  # smoke gives no verdicts
+    before = files_of(work)
+    again = run("pitch-alignment", data, work)
+    assert again.made == () and len(bench.trained) == 3
+    assert files_of(work) == before
+
+
+def test_only_what_is_needed_is_generated(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("pitch-alignment", data, tmp_path / "work")
+    images = {s["stage"]: s["images"] for s in report.facts["stages"]}
+    # 2 train, 1 val, 1 test, two scenes each.
+    assert (images["generate:fixed"], images["generate:aligned"], images["generate:aligned-test"]) == (6, 6, 2)
+    for stage in ("fixed", "aligned"):
+        (found,) = [p for p in (tmp_path / "work" / "generate").iterdir() if _name(p) == stage]
+        assert {p.stem for p in (found / "out" / "coco").glob("*.json")} == {"train", "val"}
+
+
+def _name(folder: Path) -> str:
+    return str(json.loads((folder / stages.RECORD).read_text())["name"])
+
+
+def test_experiments_share_what_is_the_same(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    run("pitch-alignment", data, work)
+    report = run("hit-uav-drone", data, work)
+    assert report.made == () and "train:aligned" in report.there
+    more = run("hit-uav", data, work)
+    assert set(more.made) == {
+        "train:original", "evaluate:original", "evaluate:aligned-on-original", "compare:added-class",
+    }  # fmt: skip
+
+
+def test_joint_classes_are_those_of_detector_and_images(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("hit-uav", data, tmp_path / "work")
+    # The only test image shows an OtherVehicle; the detector knows all five classes.
+    assert set(report.facts["evaluations"]["aligned-on-original"]["classes"]) == {"all", "OtherVehicle"}
+    assert set(report.facts["comparisons"]["added-class"]["classes"]) == {"all", "OtherVehicle"}
+
+
+@pytest.mark.parametrize("where", ["train", "evaluate"])
+def test_a_stopped_run_says_so_and_goes_on(bench: Bench, data: Path, tmp_path: Path, where: str) -> None:
+    work = tmp_path / "work"
+    calls = []
+
+    def stop(what: str) -> None:
+        calls.append(what)
+        if calls.count(where) == 2 and what == where:
+            raise Interrupted("Stopped.")
+
+    bench.stop = stop
+    with pytest.raises(Interrupted, match="same command goes on"):
+        run("pitch-alignment", data, work)
+    page = (work / "results" / "pitch-alignment-smoke.md").read_text("utf-8")
+    assert "This run is not finished" in page and f"`{where}:fixed`" in page
+    bench.stop = lambda what: None
+    before = len(bench.trained)
+    report = run("pitch-alignment", data, work)
+    assert report.status == "complete"
+    assert len(bench.trained) - before == (2 if where == "train" else 0)
+
+
+KILLED = """
+import os, signal, sys
+from infrablend import api
+sys.path.insert(0, {tests!r})
+from tests.unit.test_experiment import Bench
+bench = Bench()
+real = {{n: getattr(api, n) for n in ("generate", "split")}}
+calls = []
+def killing(name, function):
+    def call(*args, **kwargs):
+        calls.append(name)
+        if name == {at!r} and calls.count(name) == 2:
+            function(*args, **kwargs)  # done, but not recorded
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*args, **kwargs)
+    return call
+api.train, api.evaluate = killing("train", bench.train), killing("evaluate", bench.evaluate)
+api.generate = killing("generate", api.generate)
+api.compare_evaluations = killing("compare", bench.compare)
+api._require_training = lambda device: None
+api.experiment("pitch-alignment", {data!r}, {work!r}, {out!r}, scale="smoke", renderer="fake", workers=1)
+"""
+
+
+@pytest.mark.parametrize("at", ["generate", "train", "evaluate", "compare"])
+def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
+    work = tmp_path / "work"
+    root = Path(__file__).resolve().parents[2]
+    code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work), out=str(work / "results"))
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == -9, done.stderr
+    report = run("pitch-alignment", data, work)
+    assert report.status == "complete" and report.there and report.made
+    whole = run("pitch-alignment", data, tmp_path / "other")
+    figures = ("evaluations", "comparisons", "tables", "checks")
+    assert {k: report.facts[k] for k in figures} == {k: whole.facts[k] for k in figures}
+    keys = [[s["key"] for s in r.facts["stages"]] for r in (report, whole)]
+    assert keys[0] == keys[1]
+
+
+def test_a_failing_stage_leaves_a_page_that_says_so(bench: Bench, data: Path, tmp_path: Path) -> None:
+    def fail(what: str) -> None:
+        if what == "evaluate":
+            raise DatasetError("no such thing")
+
+    bench.stop = fail
+    with pytest.raises(DatasetError, match="no such thing"):
+        run("hit-uav-drone", data, tmp_path / "work")
+    page = (tmp_path / "work" / "results" / "hit-uav-drone-smoke.md").read_text("utf-8")
+    assert "It stopped: DatasetError: evaluate:aligned" in page
+
+
+def test_chosen_stages_bring_what_they_need(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("pitch-alignment", data, tmp_path / "work", only=["train:fixed"])
+    assert report.made == ("source:hit-uav", "generate:fixed", "train:fixed") and report.status == "unfinished"
+    with pytest.raises(DatasetError, match="no such stage") as caught:
+        run("pitch-alignment", data, tmp_path / "work", only=["train:foxed"])
+    assert "train:fixed" in caught.value.problems[0].expected
+
+
+def test_data_that_a_finished_training_was_made_of_are_not_made_again(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    run("pitch-alignment", data, work)
+    (gone,) = [p for p in (work / "generate").iterdir() if _name(p) == "fixed"]
+    shutil.rmtree(gone)
+    report = run("pitch-alignment", data, work)
+    assert report.made == () and report.status == "complete" and not gone.exists()
+    assert {s["stage"]: s["status"] for s in report.facts["stages"]}["generate:fixed"] == "not needed"
+
+
+# Keys.
+
+
+def keys(name: str, data: Path, tmp_path: Path, **more: Any) -> dict[str, str]:
+    plan = api.plan_experiment(name, data, tmp_path / "none", **{"scale": "smoke", "renderer": "fake", **more})
+    return {s["stage"]: s["key"] for s in plan.facts["stages"]}
+
+
+def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
+    one = keys("pitch-alignment", data, tmp_path)
+    assert one == keys("pitch-alignment", data, tmp_path)
+    assert len(set(one.values())) == len(one)
+    other = keys("pitch-alignment", data, tmp_path, seed=1)
+    assert one["source:hit-uav"] == other["source:hit-uav"]
+    assert not {k for k in one if one[k] == other[k]} - {"source:hit-uav"}
+    drone = keys("hit-uav-drone", data, tmp_path)
+    assert drone["evaluate:aligned"] == one["evaluate:aligned"]
+
+    mine = tmp_path / "mine.yaml"
+    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav-drone.yaml").read_text()
+    mine.write_text(text.replace("recipe: hit-uav-drone,", "recipe: hit-uav-drone, settings: {camera.roll_deg: 3},"))
+    changed = keys(str(mine), data, tmp_path)
+    assert changed["source:hit-uav"] == drone["source:hit-uav"]
+    assert all(changed[k] != drone[k] for k in drone if k != "source:hit-uav")
+
+    picture = next((data / "rotate_json" / "train").glob("*.jpg"))
+    for form in ("rotate_json", "normal_json"):  # the same picture, another pixel
+        path = data / form / "train" / picture.name
+        path.write_bytes(path.read_bytes()[:-2] + b"\x00\xff\xd9")
+    pixels = keys("pitch-alignment", data, tmp_path)
+    assert all(pixels[k] != one[k] for k in one)
+
+
+def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    plan = api.plan_experiment("pitch-alignment", data, work, scale="smoke", renderer="fake").facts
+    assert not work.exists()
+    assert plan["to_do"] == len(plan["stages"]) == 14
+    assert plan["about_s"] > 0 and plan["disk_bytes"] > 0
+    run("hit-uav-drone", data, work)
+    before = files_of(work)
+    plan = api.plan_experiment("pitch-alignment", data, work, scale="smoke", renderer="fake").facts
+    assert files_of(work) == before
+    status = {s["stage"]: s["status"] for s in plan["stages"]}
+    assert status["train:aligned"] == "done" and status["train:fixed"] == "to do"
+    small = api.plan_experiment("pitch-alignment", data, work, scale="small").facts
+    assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
+
+
+# What does not fit.
+
+
+def test_data_of_the_wrong_kind_are_refused(bench: Bench, data: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError) as caught:
+        run("monet-deer", data, tmp_path / "w")
+    (problem,) = caught.value.problems
+    assert problem.found == "hit-uav" and "MONET" in problem.expected
+    with pytest.raises(DatasetError, match="no HIT-UAV"):
+        run("hit-uav", [], tmp_path / "w")
+    with pytest.raises(DatasetError, match="no such folder"):
+        run("hit-uav", tmp_path / "nowhere", tmp_path / "w")
+    with pytest.raises(DatasetError, match="a second hit-uav"):
+        run("hit-uav", [data, shutil.copytree(data, tmp_path / "copy")], tmp_path / "w")
+
+
+def test_a_class_that_is_needed_must_be_there(bench: Bench, data: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(
+        "name: m\ntitle: t\ndescription: d\n"
+        "sources: {hit-uav: {format: hit-uav, title: H, classes: [Zebra]}}\ntrainings: {a: {data: hit-uav}}\n"
+    )
+    with pytest.raises(DatasetError, match="no label of Zebra"):
+        run(str(mine), data, tmp_path / "w")
+
+
+def test_an_empty_split_is_told_before_anything_is_made(bench: Bench, data: Path, tmp_path: Path) -> None:
+    for form in ("rotate_json", "normal_json"):
+        (data / form / "annotations" / "test.json").unlink()
+        shutil.rmtree(data / form / "test")
+    with pytest.raises(DatasetError, match="no image in test"):
+        run("pitch-alignment", data, tmp_path / "w")
+    assert not (tmp_path / "w").exists()
+
+
+def test_too_little_space_is_told_before_anything_is_made(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(OutputError, match="too little space") as caught:
+        run("hit-uav-drone", data, tmp_path / "w")
+    assert caught.value.problems[0].code == "disk-full" and not bench.trained
+
+
+def test_without_a_trainer_nothing_is_begun(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(device: str) -> None:
+        raise MissingDependencyError('pip install "infrablend[train]"')
+
+    monkeypatch.setattr(api, "_require_training", refuse)
+    with pytest.raises(MissingDependencyError):
+        run("hit-uav-drone", data, tmp_path / "w")
+    assert not (tmp_path / "w" / "generate").exists()
+    assert run("datasets", data, tmp_path / "w").status == "complete"  # trains nothing
+
+
+def test_the_work_folder_is_not_in_the_data(bench: Bench, data: Path) -> None:
+    with pytest.raises(OutputError, match="inside the data folder"):
+        run("hit-uav-drone", data, data / "work")
+
+
+# What is left out, and what stands in.
+
+
+def test_an_absent_dataset_is_told_where_to_get_and_the_rest_is_run(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("visible-vs-thermal", data, tmp_path / "work")
+    assert report.status == "complete"
+    assert "github.com/wangdongdut/DUT-Anti-UAV" in report.facts["left_out"]["dut-anti-uav"]
+    page = report.page.read_text("utf-8")
+    assert "0.429 → -" in page and "DUT-Anti-UAV: no folder of DUT-Anti-UAV was given" in page
+    assert [p.code for p in report.problems] and len(bench.trained) == 1
+
+
+def test_datasets_are_counted_without_training(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("datasets", data, tmp_path / "work")
+    rows = {d["title"]: d for d in report.facts["datasets"]}
+    assert rows["HIT-UAV"]["ours"]["images"] == 4 and rows["HIT-UAV"]["ours"]["classes"] == 4
+    drone = rows["HIT-UAV-drone"]["ours"]
+    assert (drone["images"], drone["classes"], drone["labels"]) == (8, 5, ["AABB", "OBB", "Masks"])
+    assert rows["HIT-UAV"]["ours"]["labels"] == ["AABB", "OBB"]
+    assert rows["MONET"]["ours"] is None and "no folder of MONET" in rows["MONET"]["missing"]
+    assert "2,898 → 4" in report.page.read_text("utf-8")
+    assert not bench.trained
+
+
+def test_a_part_of_a_source_holds_every_class(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
+    dataset = api.read_dataset(write_tiny_hit_uav(tmp_path / "d"))
+    some = list(stages.some_of(dataset, {"train": 1}))
+    assert [i.split for i in some] == ["train", "val", "test"]
+    assert {o.category for o in some[0].instances} == {"Car", "Person"}  # not the empty image
+
+
+# What was made elsewhere.
+
+
+def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench, data: Path, tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    run("hit-uav-drone", data, first)
+    (made,) = (first / "train").iterdir()
+    (generated,) = [p for p in (first / "generate").iterdir() if _name(p) == "aligned"]
+    trained = len(bench.trained)
+    adopt = {"generate:aligned": generated / "out", "train:aligned": made / "out"}
+    report = run("hit-uav-drone", data, tmp_path / "second", adopt=adopt)
+    assert report.status == "complete" and len(bench.trained) == trained
+    assert "taken over" in report.page.read_text("utf-8")
+
+    record = json.loads((made / "out" / "train.json").read_text())
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "weights.pt").write_text("x")
+    record["seed"], record["prepared"]["pictures"]["train"] = 7, 99
+    (other / "train.json").write_text(json.dumps(record))
+    with pytest.raises(DatasetError) as caught:
+        run("hit-uav-drone", data, tmp_path / "third", adopt={**adopt, "train:aligned": other})
+    assert {p.where for p in caught.value.problems} == {"train:aligned, seed", "train:aligned, images"}
+    with pytest.raises(DatasetError) as caught:
+        run("hit-uav-drone", data, tmp_path / "fourth", seed=1, adopt={"generate:aligned": generated / "out"})
+    assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
+
+
+# Conclusions and the page.
+
+
+def difference(low: float, high: float) -> dict[str, Any]:
+    found = {"difference": (low + high) / 2, "ci": [low, high], "same_sign": 1.0}
+    return {"c": {"classes": {"drone": {"map50_95": found}}}}
+
+
+@pytest.mark.parametrize(
+    ("expect", "low", "high", "holds"),
+    [
+        ("below", -0.2, -0.1, True),
+        ("below", -0.2, 0.1, False),
+        ("above", 0.1, 0.2, True),
+        ("above", -0.1, 0.2, False),
+        ("within", -0.1, 0.1, True),
+        ("within", 0.01, 0.1, False),
+        ("not_below", -0.1, 0.1, True),
+        ("not_below", 0.05, 0.1, True),
+        ("not_below", -0.2, -0.1, False),
+        ("report", -0.2, -0.1, None),
+    ],
+)
+def test_conclusions_follow_from_intervals(expect: Any, low: float, high: float, holds: bool | None) -> None:
+    check = Check(text="t", comparison="c", category="Drone", expect=expect)
+    found = experiments.judge(check, {}, difference(low, high), {})
+    assert found["holds"] is holds and found["ci"] == [low, high]
+
+
+def test_a_ratio_is_judged_by_its_least() -> None:
+    figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
+    check = Check(text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7)
+    found = experiments.judge(check, figures, {}, {})
+    assert found["ratio"] == 0.7 and found["holds"] is True
+    figures["a"]["classes"]["Person"]["map50"] = 0.34
+    assert experiments.judge(check, figures, {}, {})["holds"] is False
+    assert experiments.judge(check, {}, {}, {})["holds"] is None
+
+
+def test_pages_of_scales_stand_side_by_side(bench: Bench, data: Path, tmp_path: Path) -> None:
+    report = run("hit-uav-drone", data, tmp_path / "work")
+    out = tmp_path / "results"
+    small = {**report.facts, "scale": "small"}
+    results.write_page(small, out)
+    results.write_page(report.facts, out)
+    assert {"hit-uav-drone.md", "hit-uav-drone-smoke.md", "index.md"} <= {p.name for p in out.iterdir()}
+    index = (out / "index.md").read_text("utf-8")
+    assert "| small | complete |" in index and "| smoke | complete |" in index
+    before = files_of(out)
+    results.write_page(report.facts, out)
+    assert files_of(out) == before
+
+
+def test_the_json_alone_makes_the_page(bench: Bench, data: Path, tmp_path: Path) -> None:
+    """All of it but the curves, which are left out of the JSON."""
+    report = run("hit-uav", data, tmp_path / "work")
+    facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
+    shown = [
+        (p.name, title)
+        for name, title in (
+            ("bars", "Ours with 95 % intervals, the paper's figures as crosses"),
+            ("differences", "Paired differences with 95 % intervals"),
+            ("pr", "Precision over recall at IoU 0.5"),
+        )
+        for p in [report.page.with_name(f"hit-uav-smoke_{name}.svg")]
+    ]
+    assert all((report.page.parent / name).is_file() for name, _ in shown)
+    assert results.page_text(facts, shown) == report.page.read_text("utf-8")
+
+
+# The command.
+
+
+def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = api.generate
+    monkeypatch.setattr(api, "generate", lambda *a, **k: made(*a, **{**k, "renderer": "fake", "in_process": True}))
+    monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
+    assert main(["experiment", "--list"]) == 0
+    assert "pitch-alignment" in capsys.readouterr().out
+    command = ["experiment", "hit-uav-drone", "--data", str(data), "--work", str(tmp_path / "w"), "--scale", "smoke"]
+    assert main([*command, "--plan"]) == 0
+    shown = capsys.readouterr().out
+    assert "train:aligned" in shown and "5 of 5 stages" in shown and not (tmp_path / "w").exists()
+    assert main(command) == 0
+    shown = capsys.readouterr()
+    assert "0.898" in shown.out and shown.out.rstrip().endswith("hit-uav-drone-smoke.md")
+    assert "stage 4 of 5, train:aligned: done" in shown.err
+    assert main([*command, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["made"] == [] and facts["status"] == "complete"
+    assert main(command) == 0
+    assert "nothing to do: every stage was there" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["hit-uav-dron"], "neither a shipped experiment"),
+        ([], "which experiment?"),
+        (["hit-uav"], "no HIT-UAV"),
+        (["hit-uav", "--adopt", "train"], "KEY=VALUE"),
+    ],
+)
+def test_wrong_commands_are_told(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
+    assert main(["experiment", *words, "--work", str(tmp_path / "w")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "w").exists()
+
+
+@pytest.fixture(autouse=True)
+def _no_results_in_the_checkout() -> Iterator[None]:
+    folder = Path(__file__).resolve().parents[2] / "docs" / "results"
+    before = sorted(folder.iterdir()) if folder.is_dir() else []
+    yield
+    assert (sorted(folder.iterdir()) if folder.is_dir() else []) == before
