@@ -889,6 +889,7 @@ def experiment(
     scale: str = "small",
     seed: int = 0,
     device: str = "auto",
+    training: Mapping[str, Any] | None = None,
     only: Sequence[str] = (),
     adopt: Mapping[str, str | Path] | None = None,
     workers: int | None = None,
@@ -909,6 +910,7 @@ def experiment(
         scale: `paper`, `small` or `smoke`.
         seed: Of scenes, splits and trainings.
         device: Of the trainer: auto, cpu, cuda:0, ...
+        training: Settings of every training over those of the scale's preset, as in `train`.
         only: Kinds (`generate`), names or ids (`train:fixed`) of stages: these, and what they need.
         adopt: Folders of trainings, runs and datasets made by `train`, `generate` and `convert`, by id of the stage to
             take them for (`train:fixed`). Trainings and runs are checked; how datasets were made cannot be.
@@ -923,7 +925,9 @@ def experiment(
     """
     from infrablend.pipeline import experiment as experiments
 
-    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, workers, renderer, on_progress)
+    loaded, graph, setting = _experiment(
+        name, data, work, scale, seed, device, training, workers, renderer, on_progress
+    )
     target = default_results(setting.work, setting.scale) if out is None else Path(out)
     for folder in graph.given.values():
         _require_apart(folder, target)
@@ -939,12 +943,13 @@ def plan_experiment(
     scale: str = "small",
     seed: int = 0,
     device: str = "auto",
+    training: Mapping[str, Any] | None = None,
     renderer: str = "blender",
 ) -> ExperimentPlan:
     """What `experiment` with the same arguments would do: stages, images, passes, disk, time. Writes nothing."""
     from infrablend.pipeline import experiment as experiments
 
-    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, None, renderer, None)
+    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, training, None, renderer, None)
     return experiments.plan_experiment(loaded, graph, setting)
 
 
@@ -964,6 +969,7 @@ def _experiment(
     scale: str,
     seed: int,
     device: str,
+    training: Mapping[str, Any] | None,
     workers: int | None,
     renderer: str,
     on_progress: OnProgress | None,
@@ -985,7 +991,7 @@ def _experiment(
         read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, _training_seconds,
         _require_training,
     )  # fmt: skip
-    setting = Setting(Path(work), known, seed, device, tools, renderer, workers, on_progress)
+    setting = Setting(Path(work), known, seed, device, tools, dict(training or {}), renderer, workers, on_progress)
     return loaded, experiments.build(loaded, given, setting), setting
 
 

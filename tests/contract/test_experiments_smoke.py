@@ -30,7 +30,7 @@ def ultralytics() -> None:
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A town in HIT-UAV's form."""
-    return api.make_world(tmp_path_factory.mktemp("data") / "hit-uav", 40, 5, workers=2)
+    return api.make_world(tmp_path_factory.mktemp("data") / "hit-uav", 16, 5, workers=2)
 
 
 @pytest.fixture(scope="module")

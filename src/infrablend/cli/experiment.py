@@ -53,6 +53,14 @@ def experiment(
             help="A kind (generate), name or id (train:fixed): these and what they need; repeatable.",
         ),
     ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="A setting of every training, e.g. passes=4000; repeatable.",
+        ),
+    ] = None,
     adopt: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,6 +82,7 @@ def experiment(
     from infrablend import api
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import say, say_json, table
+    from infrablend.core.yaml_text import read_yaml
 
     if show_list:
         if as_json:
@@ -83,8 +92,11 @@ def experiment(
         return
     if name is None:
         raise typer.BadParameter("which experiment? --list shows the shipped ones", param_hint="NAME")
+    training = {k: read_yaml(v) for k, v in key_values(settings, "--set").items()}
     if plan:
-        planned = api.plan_experiment(name, data or [], work, scale=scale.value, seed=seed, device=device).to_json()
+        planned = api.plan_experiment(
+            name, data or [], work, scale=scale.value, seed=seed, device=device, training=training
+        ).to_json()
         if as_json:
             say_json(planned)
         else:
@@ -98,7 +110,8 @@ def experiment(
     with shown_progress(session, "working") as on_progress:
         report = api.experiment(
             name, data or [], work, results, scale=scale.value, seed=seed, device=device, only=only or [],
-            adopt=key_values(adopt, "--adopt"), workers=workers, on_stage=tell, on_progress=on_progress,
+            training=training, adopt=key_values(adopt, "--adopt"), workers=workers, on_stage=tell,
+            on_progress=on_progress,
         )  # fmt: skip
     for problem in report.problems:
         typer.echo(f"{problem.severity}: {problem}", err=True)
@@ -106,7 +119,9 @@ def experiment(
         say_json(report.to_json())
     else:
         say("\n\n".join(_blocks(report.facts)))
-        if not report.made:
+        if report.facts["missing"]:
+            say(f"\nmissing: {', '.join(report.facts['missing'])}")
+        elif not report.made:
             say("\nnothing to do: every stage was there")
         say(f"\n{report.status}, scale {report.scale}: {report.page}")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from infrablend.report.card import WORLD_FILE
 log = logging.getLogger(__name__)
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
+OTHER_SCALES = "at other scales only"
 _MAKES_DATA = ("world", "source", "generate", "convert", "split")
 
 OnStage = Callable[[str, str, int, int], None]
@@ -63,8 +64,10 @@ class Graph:
     given: Mapping[str, Path]
     stand_ins: tuple[str, ...] = ()
 
-    def wanted(self, only: Sequence[str]) -> set[str]:
+    def wanted(self, only: Sequence[str], done: Collection[str] = ()) -> set[str]:
         """Ids of the stages that `only` names (a kind, a name or an id), and of all that they need.
+
+        What those that are `done` were made of is not among them.
 
         Raises:
             DatasetError: For a word that names no stage.
@@ -81,7 +84,7 @@ class Graph:
         while queue:
             if (one := queue.pop()) not in chosen:
                 chosen.add(one)
-                queue += by_id[one].needs.values()
+                queue += [] if one in done else by_id[one].needs.values()
         return chosen
 
 
@@ -298,7 +301,7 @@ class _Builder:
     def skipped(self, name: str, needs: Sequence[str]) -> bool:
         """Whether something cannot be, as it belongs to other scales or what it needs is left out."""
         if not self.experiment.at(name, self.setting.scale):
-            self.left_out[name] = "at other scales only"
+            self.left_out[name] = OTHER_SCALES
             return True
         for need in needs:
             if need in self.left_out:
@@ -321,7 +324,7 @@ class _Builder:
         if self.skipped(name, [spec.data]):
             return
         inputs = {
-            "preset": dict(self.setting.tools.preset(self.setting.scale, spec.settings)),
+            "preset": dict(self.setting.tools.preset(self.setting.scale, {**self.setting.training, **spec.settings})),
             "scale": self.setting.scale,
             "seed": self.setting.seed,
             "task": spec.task,
@@ -439,7 +442,7 @@ def plan_experiment(experiment: Experiment, graph: Graph, setting: Setting) -> E
         "about_s": round(sum(r["about_s"] for r in rows)),
         "disk_bytes": sum(r["disk_bytes"] for r in rows),
         "disk_free_bytes": _free(setting.work),
-        "left_out": dict(graph.left_out),
+        "left_out": {n: why for n, why in graph.left_out.items() if why != OTHER_SCALES},
         "stand_ins": list(graph.stand_ins),
     }
     return ExperimentPlan(facts)
@@ -471,7 +474,8 @@ def _seconds(stage: Stage, rates: Mapping[tuple[str, str], float], setting: Sett
         if known is not None:
             return known
         gpu = setting.device not in ("cpu", "auto")
-        return setting.tools.training_seconds(setting.scale, stage.spec.settings, stage.images.get("train", 0), gpu)
+        settings = {**setting.training, **stage.spec.settings}
+        return setting.tools.training_seconds(setting.scale, settings, stage.images.get("train", 0), gpu)
     if known is not None and stage.kind in ("generate", "evaluate", "world"):
         return START_S + images * known
     if stage.kind in ("generate", "world"):
@@ -529,7 +533,8 @@ def run_experiment(
         InfraBlendError: Whatever a stage raises.
     """
     _take_over(graph, setting, adopt or {}, on_stage)
-    wanted = graph.wanted(only) & demanded(experiment, graph, setting.work)
+    finished = {s.id for s in graph.stages if stages.finished(setting.work, s, graph.keys[s.id]) is not None}
+    wanted = graph.wanted(only, finished) & demanded(experiment, graph, setting.work)
     _require_ready(experiment, graph, setting, wanted)
     done: dict[str, Made] = {}
     made, there = [], []
@@ -561,7 +566,7 @@ def run_experiment(
     problems = tuple(
         Problem(name, "left-out", why, severity="warning")
         for name, why in graph.left_out.items()
-        if why != "at other scales only"
+        if why != OTHER_SCALES
     )
     return ExperimentReport(
         experiment.name, setting.scale, facts["status"], tuple(made), tuple(there), page, facts, problems
@@ -670,7 +675,8 @@ def gather(
         "status": "unfinished" if missing else "complete",
         "stopped": stopped if missing else None,
         "missing": missing,
-        "left_out": dict(graph.left_out),
+        "left_out": {n: why for n, why in graph.left_out.items() if why != OTHER_SCALES},
+        "at_other_scales": [n for n, why in graph.left_out.items() if why == OTHER_SCALES],
         "command": _command(experiment, graph, setting),
         "commit": _last(r["commit"] for r in records),
         "commits": sorted({r["commit"] for r in records if r["commit"]}),
@@ -711,6 +717,7 @@ def gather(
 
 def _command(experiment: Experiment, graph: Graph, setting: Setting) -> str:
     words = ["infrablend experiment", experiment.name, "--scale", setting.scale]
+    words += [f"--set {k}={v}" for k, v in setting.training.items()]
     words += [w for path in graph.given.values() for w in ("--data", path.resolve().name)]
     return " ".join([*words, *(["--seed", str(setting.seed)] if setting.seed else [])])
 
@@ -780,6 +787,8 @@ def _rows(
         figures = evaluations.get(e, {}).get("classes", {})
         name = find_class(figures, row.category)
         shown |= {name} if name is not None and e == default else set()
+        if left_out.get(e) == OTHER_SCALES:
+            continue
         yield _row(row.title, e, row.category, row.paper.model_dump(), figures.get(name), left_out.get(e))
     of_table = evaluations.get(default or "", {}).get("classes", {})
     for name in sorted(of_table):

@@ -74,6 +74,7 @@ class Setting:
         scale: `smoke`, `small` or `paper`.
         seed: Of every random stream.
         device: Of the trainer; `auto` takes a GPU if there is one.
+        training: Settings of every training over those of the scale's preset.
         renderer: `blender`, or `fake` (flat shapes).
         workers: Rendering processes; None for one per core.
         tools: See `Tools`.
@@ -85,6 +86,7 @@ class Setting:
     seed: int
     device: str
     tools: Tools
+    training: Mapping[str, Any] = field(default_factory=dict)
     renderer: str = "blender"
     workers: int | None = None
     on_progress: Callable[..., None] | None = None
@@ -371,7 +373,7 @@ def _train(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setting
         weights=spec.weights,
         device=setting.device,
         seed=setting.seed,
-        settings=spec.settings,
+        settings={**setting.training, **spec.settings},
         classes=spec.classes,
         options=_options(before["data"]),
         resume=out.is_dir() and any(out.iterdir()),

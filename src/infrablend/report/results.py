@@ -79,6 +79,8 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = ()) -
     if facts["left_out"]:
         lines = [f"* `{name}`: {why}." for name, why in facts["left_out"].items()]
         blocks.append("Left out:\n\n" + "\n".join(lines))
+    if facts["at_other_scales"]:
+        blocks.append(f"At other scales only: {', '.join(f'`{n}`' for n in facts['at_other_scales'])}.")
     for table in facts["tables"]:
         blocks += [f"## {table['title']}", _table(table["rows"])]
         blocks += [table["note"]] if table["note"] else []
