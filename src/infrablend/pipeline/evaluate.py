@@ -190,9 +190,10 @@ def evaluate_detector(
             "problems": [p.to_json() for p in problems],
         }
         _write_judged(out / MATCHES, kept)
-        for name, data in draw_plots(facts).items():
+        plots = draw_plots(facts)
+        for name, data in plots.items():
             write_bytes(out / PLOTS / name, data)
-        write_text(out / PAGE, evaluation_page(facts))
+        write_text(out / PAGE, evaluation_page(facts, plots))
         write_json(out / RECORD, facts)  # last: it says that all the rest is there
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
@@ -602,7 +603,7 @@ def _read_judged(folder: Path) -> tuple[dict[str, Any], Judged]:
 
     try:
         record = json.loads((folder / RECORD).read_bytes())
-        with np.load(folder / MATCHES, allow_pickle=False) as data:
+        with (folder / MATCHES).open("rb") as file, np.load(file, allow_pickle=False) as data:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
             judged = Judged(classes, matches, tuple(str(g) for g in data["groups"]))

@@ -127,8 +127,8 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
 # -- the page
 
 
-def evaluation_page(facts: Mapping[str, Any]) -> str:
-    """The page; the same facts give the same bytes."""
+def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str:
+    """The page, with what `draw_plots` gave; the same facts give the same bytes."""
     data, settings, detector = facts["dataset"], facts["settings"], facts["detector"]
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8><title>Evaluation</title><style>",
@@ -158,7 +158,6 @@ def evaluation_page(facts: Mapping[str, Any]) -> str:
         parts.append("<p>Ultralytics is not installed here: its own figures are missing.</p>")
     if facts["paired"]:
         parts += _paired(facts["paired"])
-    plots = draw_plots(facts)
     parts += ["<h2>Curves</h2>", _image(plots["pr.png"], "precision by recall")]
     parts += ["<h2>What is taken for what</h2>", _image(plots["confusion.png"], "confusion matrix")]
     for kind, title in STRATA.items():

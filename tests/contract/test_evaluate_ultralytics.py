@@ -1,0 +1,245 @@
+"""Ultralytics and pycocotools judge alike, and what we find with weights is what Ultralytics' own validation finds.
+
+Whatever imports torch runs in a process of its own: its warnings and settings are not ours.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend import api
+from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.rng import stream
+from infrablend.evaluation.detections import Predictions, detections, write_predictions
+
+ROOT = Path(__file__).resolve().parents[2]
+CLASSES = ("person", "car", "lorry")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _with_ultralytics() -> None:
+    if find_spec("ultralytics") is None:
+        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
+        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
+            pytest.fail(message)
+        pytest.skip(message)
+
+
+def python(*arguments: object) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=500, check=False, env=environment)
+
+
+def evaluate(weights: Path, data: Path, out: Path, *more: str) -> dict:
+    done = python("-m", "infrablend", "-q", "evaluate", weights, data, "--out", out, "--bootstrap", "100", *more)
+    assert done.returncode == 0, done.stderr
+    return json.loads((out / "evaluation.json").read_text())
+
+
+def write_yolo(root: Path, number: int, size_wh: tuple[int, int], task: str, objects: int) -> Path:
+    """Pictures of noise with made-up labels."""
+    rng = stream(0, "yolo", task)
+    for name in ("images", "labels"):
+        (root / name / "test").mkdir(parents=True)
+    for k in range(number):
+        rows = []
+        for _ in range(int(rng.integers(0, objects + 1))):
+            w, h = rng.uniform(0.03, 0.15, 2)
+            cx, cy = rng.uniform(0.2, 0.8, 2)
+            label = int(rng.choice(3, p=[0.6, 0.3, 0.1]))
+            corners = corners_of_cxcywha(np.array([cx * size_wh[0], cy * size_wh[1], w * size_wh[0], h * size_wh[1],
+                                                   rng.uniform(0, 3)]))  # fmt: skip
+            points = (corners / size_wh).reshape(-1)
+            numbers = (cx, cy, w, h) if task == "detect" else points if task == "obb" else (*points, *points[:2])
+            rows.append(" ".join([str(label), *(f"{v:.6f}" for v in numbers)]))
+        (root / "labels" / "test" / f"{k:04}.txt").write_text("\n".join(dict.fromkeys(rows)))
+        pixels = rng.integers(60, 200, (size_wh[1] // 8, size_wh[0] // 8)).astype(np.uint8)
+        Image.fromarray(pixels).resize(size_wh).save(root / "images" / "test" / f"{k:04}.png")
+    names = "".join(f"  {k}: {name}\n" for k, name in enumerate(CLASSES))
+    (root / "data.yaml").write_text(
+        f"path: {root}\ntrain: images/test\nval: images/test\ntest: images/test\nnames:\n{names}"
+    )
+    return root
+
+
+def jittered(data: Path, path: Path, classes: tuple[str, ...]) -> Path:
+    """Findings of a middling detector: near the labels, some missed, some twice, others of nothing."""
+    rng, found, sizes = stream(0, "jitter"), {}, {}
+    for image in api.read_dataset(data, splits=["test"]).images:
+        objects = [i for i in image.instances if i.category in classes and rng.random() < 0.85]
+        objects += [i for i in objects if rng.random() < 0.1]
+        boxes = [i.box_xyxy + rng.normal(0, 0.07, 4) * np.tile(i.box_xyxy[2:] - i.box_xyxy[:2], 2) for i in objects]
+        numbers, scores = [classes.index(i.category) for i in objects], list(rng.beta(4, 2, len(objects)))
+        size = image.size_wh or (320, 256)
+        for _ in range(int(rng.integers(0, 12))):
+            x, y, w, h = rng.uniform(0, 0.8 * size[0]), rng.uniform(0, 0.8 * size[1]), *rng.uniform(6, 40, 2)
+            boxes.append(np.array([x, y, x + w, y + h]))
+            numbers.append(int(rng.integers(0, len(classes))))
+            scores.append(rng.beta(1.2, 4))
+        key = f"{image.split}/{image.name}"
+        found[key], sizes[key] = detections(boxes, scores, numbers), size
+    return write_predictions(path, Predictions("detect", classes, found, sizes))
+
+
+def assert_alike(record: dict, images: int) -> None:
+    ours, theirs = record["classes"], record["ultralytics"]
+    assert ours["all"]["images"] == images >= 200
+    assert 0.3 < ours["all"]["map50"] < 0.98
+    for name in theirs:
+        assert ours[name]["images"] == theirs[name]["images"]
+        assert ours[name]["instances"] == theirs[name]["instances"]
+        for measure in ("map50", "map50_95", "p", "r"):
+            assert ours[name][measure] == pytest.approx(theirs[name][measure], abs=0.01), (name, measure)
+    assert set(theirs) == {name for name, row in ours.items() if row["instances"]}
+
+
+def test_both_judge_made_up_findings_alike(tmp_path: Path) -> None:
+    data = write_yolo(tmp_path / "data", 220, (320, 256), "detect", 8)
+    record = evaluate(jittered(data, tmp_path / "p.json", CLASSES), data, tmp_path / "out")
+    assert_alike(record, 220)
+
+
+@pytest.mark.parametrize("regions", ["--ignore-regions", "--no-ignore-regions"])
+def test_both_judge_findings_on_hit_uav_alike(real_data: Path, tmp_path: Path, regions: str) -> None:
+    data = real_data / "hit-uav"
+    saved = jittered(data, tmp_path / "p.json", ("Person", "Car", "Bicycle", "OtherVehicle"))
+    record = evaluate(saved, data, tmp_path / "out", regions)
+    assert_alike(record, 579)
+    table = record["classes"]
+    # As the paper prints them.
+    assert {n: (r["images"], r["instances"]) for n, r in table.items()} == {
+        "all": (579, 4780), "Person": (355, 2611), "Car": (267, 1339), "Bicycle": (86, 796), "OtherVehicle": (21, 34),
+    }  # fmt: skip
+    assert record["counts"].get("ignore_regions", 0) == (31 if regions == "--ignore-regions" else 0)
+
+
+MAKE_WEIGHTS = """
+import sys, torch
+from pathlib import Path
+from infrablend.training.environment import quiet_ultralytics
+with quiet_ultralytics():
+    from ultralytics.nn import tasks
+    kind, path = sys.argv[1:]
+    name, suffix = {"detect": ("DetectionModel", ""), "obb": ("OBBModel", "-obb"), "segment": ("SegmentationModel", "-seg")}[kind]
+    torch.manual_seed(0)
+    net = getattr(tasks, name)(f"yolov8n{suffix}.yaml", nc=3, verbose=False)
+    net.names = {0: "person", 1: "car", 2: "lorry"}
+    net.args, net.task = {}, kind
+    # Untrained: sharpened, so that something is found and scores are not all alike.
+    for branch in net.model[-1].cv3:
+        branch[-1].bias.data += 4
+        branch[-1].weight.data *= 8
+    torch.save({"model": net, "train_args": {"task": kind, "imgsz": 160}, "epoch": -1}, path)
+"""
+
+# Ultralytics' own validation, whose pictures go one by one and whose findings are kept before they are scored.
+VALIDATE = """
+import json, sys
+from infrablend.training.environment import quiet_ultralytics
+with quiet_ultralytics():
+    import ultralytics
+    from ultralytics.models import yolo
+    weights, data, out, kind = sys.argv[1:]
+    base = {"detect": yolo.detect.DetectionValidator, "obb": yolo.obb.OBBValidator, "segment": yolo.segment.SegmentationValidator}[kind]
+    found = {}
+    class Keeping(base):
+        def update_metrics(self, preds, batch):
+            for k, p in enumerate(preds):
+                b = self._prepare_batch(k, batch)
+                scaled = self.scale_preds({n: v for n, v in p.items() if n != "masks"}, b) if kind != "segment" else None
+                if kind == "segment":
+                    from ultralytics.utils import ops
+                    boxes = ops.scale_boxes(b["imgsz"], p["bboxes"].clone(), b["ori_shape"], ratio_pad=b["ratio_pad"])
+                else:
+                    boxes = scaled["bboxes"]
+                found[batch["im_file"][k].rsplit("/")[-1]] = [boxes.tolist(), p["conf"].tolist(), p["cls"].tolist()]
+            super().update_metrics(preds, batch)
+    ultralytics.YOLO(weights).val(validator=Keeping, data=data, split="test", imgsz=160, batch=1, plots=False, device="cpu",
+        conf=0.001, iou=0.7, project=out, workers=0)
+json.dump(found, open(out + "/found.json", "w"))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["detect", "obb", "segment"])
+def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: str) -> None:
+    data = write_yolo(tmp_path / "data", 5, (150, 110), task, 3)
+    weights = tmp_path / "weights.pt"
+    made = python("-c", MAKE_WEIGHTS, task, weights)
+    assert made.returncode == 0, made.stderr
+    predict = (
+        "import json, sys\nfrom pathlib import Path\nfrom infrablend import api\n"
+        "from infrablend.evaluation.detections import write_predictions\n"
+        "from infrablend.training.predict import load_detector, predict\n"
+        "images = api.read_dataset(sys.argv[2], splits=['test']).images\n"
+        "write_predictions(Path(sys.argv[3]), predict(load_detector(Path(sys.argv[1]), 'cpu', 'float32'), images, image_size=160))"
+    )
+    done = python("-c", predict, weights, data, tmp_path / "ours.json")
+    assert done.returncode == 0, done.stderr
+    checked = python("-c", VALIDATE, weights, data / "data.yaml", tmp_path, task)
+    assert checked.returncode == 0, checked.stderr[-2000:]
+    theirs = json.loads((tmp_path / "found.json").read_text())
+    from infrablend.evaluation.detections import read_predictions
+
+    ours = read_predictions(tmp_path / "ours.json").images
+    assert sorted(ours) == [f"test/{name}" for name in sorted(theirs)]
+    for name, (boxes, scores, classes) in theirs.items():
+        mine = ours[f"test/{name}"]
+        assert len(scores) > 5
+        if task == "segment":  # findings whose mask is empty are none
+            kept = [k for k, s in enumerate(scores) if np.isclose(s, mine.scores, atol=2e-6).any()]
+            assert len(kept) > 5
+            boxes, scores, classes = ([x[k] for k in kept] for x in (boxes, scores, classes))
+        np.testing.assert_allclose(mine.scores, np.array(scores), rtol=0, atol=2e-5)
+        if task == "obb":
+            corners = corners_of_cxcywha(np.array(boxes))
+            np.testing.assert_allclose(mine.corners_xy.mean(axis=1), corners.mean(axis=1), rtol=0, atol=0.05)
+        else:
+            np.testing.assert_allclose(mine.boxes_xyxy, np.array(boxes), rtol=0, atol=0.05)
+        assert mine.classes.tolist() == [int(c) for c in classes]
+
+    record = evaluate(weights, data, tmp_path / "out", "--image-size", "160")
+    assert record["task"] == task
+    assert record["detector"]["weights"] == "weights.pt"
+    saved = evaluate(tmp_path / "out" / "predictions.json", data, tmp_path / "again")
+    assert saved == record
+    if task != "detect":
+        boxes_only = evaluate(tmp_path / "out", data, tmp_path / "boxes", "--task", "detect")
+        assert boxes_only["classes"]["all"]["map50"] is not None
+
+
+@pytest.mark.slow
+def test_weights_that_cannot_be_used(tmp_path: Path) -> None:
+    data = write_yolo(tmp_path / "data", 2, (64, 64), "detect", 2)
+    (tmp_path / "torn.pt").write_bytes(b"PK\x03\x04 no weights")
+    for weights, says in (("torn.pt", "cannot be loaded"), ("yolov8n.pt", "no such file")):
+        done = python("-m", "infrablend", "-q", "evaluate", tmp_path / weights, data, "--out", tmp_path / "out")
+        assert done.returncode == 2, done.stderr
+        assert says in done.stderr
+        assert "Traceback" not in done.stderr
+    done = python(
+        "-m",
+        "infrablend",
+        "-q",
+        "evaluate",
+        tmp_path / "torn.pt",
+        data,
+        "--out",
+        tmp_path / "out",
+        "--device",
+        "cuda:7",
+    )
+    assert done.returncode == 3, done.stderr
+    assert "cuda:7" in done.stderr
+    assert not (tmp_path / "out").exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "torn.pt"]

@@ -1,0 +1,276 @@
+"""`evaluate` from findings that are saved: no torch, no Ultralytics."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.rng import stream
+from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError
+from infrablend.evaluation.detections import Predictions, detections, write_predictions
+from infrablend.pipeline import evaluate as judging
+from infrablend.pipeline.evaluate import evaluate_detector
+
+CLASSES = ("Person", "Car", "OtherVehicle")
+CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "DontCare", ignore=True))
+
+
+@pytest.fixture(autouse=True)
+def _without_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the extra is not installed; what Ultralytics says is compared in tests/contract."""
+    monkeypatch.setattr(judging, "find_spec", lambda name: None)
+
+
+def made_up_dataset(number: int = 40, split: str = "test") -> Dataset:
+    """Images that exist as records alone, with sizes."""
+    rng = stream(0, "dataset")
+    images = []
+    for k in range(number):
+        n = int(rng.integers(1, 5))
+        low = rng.uniform(0, [600, 480], (n, 2))
+        boxes = np.concatenate([low, low + rng.uniform(8, 30, (n, 2))], axis=1)
+        names = ["Person" if v < 0.6 else "Car" if v < 0.97 else "DontCare" for v in rng.random(n)]
+        name = f"{k % 2}_{60 + 10 * (k % 8)}_{30 + 10 * (k % 7)}_0_{k // 2:05}_c{k % 2}.png"
+        images.append(
+            ImageRecord(
+                Path(name).stem, Path(name), split, (640, 512), 30.0 + 10 * (k % 7), 60.0 + 10 * (k % 8),
+                "night" if k % 2 else "day",
+                tuple(Instance(c, b) for c, b in zip(names, boxes, strict=True)),
+            )
+        )  # fmt: skip
+    return Dataset(Path("made-up"), "coco", CATEGORIES, tuple(images))
+
+
+def found_on(
+    dataset: Dataset, *, classes: tuple[str, ...] = CLASSES, noise_px: float = 1.5, seed: int = 0
+) -> Predictions:
+    """Findings near the labels, and some of nothing."""
+    rng = stream(seed, "found")
+    found = {}
+    for image in dataset.images:
+        objects = [i for i in image.instances if i.category in classes and rng.random() < 0.9]
+        boxes = [i.box_xyxy + rng.normal(0, noise_px, 4) for i in objects]
+        numbers = [classes.index(i.category) for i in objects]
+        scores = list(rng.uniform(0.3, 1, len(objects)))
+        if rng.random() < 0.5:
+            boxes, numbers, scores = [*boxes, np.array([5.0, 5, 20, 20])], [*numbers, 0], [*scores, rng.random()]
+        found[f"{image.split}/{image.name}"] = detections(boxes, scores, numbers)
+    return Predictions("detect", classes, found, dict.fromkeys(found, (640, 512)), {"weights": "made.pt"})
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    return write_predictions(tmp_path / "found.json", found_on(made_up_dataset()))
+
+
+def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any):
+    return evaluate_detector(saved, dataset or made_up_dataset(), out, **{"bootstrap": 50, **settings})
+
+
+def test_what_is_written(saved: Path, tmp_path: Path) -> None:
+    report = run(saved, tmp_path / "out")
+    files = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert files == ["evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == json.loads(json.dumps(report.to_json()))
+    dataset = made_up_dataset()
+    objects = [i.category for image in dataset.images for i in image.instances]
+    table = report.metrics["classes"]
+    assert list(table) == ["all", *CLASSES]
+    assert table["Person"]["instances"] == objects.count("Person")
+    assert table["all"]["instances"] == objects.count("Person") + objects.count("Car")
+    assert table["all"]["images"] == 40
+    assert table["Car"]["images"] == sum(any(i.category == "Car" for i in image.instances) for image in dataset.images)
+    assert table["all"]["map50"] == pytest.approx((table["Person"]["map50"] + table["Car"]["map50"]) / 2)
+    assert 0.3 < table["all"]["map50_95"] < 0.6 < table["all"]["map50"] < 1
+    low, high = table["Person"]["ci"]["map50"]
+    assert low < table["Person"]["map50"] < high
+    assert table["OtherVehicle"] == {
+        "images": 0, "instances": 0, "p": None, "r": None, "map50": None, "map50_95": None,
+        "ci": {"map50": None, "map50_95": None},
+    }  # fmt: skip
+    assert report.metrics["ultralytics"] is None
+    codes = {p.code for p in report.problems}
+    assert {"class-empty", "ignore-regions"} <= codes
+    strata = report.metrics["strata"]
+    assert list(strata["time"]) == ["day", "night"]
+    assert list(strata["pitch"]) == ["30", "40", "50", "60", "70", "80", "90"]
+    assert len(strata["altitude"]) == 8
+    for kind in ("time", "pitch", "altitude"):
+        assert sum(s["classes"]["all"]["instances"] for s in strata[kind].values()) == table["all"]["instances"]
+    assert sum(s["classes"]["all"]["instances"] for s in strata["size"].values()) == table["all"]["instances"]
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    assert f"{table['Person']['map50']:.3f}" in page
+    assert "<script" not in page
+
+
+def test_the_same_again_gives_the_same_bytes_and_saved_findings_what_they_gave(saved: Path, tmp_path: Path) -> None:
+    run(saved, tmp_path / "a")
+    run(tmp_path / "a" / "predictions.json", tmp_path / "b")
+    run(tmp_path / "a", tmp_path / "b", overwrite=True)  # the folder means its predictions
+    run(tmp_path / "b" / "predictions.json", tmp_path / "b", overwrite=True)  # itself
+    for path in sorted((tmp_path / "a").rglob("*")):
+        if path.is_file():
+            assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes(), path.name
+    run(saved, tmp_path / "c", seed=1)
+    assert (tmp_path / "a" / "evaluation.json").read_bytes() != (tmp_path / "c" / "evaluation.json").read_bytes()
+
+
+def test_configurations_of_one_background_are_drawn_together(saved: Path, tmp_path: Path) -> None:
+    assert run(saved, tmp_path / "a").metrics["settings"]["groups"] == 20
+    by_gap = run(saved, tmp_path / "b", group="gap")
+    assert by_gap.metrics["settings"]["groups"] == 1
+    with pytest.raises(DatasetError, match="--group image, gap or date"):
+        run(saved, tmp_path / "c", group="sequence")
+    assert not (tmp_path / "c").exists()
+
+
+def test_two_detectors_on_the_same_images(saved: Path, tmp_path: Path) -> None:
+    worse = write_predictions(tmp_path / "worse.json", found_on(made_up_dataset(), noise_px=4, seed=1))
+    run(worse, tmp_path / "worse")
+    report = run(saved, tmp_path / "better", against=tmp_path / "worse")
+    pair = report.metrics["paired"]
+    assert pair["against"]["name"] == "worse"
+    gain = pair["classes"]["Person"]["map50_95"]
+    assert gain["difference"] == pytest.approx(gain["ours"] - gain["theirs"])
+    assert gain["ci"][0] > 0
+    assert gain["same_sign"] == 1
+    assert pair["classes"]["OtherVehicle"]["map50"] is None
+    compared = api.compare_evaluations(tmp_path / "better", tmp_path / "worse", bootstrap=50)
+    assert compared == pair
+    only = api.compare_evaluations(tmp_path / "worse", tmp_path / "better", classes=["car"], bootstrap=50)
+    assert set(only["classes"]) == {"all", "Car"}
+    assert only["classes"]["Car"]["map50"]["difference"] == -pair["classes"]["Car"]["map50"]["difference"]
+    assert "Against worse" in (tmp_path / "better" / "evaluation.html").read_text()
+
+
+def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) -> None:
+    run(saved, tmp_path / "a")
+    dataset = made_up_dataset()
+    first = dataset.images[0]
+    moved = replace(
+        first, instances=(replace(first.instances[0], box_xyxy=first.instances[0].box_xyxy + 1), *first.instances[1:])
+    )
+    for name, other, settings in (
+        ("labels", replace(dataset, images=(moved, *dataset.images[1:])), {}),
+        ("images", replace(dataset, images=dataset.images[1:]), {}),
+        ("ignored regions", dataset, {"ignore_regions": False}),
+    ):
+        with pytest.raises(DatasetError, match=name):
+            run(saved, tmp_path / "b", other, against=tmp_path / "a", **settings)
+        assert not (tmp_path / "b").exists()
+    with pytest.raises(DatasetError, match="no finished evaluation"):
+        run(saved, tmp_path / "b", against=tmp_path)
+    (tmp_path / "a" / "matches.npz").write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        run(saved, tmp_path / "b", against=tmp_path / "a")
+
+
+def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:
+    dataset = made_up_dataset()
+    saved = write_predictions(tmp_path / "p.json", found_on(dataset, classes=("person", "drone")))
+    with pytest.raises(DatasetError, match=r"no class Car.*--classes Person"):
+        run(saved, tmp_path / "out", dataset)
+    with pytest.raises(DatasetError, match="'Lorry'"):
+        run(saved, tmp_path / "out", dataset, classes=["Lorry", "Person"])
+    report = run(saved, tmp_path / "out", dataset, classes=["Person"])
+    assert list(report.metrics["classes"]) == ["all", "Person"]
+    told = "\n".join(str(p) for p in report.problems)
+    assert "drone: findings of this class are left out" in told
+    assert "Car, OtherVehicle: not judged" in told
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+    other = made_up_dataset(3, "train")
+    saved = write_predictions(tmp_path / "p.json", found_on(other, classes=("Person",)))
+    with pytest.raises(DatasetError) as caught:
+        run(saved, tmp_path / "out", task="obb", group="date")
+    assert {p.code for p in caught.value.problems} >= {"class-absent", "prediction-images", "task", "group-unknown"}
+    assert "no entry for 40 of 40 images" in str(caught.value)
+
+
+def test_splits_without_images_or_objects(saved: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"split val: no images \(test 40\)"):
+        run(saved, tmp_path / "out", split="val")
+    dataset = made_up_dataset()
+    bare = replace(dataset, images=tuple(replace(i, instances=()) for i in dataset.images))
+    with pytest.raises(DatasetError, match="no object of Person, Car, OtherVehicle"):
+        run(saved, tmp_path / "out", bare)
+    for wrong in ({"split": "all"}, {"group": "flight"}, {"bootstrap": -1}):
+        with pytest.raises(DatasetError, match=next(iter(wrong))):
+            run(saved, tmp_path / "out", **wrong)
+
+
+def test_other_sizes_and_too_many_findings(tmp_path: Path) -> None:
+    dataset = made_up_dataset(2)
+    found = found_on(dataset)
+    key = next(iter(found.images))
+    wrong = replace(found, sizes_wh={**found.sizes_wh, key: (320, 256)})
+    with pytest.raises(DatasetError, match="320x256 px; expected 640x512 px"):
+        run(write_predictions(tmp_path / "p.json", wrong), tmp_path / "out", dataset)
+    boxes = np.tile([300.0, 300, 310, 310], (400, 1))
+    many = replace(found, images={**found.images, key: detections(boxes, np.linspace(0, 1, 400), np.zeros(400))})
+    report = run(write_predictions(tmp_path / "p.json", many), tmp_path / "out", dataset)
+    assert "more than 300 findings in 1 images" in "\n".join(str(p) for p in report.problems)
+    assert report.metrics["counts"]["findings"] == 300 + len(found.images[list(found.images)[1]])
+
+
+def test_folders_that_hold_something_else_are_left_alone(saved: Path, tmp_path: Path) -> None:
+    run(saved, tmp_path / "out")
+    with pytest.raises(OutputError, match="--overwrite"):
+        run(saved, tmp_path / "out")
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        run(saved, tmp_path / "out", overwrite=True)
+    assert (tmp_path / "out" / "evaluation.json").exists()
+    with pytest.raises(OutputError, match="is a file"):
+        run(saved, saved)
+
+
+def test_weights_without_ultralytics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (tmp_path / "w.pt").write_bytes(b"")
+    with pytest.raises(MissingDependencyError, match=r'pip install "infrablend\[train\]"'):
+        run(tmp_path / "w.pt", tmp_path / "out")
+
+
+def test_the_command(tmp_path: Path, write_tiny_hit_uav) -> None:
+    data = write_tiny_hit_uav(tmp_path / "data")
+    dataset = api.read_dataset(data, splits=["test"])
+    labels = dataset.images[0].instances
+    found = detections([i.box_xyxy for i in labels], [0.9], [0])
+    key = f"test/{dataset.images[0].name}"
+    saved = write_predictions(
+        tmp_path / "p.json", Predictions("detect", ("other vehicle",), {key: found}, {key: (640, 512)})
+    )
+    arguments = ["-q", "evaluate", str(saved), str(data), "--out", str(tmp_path / "out"), "--bootstrap", "20"]
+    done = CliRunner().invoke(build_app(), arguments)
+    assert done.exit_code == 0, done.output
+    row = next(line.split() for line in done.stdout.splitlines() if line.startswith("OtherVehicle"))
+    assert row[1:3] == ["1", "1"]
+    assert row[5] == "1.000"
+    again = CliRunner().invoke(build_app(), arguments)
+    assert again.exit_code == 2
+    assert "--overwrite" in again.stderr
+    as_json = CliRunner().invoke(build_app(), [*arguments, "--overwrite", "--json"])
+    assert json.loads(as_json.stdout)["classes"]["OtherVehicle"]["map50"] == pytest.approx(1)
+    shutil.rmtree(tmp_path / "out")
+    missing = CliRunner().invoke(
+        build_app(), ["-q", "evaluate", str(tmp_path / "no.json"), str(data), "--out", str(tmp_path / "out")]
+    )
+    assert missing.exit_code == 2
+    assert "cannot be read: No such file" in missing.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_errors_are_of_our_own_tree() -> None:
+    assert issubclass(ModelError, InfraBlendError)

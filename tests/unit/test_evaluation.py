@@ -1,0 +1,350 @@
+"""Matching, average precision, intervals: by hand where it can be, against pycocotools where it is large."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infrablend.core.boxes import corners_of_cxcywha, polygon_iou
+from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.masks import Mask
+from infrablend.core.rng import stream
+from infrablend.errors import DatasetError
+from infrablend.evaluation.bootstrap import draw_images, drawn_figures, interval, paired
+from infrablend.evaluation.coco import coco_precisions
+from infrablend.evaluation.confusion import confusion_matrix
+from infrablend.evaluation.detections import Predictions, detections, read_predictions, write_predictions
+from infrablend.evaluation.matching import match_all, size_bins
+from infrablend.evaluation.overlap import quad_areas, quad_intersections
+from infrablend.evaluation.precision import average_precisions, operating_point, precision_by_recall
+from infrablend.evaluation.strata import image_strata
+from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, match_classes, truths
+
+ALL = {"all": (0.0, float("inf"))}
+CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
+
+
+def image(stem: str, *objects: tuple[str, list[float]], **facts: object) -> ImageRecord:
+    known = {"pitch_deg": None, "altitude_m": None, "time_of_day": None} | facts
+    instances = tuple(Instance(name, np.array(box, np.float64)) for name, box in objects)
+    return ImageRecord(stem, Path(f"{stem}.png"), "test", (200, 100), instances=instances, **known)
+
+
+def judge(labels, found, classes=1, task="detect", bins=ALL):
+    return match_all(labels, found, np.arange(classes), classes, task, bins)
+
+
+# Two people; one found exactly and surely, one found with IoU 0.625 less surely; between them a finding of nothing.
+TWO = image("a", ("Person", [10, 10, 30, 50]), ("Person", [100, 20, 120, 60]))
+FOUND = detections(
+    [[10, 10, 30, 50], [150, 10, 170, 50], [100, 35, 120, 60]], [0.9, 0.8, 0.7], [0, 0, 0]
+)  # 25 of 40 rows: 0.625
+
+
+def test_average_precision_by_hand() -> None:
+    labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
+    (m,) = judge(labels, {"test/a.png": FOUND})
+    ap = average_precisions(m)[0]
+    # 51 of the 101 recalls (0 to 0.5) are reached at precision 1, the other 50 at 2/3, or never.
+    assert ap[:3] == pytest.approx((51 + 50 * 2 / 3) / 101, abs=1e-12)
+    assert ap[3:] == pytest.approx(51 / 101, abs=1e-12)
+    assert np.allclose(coco_precisions(labels, {"test/a.png": FOUND}, np.arange(1), 1, "detect")[0, 0], ap, atol=1e-12)
+    curve = precision_by_recall(m)
+    assert curve[50] == 1
+    assert curve[51] == pytest.approx(2 / 3)
+
+
+def test_precision_and_recall_are_those_of_the_best_confidence() -> None:
+    labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
+    confidence, points = operating_point(judge(labels, {"test/a.png": FOUND}))
+    # F1: 2/3 with the first alone, 0.5 with two, 0.8 with all three.
+    assert 0 <= confidence <= 0.7
+    assert points[0] == pytest.approx((2 / 3, 1.0))
+
+
+def test_no_findings_are_zero_and_no_objects_are_nothing() -> None:
+    labels, _ = truths([TWO], CATEGORIES, ["Person", "Car"], "detect")
+    person, car = judge(labels, {}, 2)
+    assert average_precisions(person).tolist() == [[0.0] * 10]
+    assert np.isnan(average_precisions(car)).all()
+    assert operating_point([person, car])[1] == [(0.0, 0.0), None]
+    figures = drawn_figures([person, car], np.ones((1, 1)))
+    assert figures[0, 0].tolist() == [0.0, 0.0]  # the mean leaves the car out
+
+
+def test_a_label_is_taken_once_and_by_the_surer() -> None:
+    labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
+    twice = detections([[10, 10, 30, 50], [10, 12, 30, 50]], [0.6, 0.9], [0, 0])
+    (m,) = judge(labels, {"test/a.png": twice})
+    assert m.scores.tolist() == [0.9, 0.6]
+    assert m.right[0, 0].tolist() == [True, False]
+    assert m.right[0, 9].tolist() == [True, False]  # IoU 0.95: right at the last threshold, too
+    assert not m.neutral.any()
+
+
+def test_what_lies_in_a_region_to_ignore_counts_neither_way() -> None:
+    both = image("a", ("Person", [10, 10, 30, 50]), ("DontCare", [100, 0, 200, 100]))
+    found = {
+        "test/a.png": detections([[10, 10, 30, 50], [120, 10, 140, 50], [150, 10, 170, 50]], [0.5, 0.9, 0.8], [0, 0, 0])
+    }
+    labels, counts = truths([both], CATEGORIES, ["Person"], "detect")
+    assert counts == {"ignore_regions": 1}
+    (m,) = judge(labels, found)
+    assert m.neutral[0, 0].tolist() == [True, True, False]
+    assert average_precisions(m)[0, 0] == pytest.approx(1.0)
+    assert coco_precisions(labels, found, np.arange(1), 1, "detect")[0, 0, 0] == pytest.approx(1.0)
+    off, counts = truths([both], CATEGORIES, ["Person"], "detect", ignore_regions=False)
+    assert counts == {"ignore_regions_left_out": 1}
+    assert average_precisions(judge(off, found)[0])[0, 0] == pytest.approx(1 / 3)
+
+
+def test_sizes_are_of_the_longer_side_and_others_are_ignored() -> None:
+    bins = size_bins()
+    assert list(bins) == ["all", "<8", "8-16", "16-32", "32-64", "64-128", ">=128"]
+    sizes = image("a", ("Person", [0, 0, 4, 16]), ("Person", [50, 0, 60, 15.5]), ("Person", [100, 0, 140, 10]))
+    labels, _ = truths([sizes], CATEGORIES, ["Person"], "detect")
+    (m,) = judge(labels, {"test/a.png": detections([[50, 0, 60, 15.5]], [0.9], [0])}, bins=bins)
+    assert m.objects[:, 0].tolist() == [3, 0, 1, 1, 1, 0, 0]
+    ap = [float(average_precisions(m, size=a)[0, 0]) for a in range(7)]
+    assert ap[2] == pytest.approx(1.0)
+    assert ap[3] == ap[4] == 0.0
+    assert np.isnan([ap[1], ap[5], ap[6]]).all()
+
+
+def made_up(number: int, task: str, classes: int = 3) -> tuple[list[Truth], dict]:
+    """Labels on small images and findings of them: jittered, missed, twice, of nothing, in regions to ignore."""
+    rng = stream(0, "made up", task)
+    labels, found = [], {}
+    for k in range(number):
+        n = int(rng.integers(0, 7))
+        low = rng.uniform(0, [160, 70], (n, 2))
+        boxes = np.concatenate([low, low + rng.uniform(4, 30, (n, 2))], axis=1)
+        ignore = np.sort(rng.random(n) < 0.1)
+        its = np.where(ignore, -1, rng.integers(0, classes, n))
+        hit = np.flatnonzero(rng.random(n) < 0.85)
+        again = hit[rng.random(len(hit)) < 0.3]
+        which = np.concatenate([hit, again])
+        jitter = rng.normal(0, 1.2, (len(which), 4))
+        wrong = rng.uniform(0, [160, 70], (3, 2))
+        theirs = np.concatenate([boxes[which] + jitter, np.concatenate([wrong, wrong + rng.uniform(4, 30, (3, 2))], 1)])
+        theirs = np.concatenate([np.minimum(theirs[:, :2], theirs[:, 2:] - 1), theirs[:, 2:]], axis=1).clip(0, 200)
+        class_ = np.concatenate([np.where(its[which] < 0, 0, its[which]), rng.integers(0, classes, 3)])
+        scores = np.round(rng.random(len(class_)), 2)  # many ties
+        corners, masks, their_corners, their_masks = None, None, None, None
+        if task == "obb":
+            corners, their_corners = turned(boxes, rng), turned(theirs, rng)
+        if task == "segment":
+            masks, their_masks = [filled(b) for b in boxes], [filled(b) for b in theirs]
+        key = f"test/{k}.png"
+        labels.append(Truth(key, (200, 100), boxes, its, ignore, corners, masks if masks is None else tuple(masks)))
+        found[key] = detections(theirs, scores, class_, their_corners, their_masks)
+    return labels, found
+
+
+def turned(boxes, rng):
+    centre, size = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
+    return corners_of_cxcywha(np.concatenate([centre, size, rng.uniform(-0.2, 0.2, (len(boxes), 1))], axis=1))
+
+
+def filled(box) -> Mask:
+    mask = np.zeros((100, 200), np.bool_)
+    x0, y0, x1, y1 = (round(v) for v in box)
+    mask[y0 : y1 + 1, x0 : x1 + 1] = True
+    return Mask.from_array(mask)
+
+
+@pytest.mark.parametrize("task", ["detect", "obb", "segment"])
+def test_our_matching_is_that_of_pycocotools_at_every_size_and_threshold(task: str) -> None:
+    labels, found = made_up(120, task)
+    bins = size_bins()
+    matches = judge(labels, found, 3, task, bins)
+    ours = np.array([[average_precisions(m, size=a)[0] for m in matches] for a in range(len(bins))])
+    theirs = coco_precisions(labels, found, np.arange(3), 3, task, list(bins.values()))
+    assert ours[0, :, 0].min() > 0.2
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def test_an_image_that_counts_twice_is_the_same_as_two_of_it() -> None:
+    labels, found = made_up(40, "detect")
+    # Scores without ties, as equal ones may come in another order.
+    found = {
+        k: detections(d.boxes_xyxy, d.scores * 0.5 + stream(0, k).random(len(d)) * 0.5, d.classes)
+        for k, d in found.items()
+    }
+    counts = stream(1, "counts").integers(0, 3, (1, 40)).astype(np.int32)
+    copies, copied = [], {}
+    for k, label in enumerate(labels):
+        for n in range(counts[0, k]):
+            key = f"{label.key}-{n}"
+            copies.append(Truth(key, label.size_wh, label.boxes_xyxy, label.classes, label.ignore))
+            copied[key] = found[label.key]
+    for once, many in zip(judge(labels, found, 3), judge(copies, copied, 3), strict=True):
+        np.testing.assert_allclose(average_precisions(once, counts), average_precisions(many), rtol=0, atol=1e-9)
+
+
+def test_draws_depend_on_the_seed_alone_and_keep_groups_together() -> None:
+    groups = ["a", "a", "b", "c", "c", "c"]
+    drawn = draw_images(groups, 200, 3)
+    assert (drawn == draw_images(groups, 200, 3)).all()
+    assert (drawn != draw_images(groups, 200, 4)).any()
+    assert (drawn[:, 0] == drawn[:, 1]).all()
+    assert (drawn[:, 3] == drawn[:, 4]).all()
+    assert (drawn[:, [0, 2, 3]].sum(axis=1) == 3).all()
+    assert np.unique(drawn[:, 0]).tolist() == [0, 1, 2, 3]
+
+
+def test_intervals_hold_the_figure_and_narrow_with_more_images() -> None:
+    widths = []
+    for number in (30, 240):
+        labels, found = made_up(number, "detect")
+        matches = judge(labels, found, 3)
+        drawn = drawn_figures(matches, draw_images([t.key for t in labels], 300, 0))
+        figure = drawn_figures(matches, np.ones((1, number)))[0, 0, 0]
+        low, high = interval(drawn[:, 0, 0])
+        assert low < figure < high
+        widths.append(high - low)
+    assert widths[1] < 0.6 * widths[0]
+
+
+def test_pairs_on_the_same_images() -> None:
+    labels, found = made_up(80, "detect")
+    better = {
+        t.key: detections(
+            np.concatenate([found[t.key].boxes_xyxy, t.boxes_xyxy[~t.ignore]]),
+            np.concatenate([found[t.key].scores * 0.5, np.full((~t.ignore).sum(), 0.9)]),
+            np.concatenate([found[t.key].classes, t.classes[~t.ignore]]),
+        )
+        for t in labels
+    }
+    first, second = judge(labels, better, 3), judge(labels, found, 3)
+    weights = draw_images([t.key for t in labels], 200, 0)
+    names = ("Person", "Car", "Bicycle")
+    same = paired(second, second, names, weights)
+    assert same["all"]["map50"]["difference"] == 0
+    assert same["all"]["map50"]["ci"] == [0, 0]
+    assert same["all"]["map50"]["same_sign"] == 1
+    gain = paired(first, second, names, weights)
+    loss = paired(second, first, names, weights)
+    for name in ("all", *names):
+        assert gain[name]["map50_95"]["ci"][0] > 0
+        assert gain[name]["map50_95"]["same_sign"] == 1
+        assert loss[name]["map50_95"]["difference"] == -gain[name]["map50_95"]["difference"]
+
+
+def test_confusion_by_hand() -> None:
+    objects = (
+        ("Person", [0, 0, 10, 20]),
+        ("Car", [50, 0, 90, 20]),
+        ("Car", [100, 0, 140, 20]),
+        ("DontCare", [150, 0, 200, 50]),
+    )
+    labels, _ = truths([image("a", *objects)], CATEGORIES, ["Person", "Car"], "detect")
+    found = detections(
+        [[0, 0, 10, 20], [50, 0, 90, 20], [0, 60, 10, 80], [160, 10, 170, 30], [100, 0, 140, 20]],
+        [0.9, 0.8, 0.7, 0.9, 0.1], [1, 1, 0, 0, 1],
+    )  # fmt: skip
+    matrix = confusion_matrix(labels, {"test/a.png": found}, np.arange(2), 2, "detect", 0.5)
+    # Found as person, car, nothing (rows) what is person, car, nothing (columns).
+    assert matrix.tolist() == [[0, 0, 1], [1, 1, 0], [0, 1, 0]]
+
+
+def test_quadrilaterals_meet_as_polygons_do() -> None:
+    rng = stream(0, "quads")
+    a = corners_of_cxcywha(
+        np.concatenate([rng.uniform(0, 40, (30, 2)), rng.uniform(2, 30, (30, 2)), rng.uniform(0, 3.2, (30, 1))], 1)
+    )
+    area = quad_intersections(a, a)
+    whole = quad_areas(a)
+    iou = area / (whole[:, None] + whole[None] - area)
+    expected = np.array([[polygon_iou(p, q) for q in a] for p in a])
+    np.testing.assert_allclose(iou, expected, rtol=0, atol=1e-9)
+    assert np.diag(iou) == pytest.approx(1.0)
+    assert (expected == 0).any()
+
+
+def test_classes_go_together_by_name_then_case_then_kind() -> None:
+    detector = ("person", "car", "Car", "other vehicle", "pedestrian", "bike")
+    mapping = match_classes(detector, ["Person", "Car", "OtherVehicle", "Bicycle", "drone"])
+    assert mapping == {"Person": (0,), "Car": (2,), "OtherVehicle": (3,), "Bicycle": (5,), "drone": ()}
+    assert class_numbers(mapping, 6).tolist() == [0, -1, 1, 2, -1, 3]
+    assert match_classes(("pedestrian", "people"), ["Person"]) == {"Person": (0, 1)}
+
+
+def test_strata_have_bins_of_their_own_for_few_values_and_ranges_for_many() -> None:
+    few = [
+        image(str(k), pitch_deg=v, time_of_day=t)
+        for k, (v, t) in enumerate([(30.0, "day"), (90.0, "night"), (None, None)])
+    ]
+    strata = image_strata(few)
+    assert {k: v.tolist() for k, v in strata["pitch"].items()} == {
+        "30": [True, False, False], "90": [False, True, False], "unknown": [False, False, True]
+    }  # fmt: skip
+    assert list(strata["time"]) == ["day", "night", "unknown"]
+    assert list(strata["altitude"]) == ["unknown"]
+    many = image_strata([image(str(k), pitch_deg=float(k) * 7 - 5, altitude_m=float(k) * 25) for k in range(14)])
+    assert list(many["pitch"]) == ["<0", "0-15", "15-30", "30-45", "45-60", "60-75", ">=75"]
+    assert list(many["altitude"])[:2] == ["0-20", "20-40"]
+    for bins in many.values():
+        assert sum(b.sum() for b in bins.values()) == 14
+
+
+def test_labels_decide_the_fingerprint() -> None:
+    moved = image("a", ("Person", [10, 10, 30, 50]), ("Person", [100, 20, 120, 61]))
+    assert fingerprint([TWO]) == fingerprint([TWO])
+    assert len({fingerprint([TWO]), fingerprint([moved]), fingerprint([TWO, moved]), fingerprint([])}) == 4
+
+
+@pytest.mark.parametrize("task", ["detect", "obb", "segment"])
+def test_a_file_of_findings_gives_what_was_written(task: str, tmp_path: Path) -> None:
+    labels, found = made_up(5, task)
+    before = Predictions(task, ("a", "b", "c"), found, {t.key: t.size_wh for t in labels}, {"weights": "x.pt"})
+    write_predictions(tmp_path / "one.json", before)
+    after = read_predictions(tmp_path / "one.json")
+    write_predictions(tmp_path / "two.json", after)
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+    assert (after.task, after.classes, after.facts) == (task, before.classes, before.facts)
+    for key, d in found.items():
+        np.testing.assert_allclose(after.images[key].boxes_xyxy, d.boxes_xyxy, rtol=0, atol=1e-9)
+        assert (after.images[key].scores == d.scores).all()
+        assert (after.images[key].classes == d.classes).all()
+
+
+GOOD = {
+    "task": "detect",
+    "categories": [{"id": 1, "name": "a"}],
+    "images": [{"id": 1, "file_name": "test/a.png", "width": 9, "height": 9}],
+    "annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 0.5}],
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"task": "pose"}, "detect, obb or segment"),
+        ({"categories": []}, "no categories"),
+        ({"images": [{"id": 1, "file_name": "a", "width": "9", "height": 9}]}, "width and height"),
+        ({"annotations": [{"image_id": 2, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 0.5}]}, "image_id 2"),
+        ({"annotations": [{"image_id": 1, "category_id": 7, "bbox": [0, 0, 1, 1], "score": 0.5}]}, "category_id 7"),
+        ({"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, 1], "score": 0.5}]}, "bbox"),
+        ({"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 1.5}]}, "score 1.5"),
+        ({"task": "segment"}, "no segmentation"),
+        ({"task": "obb"}, "corners None"),
+    ],
+)
+def test_files_that_hold_no_findings_are_refused(tmp_path: Path, change: dict, says: str) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(GOOD))
+    assert len(read_predictions(path).images["test/a.png"]) == 1
+    path.write_text(json.dumps(GOOD | change))
+    with pytest.raises(DatasetError, match=says):
+        read_predictions(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"[1, 2]", b"\xff\xfe", b'{"annotations": '])
+def test_files_that_are_no_json_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "p.json").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"p\.json"):
+        read_predictions(tmp_path / "p.json")
