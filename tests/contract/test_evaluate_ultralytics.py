@@ -130,7 +130,8 @@ from infrablend.training.environment import quiet_ultralytics
 with quiet_ultralytics():
     from ultralytics.nn import tasks
     kind, path = sys.argv[1:]
-    name, suffix = {"detect": ("DetectionModel", ""), "obb": ("OBBModel", "-obb"), "segment": ("SegmentationModel", "-seg")}[kind]
+    names = {"detect": ("DetectionModel", ""), "obb": ("OBBModel", "-obb"), "segment": ("SegmentationModel", "-seg")}
+    name, suffix = names[kind]
     torch.manual_seed(0)
     net = getattr(tasks, name)(f"yolov8n{suffix}.yaml", nc=3, verbose=False)
     net.names = {0: "person", 1: "car", 2: "lorry"}
@@ -142,6 +143,17 @@ with quiet_ultralytics():
     torch.save({"model": net, "train_args": {"task": kind, "imgsz": 160}, "epoch": -1}, path)
 """
 
+PREDICT = """
+import sys
+from pathlib import Path
+from infrablend import api
+from infrablend.evaluation.detections import write_predictions
+from infrablend.training.predict import load_detector, predict
+weights, data, out = map(Path, sys.argv[1:])
+images = api.read_dataset(data, splits=["test"]).images
+write_predictions(out, predict(load_detector(weights, "cpu", "float32"), images, image_size=160))
+"""
+
 # Ultralytics' own validation, whose pictures go one by one and whose findings are kept before they are scored.
 VALIDATE = """
 import json, sys
@@ -149,23 +161,27 @@ from infrablend.training.environment import quiet_ultralytics
 with quiet_ultralytics():
     import ultralytics
     from ultralytics.models import yolo
+    from ultralytics.utils import ops
     weights, data, out, kind = sys.argv[1:]
-    base = {"detect": yolo.detect.DetectionValidator, "obb": yolo.obb.OBBValidator, "segment": yolo.segment.SegmentationValidator}[kind]
+    validators = {
+        "detect": yolo.detect.DetectionValidator,
+        "obb": yolo.obb.OBBValidator,
+        "segment": yolo.segment.SegmentationValidator,
+    }
     found = {}
-    class Keeping(base):
+    class Keeping(validators[kind]):
         def update_metrics(self, preds, batch):
             for k, p in enumerate(preds):
                 b = self._prepare_batch(k, batch)
-                scaled = self.scale_preds({n: v for n, v in p.items() if n != "masks"}, b) if kind != "segment" else None
-                if kind == "segment":
-                    from ultralytics.utils import ops
-                    boxes = ops.scale_boxes(b["imgsz"], p["bboxes"].clone(), b["ori_shape"], ratio_pad=b["ratio_pad"])
-                else:
-                    boxes = scaled["bboxes"]
-                found[batch["im_file"][k].rsplit("/")[-1]] = [boxes.tolist(), p["conf"].tolist(), p["cls"].tolist()]
+                sizes = b["imgsz"], p["bboxes"].clone(), b["ori_shape"]
+                boxes = ops.scale_boxes(*sizes, ratio_pad=b["ratio_pad"], xywh=kind == "obb")
+                name = batch["im_file"][k].rsplit("/")[-1]
+                found[name] = [boxes.tolist(), p["conf"].tolist(), p["cls"].tolist()]
             super().update_metrics(preds, batch)
-    ultralytics.YOLO(weights).val(validator=Keeping, data=data, split="test", imgsz=160, batch=1, plots=False, device="cpu",
-        conf=0.001, iou=0.7, project=out, workers=0)
+    ultralytics.YOLO(weights).val(
+        validator=Keeping, data=data, split="test", imgsz=160, batch=1, plots=False, device="cpu", conf=0.001, iou=0.7,
+        project=out, workers=0,
+    )
 json.dump(found, open(out + "/found.json", "w"))
 """
 
@@ -177,14 +193,7 @@ def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: st
     weights = tmp_path / "weights.pt"
     made = python("-c", MAKE_WEIGHTS, task, weights)
     assert made.returncode == 0, made.stderr
-    predict = (
-        "import json, sys\nfrom pathlib import Path\nfrom infrablend import api\n"
-        "from infrablend.evaluation.detections import write_predictions\n"
-        "from infrablend.training.predict import load_detector, predict\n"
-        "images = api.read_dataset(sys.argv[2], splits=['test']).images\n"
-        "write_predictions(Path(sys.argv[3]), predict(load_detector(Path(sys.argv[1]), 'cpu', 'float32'), images, image_size=160))"
-    )
-    done = python("-c", predict, weights, data, tmp_path / "ours.json")
+    done = python("-c", PREDICT, weights, data, tmp_path / "ours.json")
     assert done.returncode == 0, done.stderr
     checked = python("-c", VALIDATE, weights, data / "data.yaml", tmp_path, task)
     assert checked.returncode == 0, checked.stderr[-2000:]
