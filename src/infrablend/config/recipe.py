@@ -233,6 +233,8 @@ class Matching(Strict):
     """`local`: bounds of the gain, 8-bit grey levels per kelvin."""
     gain_prior_grey_per_k: float = Field(6.0, gt=0, le=100)
     """`local`: expected gain before looking at the image; HIT-UAV by night has about 6."""
+    gain_prior_day_grey_per_k: float | None = Field(None, gt=0, le=100)
+    """`local`: the same by day; as by night if not given."""
     gain_prior_spread: float = Field(0.3, gt=0, le=2)
     """`local`: relative standard deviation of that expectation."""
     clothing_above_air_k: float = Field(6.0, ge=-10, le=40)

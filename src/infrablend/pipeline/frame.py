@@ -203,6 +203,9 @@ class FrameMaker:
         assert self._settings.levels is not None
         assert spec.weather is not None
         low, high = m.gain_grey_per_k
+        expected = m.gain_prior_grey_per_k
+        if source.time_of_day == "day" and m.gain_prior_day_grey_per_k is not None:
+            expected = m.gain_prior_day_grey_per_k
         return local_mapping(
             background.pixels,
             [insert_of(spec, k, mesh) for k, mesh in enumerate(sampled.meshes)],
@@ -211,7 +214,7 @@ class FrameMaker:
             source.time_of_day,
             self._settings.levels,
             stream(self._settings.seed, spec.frame_id, "matching"),
-            prior=GainPrior(m.gain_prior_grey_per_k, m.gain_prior_grey_per_k * m.gain_prior_spread, low, high),
+            prior=GainPrior(expected, expected * m.gain_prior_spread, low, high),
             polarity=m.polarity,
             clothing_k=m.clothing_above_air_k,
         )
