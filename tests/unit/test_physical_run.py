@@ -175,3 +175,35 @@ def test_levels_are_the_datasets_whatever_the_limit(tmp_path):
     assert runs[0]["levels"] == runs[1]["levels"]
     first = f"images/train/{RECORDS[0]}_c0.png"
     assert (tmp_path / "all" / first).read_bytes() == (tmp_path / "one" / first).read_bytes()
+
+
+def test_the_expected_gain_may_differ_by_day(tmp_path):
+    """No annotated object: the gain is the expectation, give or take next to nothing."""
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS)})
+    table = data / "metadata.csv"
+    table.write_text(table.read_text().replace(f"{RECORDS[0]}.png,60,80,night", f"{RECORDS[0]}.png,60,80,day"))
+    priors = ["matching.gain_prior_grey_per_k=12", "matching.gain_prior_spread=0.001"]
+    for name, settings, by_day in (("a", [], 12), ("b", ["matching.gain_prior_day_grey_per_k=6"], 6)):
+        generate(data, tmp_path / name, "hit-uav-person", [*priors, *settings])
+        found = {r.background["id"]: r.facts["matching"]["gain"]["warm"] for r in records(tmp_path / name)}
+        assert [found[i]["grey_per_k"] for i in RECORDS] == pytest.approx([by_day, 12, 12], rel=0.01)
+
+
+@pytest.mark.parametrize("recipe", ["hit-uav-people", "hit-uav-cars"])
+def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe):
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS[:1])})
+    off = "sensor.profile=off"
+    looks = {"whole": [], "no-sensor": [off], "flat": [off, "overlay.flat=true"]}
+    looks["artistic"] = ["appearance.mode=artistic", "matching.mode=percentile"]
+    for name, settings in looks.items():
+        generate(data, tmp_path / name, recipe, ["placement.min_contrast_grey=0", "objects.0.count=3", *settings])
+    found = {name: records(tmp_path / name) for name in looks}
+    for name in ("no-sensor", "flat", "artistic"):
+        for a, b in zip(found["whole"], found[name], strict=True):
+            assert len(a.inserted) == len(b.inserted) > 0
+            assert all(x.equals(y) for x, y in zip(a.inserted, b.inserted, strict=True))
+            assert a.image_sha256 != b.image_sha256
+    flat = found["flat"][0]
+    shown = np.array(Image.open(tmp_path / "flat" / "images" / flat.image))
+    before = np.array(Image.open(data / flat.background["path"]))
+    assert len(np.unique(shown[shown != before])) <= len(flat.inserted)
