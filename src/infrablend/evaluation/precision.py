@@ -36,14 +36,16 @@ def average_precisions(
     images = matches.objects.shape[1]
     wanted = list(range(len(IOUS))) if thresholds is None else list(thresholds)
     counts = np.ones((1, images), np.int32) if weights is None else np.asarray(weights, np.int32)
-    right, neutral = matches.right[size][wanted], matches.neutral[size][wanted]
+    # What counts for nothing, by its image or at every threshold, need not be carried along.
+    live = counts.any(axis=0)[matches.images] & ~matches.neutral[size].all(axis=0)
+    right, neutral = (x[size][wanted][:, live] for x in (matches.right, matches.neutral))
+    of_image = matches.images[live]
     # Precision matters only where something right is found; what is wrong at every threshold is counted between.
-    special = np.flatnonzero((right | neutral).any(axis=0))
-    wrong = np.ones(len(matches.scores), np.bool_)
-    wrong[special] = False
-    before = np.cumsum(wrong)[special]
-    wrong_images = matches.images[wrong][: int(before[-1]) if len(before) else 0]
-    right, neutral, of = right[:, special], neutral[:, special], matches.images[special]
+    mixed = (right | neutral).any(axis=0)
+    special = np.flatnonzero(mixed)
+    before = np.cumsum(~mixed)[special]
+    wrong_images = of_image[~mixed][: int(before[-1]) if len(before) else 0]
+    right, neutral, of = right[:, special], neutral[:, special], of_image[special]
     result = np.full((len(counts), len(wanted)), np.nan)
     for rows in _chunks(len(counts), max(len(wrong_images), len(special), 1)):
         w = counts[rows]
