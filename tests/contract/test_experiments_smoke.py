@@ -29,8 +29,18 @@ def ultralytics() -> None:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A town in HIT-UAV's form."""
-    return api.make_world(tmp_path_factory.mktemp("data") / "hit-uav", 16, 5, workers=2)
+    """A town in HIT-UAV's form, with days, and with images whose people or cars have no labels."""
+    root = api.make_world(tmp_path_factory.mktemp("data") / "hit-uav", 16, 5, workers=2)
+    for path in sorted(root.glob("*/annotations/*.json")):
+        content = json.loads(path.read_text())
+        key = "annotation" if "annotation" in content else "annotations"
+        number = {i["id"]: k for k, i in enumerate(content["images"])}
+        for image in content["images"]:
+            image["date_captured" if "date_captured" in image else "date"] = f"2021010{1 + number[image['id']] % 6}"
+        # Person is 0, Car is 1: images without the one, without the other.
+        content[key] = [a for a in content[key] if number[a["image_id"]] % 2 != a["category_id"]]
+        path.write_text(json.dumps(content))
+    return root
 
 
 @pytest.fixture(scope="module")

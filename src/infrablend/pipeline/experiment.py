@@ -26,6 +26,7 @@ from infrablend.config.experiment import (
     made_of,
 )
 from infrablend.config.loading import load_recipe
+from infrablend.core.cores import available_cores
 from infrablend.core.dataset import SPLITS
 from infrablend.core.files import output_error
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem
@@ -404,8 +405,9 @@ PLANNED: Mapping[str, Callable[[Any, Mapping[str, int], Setting], tuple[str, dic
 
 # The plan.
 
-# Seconds on the machine of docs/explanation/performance.md (2 cores); where WORK has records, those are taken.
-FRAME_S = 0.12
+# Seconds on two cores as in docs/explanation/performance.md; where WORK has records, those are taken.
+FRAME_S, OBJECT_S = 0.15, 0.1
+WORLD_S = 2.0
 COPY_S = 0.002
 PREDICT_S = {"cpu": 0.15, "gpu": 0.01}
 COMPARE_S = 20.0
@@ -455,15 +457,15 @@ def _measured(work: Path) -> dict[tuple[str, str], float]:
         record = stages.read_stage(path.parent) or {}
         if record.get("status") != "complete":
             continue
-        result = record["result"]
-        images = sum(result.get("images", {}).values())
+        result, seconds = record["result"], float(record["seconds"])
         kind, scale = str(record["kind"]), str(record["inputs"].get("scale", ""))
-        if kind == "train":
-            images = 1  # passes are fixed by the preset, or bounded: a training costs about what the last did
-        if kind == "evaluate":
+        if kind == "train":  # passes are fixed by the preset, or bounded: a training costs about what the last did
+            found.setdefault((kind, scale), []).append(float(result["record"].get("seconds") or seconds))
+        elif kind == "evaluate":
             images = int(result["metrics"]["classes"].get("all", {}).get("images") or 0)
-        if images:
-            found.setdefault((kind, scale), []).append(float(record["seconds"]) / images)
+            found.setdefault((kind, scale), []).append(seconds / max(images, 1))
+        elif kind == "world":
+            found.setdefault((kind, scale), []).append(seconds / max(sum(result["images"].values()), 1))
     return {k: sum(v) / len(v) for k, v in found.items()}
 
 
@@ -476,15 +478,29 @@ def _seconds(stage: Stage, rates: Mapping[tuple[str, str], float], setting: Sett
         gpu = setting.device not in ("cpu", "auto")
         settings = {**setting.training, **stage.spec.settings}
         return setting.tools.training_seconds(setting.scale, settings, stage.images.get("train", 0), gpu)
-    if known is not None and stage.kind in ("generate", "evaluate", "world"):
+    if known is not None:
         return START_S + images * known
-    if stage.kind in ("generate", "world"):
-        return START_S + images * FRAME_S
+    if stage.kind == "world":
+        return START_S + images * WORLD_S
+    if stage.kind == "generate":
+        return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
     if stage.kind == "evaluate":
         return START_S + images * PREDICT_S["gpu" if setting.device not in ("cpu", "auto") else "cpu"]
     if stage.kind == "compare":
         return COMPARE_S * (0.1 if setting.scale == "smoke" else 1.0)
     return images * COPY_S
+
+
+def _mean_objects(spec: Generate) -> float:
+    """Objects in a frame, on average."""
+    total = 0.0
+    for o in load_recipe(spec.recipe, spec.settings).objects:
+        if isinstance(o.count, int):
+            total += o.count
+        else:
+            weights = o.count.weights or (1.0,) * len(o.count.values)
+            total += sum(v * w for v, w in zip(o.count.values, weights, strict=True)) / sum(weights)
+    return total
 
 
 def _disk(stage: Stage) -> int:

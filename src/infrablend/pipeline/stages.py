@@ -464,7 +464,8 @@ def take_over(stage: Stage, out: Path, before: Mapping[str, Made], setting: Sett
     _fresh(out)
     shutil.copytree(folder, out, copy_function=lambda a, b: link_or_copy(Path(a), Path(b)))
     if found is not None:
-        return {"record": {**found, "adopted": True}, "weights": "out/weights.pt", "there": ["out/weights.pt"]}
+        weights = "out/weights.pt"
+        return {"record": {**found, "adopted": True}, "adopted": "checked", "weights": weights, "there": [weights]}
     root = out / "coco" if stage.kind == "generate" else out
     facts = facts_of(setting.tools.read_dataset(root, splits=stage.spec.splits))
     checked = stage.kind == "generate"

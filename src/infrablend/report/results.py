@@ -17,6 +17,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from infrablend.core.dataset import SPLITS
 from infrablend.core.files import write_bytes, write_json, write_text
 
 # Apart from each other also for colour-blind readers.
@@ -309,7 +310,7 @@ def differences(facts: Mapping[str, Any]) -> list[str]:
     lines = []
     for s in facts["sources"].values():
         paper, ours, whole = s["paper_images"], s["images"], s["whole"]
-        text = ", ".join(f"{k} {n:,}" for k, n in ours.items())
+        text = _plain(ours)
         if s["stand_in"]:
             lines.append(f"**{s['title']} is not here: a rendered virtual world stands in for it** ({text}).")
             continue
@@ -317,7 +318,7 @@ def differences(facts: Mapping[str, Any]) -> list[str]:
         if ours != whole:
             line += f", a part of the {sum(whole.values()):,} that were given"
         if paper and paper != ours:
-            line += f"; paper {', '.join(f'{k} {n:,}' for k, n in paper.items())}"
+            line += f"; paper {_plain(paper)}"
         lines.append(line + ("." if not paper or paper != ours else ", as in the paper."))
     if facts["renderer"] != "blender":
         lines.append(f"Objects are drawn by the renderer `{facts['renderer']}`, flat shapes: this is a test run.")
@@ -365,7 +366,7 @@ def _training(record: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Mapping[str, int]) -> str:
-    return ", ".join(f"{k} {v:,}" for k, v in value.items())
+    return ", ".join(f"{s} {value[s]:,}" for s in SPLITS if s in value)
 
 
 # The index.
