@@ -487,10 +487,17 @@ def _at_size(m: ClassMatches, size: int) -> ClassMatches:
     return ClassMatches(m.scores, m.images, m.right[part], m.neutral[part], m.objects[part])
 
 
+def _of_images(m: ClassMatches, which: NDArray[np.bool_]) -> ClassMatches:
+    """Without the findings in other images, which would only be counted 0 times, a thousand times over."""
+    keep = which[m.images]
+    return ClassMatches(m.scores[keep], m.images[keep], m.right[..., keep], m.neutral[..., keep], m.objects)
+
+
 def _stratum(
     matches: Sequence[ClassMatches], names: Sequence[str], which: NDArray[np.bool_], weights: NDArray[Any]
 ) -> dict[str, Any]:
     """Figures of some images: all others count for nothing."""
+    matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
     instances = [int(m.objects[0][which].sum()) for m in matches]
