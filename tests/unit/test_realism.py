@@ -287,7 +287,11 @@ def test_the_network_tells_shifted_crops_and_not_equal_ones(monkeypatch):
 
 def test_kid_uses_the_weights_in_torchs_cache(monkeypatch, tmp_path):
     torch = pytest.importorskip("torch")
-    models = pytest.importorskip("torchvision.models")
+    try:
+        from torchvision import models
+    except (ImportError, RuntimeError) as error:  # built for another torch
+        assert "torchvision" in nets.no_inception(1000)
+        pytest.skip(f"torchvision does not import: {error}")
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     assert "not in torch's cache" in nets.no_inception(1000)
     (tmp_path / "checkpoints").mkdir()

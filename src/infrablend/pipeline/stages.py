@@ -329,6 +329,10 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
     for split in spec.splits:
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split == split))
         wanted = Selection(spec.with_class, without, like=spec.like, seed=setting.seed)
+        if spec.like is not None:
+            wanted = replace(wanted, images=_as_many(part, spec.like, without))
+        if split != "train" and (wanted.images == 0 or not _shows(part, spec.with_class)):
+            continue  # training does without val
         if (match := before.get("match")) is not None:
             n = match.result["images"].get(split, 0)
             objects = match.result["labels"].get(split, {}).get(spec.with_class, 0)
@@ -339,6 +343,17 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
     dataset = replace(dataset, images=tuple(images))
     convert_dataset(dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only)
     return {**facts_of(setting.tools.read_dataset(out)), "dataset": "out", "there": ["out"]}
+
+
+def _shows(part: Dataset, category: str | None) -> bool:
+    return category is None or any(o.category == category for i in part.images for o in i.instances)
+
+
+def _as_many(part: Dataset, like: str, without: Sequence[str]) -> int:
+    """How many images to draw like those of a class: no more than can later be matched by images that show it."""
+    shown = [{o.category for o in i.instances} for i in part.images]
+    apart = set(without) - {like}
+    return min(sum(not s & set(without) for s in shown), sum(like in s and not s & apart for s in shown))
 
 
 def _resplit(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setting) -> dict[str, Any]:

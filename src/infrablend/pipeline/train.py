@@ -329,11 +329,11 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
         problems = [Problem(presets.FORMAT[task], k, f"{n} labels would be lost", "none",
                             "infrablend check says where") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: labels that the trainer would not see", problems)
-    rows = [p.read_text("utf-8").splitlines() for p in (out / DATA / "labels" / "train").rglob("*.txt")]
+    labels = sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / "train").rglob("*.txt"))
     return {
         **counts,
         "images": sum(i.split == "train" for i in images),
-        "labels": sum(map(len, rows)),
+        "labels": labels,
         "losses": dict(written.losses),
     }
 

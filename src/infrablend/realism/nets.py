@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -89,6 +90,10 @@ def no_inception(crops: int) -> str | None:
         return f"{crops} crops, {LEAST_CROPS} are needed"
     if reason := missing("torch", "torchvision"):
         return reason
+    try:
+        importlib.import_module("torchvision.models")
+    except (ImportError, RuntimeError) as error:  # built for another torch
+        return f"torchvision does not import here ({error}); install the build made for this torch"
     if not _weights().is_file():
         return f"Inception's weights ({WEIGHTS}) are not in torch's cache, and nothing is downloaded"
     return None
