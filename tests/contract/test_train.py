@@ -20,6 +20,7 @@ from infrablend.errors import DatasetError, FetchError, MissingDependencyError, 
 from infrablend.pipeline import train as pipeline
 from infrablend.training import weights
 from infrablend.training.presets import PRESETS
+from infrablend.training.trainer import Turns
 
 
 @pytest.fixture(scope="session")
@@ -156,8 +157,22 @@ def test_settings_that_cannot_be():
     assert [p.where for p in caught.value.problems] == ["--set passes", "--set batch"]
     assert pipeline.choose_preset("small", {"lr0": 0.1}).arguments["lr0"] == 0.1
     chosen = pipeline.choose_preset("small", {"epochs": 3})
-    assert chosen.epochs_for(1000) == 3
-    assert PRESETS["small"].epochs_for(1000) == round(PRESETS["small"].passes / 1000)
+    assert chosen.epochs_for(1000) == (3, 1000)
+    # However many images: as many epochs, as many shown in each, and all of them at least once.
+    assert PRESETS["small"].epochs_for(700) == PRESETS["small"].epochs_for(15_000) == (20, 800)
+    assert PRESETS["small"].epochs_for(100_000) == (20, 5008)
+
+
+def test_turns_walk_through_all_images_again_and_again():
+    shown = [list(Turns(7, 5, seed=3, epoch=e)) for e in range(7)]
+    assert all(len(s) == 5 for s in shown)
+    walks = [i for s in shown for i in s]
+    assert all(sorted(walks[k : k + 7]) == list(range(7)) for k in range(0, 35, 7))
+    assert walks[:7] != walks[7:14]
+    one = Turns(7, 5, seed=3)
+    assert [list(one) for _ in range(7)] == shown  # as the loader takes them, epoch after epoch
+    assert list(Turns(7, 5, seed=4)) != shown[0]
+    assert sorted(Turns(3, 9, seed=0)) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def test_no_gpu_when_one_was_asked_for(ultralytics, tmp_path):

@@ -108,7 +108,7 @@ def plan_training(
     labels = sum(len(i.instances) for i in train)
     seconds = presets.estimate_seconds(preset, images, gpu=gpu, cores=available_cores())
     # Checkpoint, weights and Ultralytics' own two files.
-    return TrainPlan(images, labels, preset.epochs_for(images), seconds, size + 120_000_000)
+    return TrainPlan(images, labels, preset.epochs_for(images)[0], seconds, size + 120_000_000)
 
 
 def train_dataset(
@@ -343,12 +343,12 @@ def _run(
 ) -> TrainReport:
     """The process that trains, from here or from its last checkpoint."""
     prepared = record["prepared"]
-    epochs = preset.epochs_for(prepared["images"])
+    epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
         data=str((out / DATA / "data.yaml").resolve()), out=str(out.resolve()), task=task,
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, patience=preset.patience, seed=seed, images=prepared["images"],
-        labels=prepared["labels"], arguments=dict(preset.arguments),
+        labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
     )  # fmt: skip
     job.write(out / "job.json")
     record |= {"status": "running", "epochs": epochs, "device": device}
@@ -360,7 +360,7 @@ def _run(
         last[event["event"]] = event
         if event["event"] == "step" and on_progress is not None:
             seconds = max(time.monotonic() - began, 1e-6)
-            done, total = int(event["images"]), epochs * prepared["images"]
+            done, total = int(event["images"]), epochs * shown
             first = last.setdefault("first", {"images": done, "at": seconds})
             pace = (done - first["images"]) / max(seconds - first["at"], 1e-6)
             eta = (total - done) / pace if pace > 0 else None
@@ -380,7 +380,7 @@ def _run(
         record |= {k: end[k] for k in ("precision", "threads", "versions", "batch")}
         record |= {
             "epochs_done": end["epochs"],
-            "passes": end["epochs"] * prepared["images"],
+            "passes": end["epochs"] * shown,
             "seconds": round(sum(s["seconds"] for s in record["sessions"]), 1),
             "losses": last.get("epoch", {}).get("losses", {}),
             "gate": {k: v for k, v in last["gate"].items() if k != "event"} if "gate" in last else record.get("gate"),

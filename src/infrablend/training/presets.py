@@ -43,17 +43,27 @@ class Preset:
     tiles: int = 0
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
-    def epochs_for(self, images: int) -> int:
-        """Passes over so many images (or tiles)."""
-        return self.epochs or max(1, round(self.passes / max(images, 1)))
+    def epochs_for(self, images: int) -> tuple[int, int]:
+        """Epochs, and images (or tiles) shown in each, for so many images.
 
+        Where `passes` decides, an epoch is a twentieth of them, not a walk through the data: the learning rate falls
+        by epochs, so trainings on more and on fewer images would otherwise differ in more than their images. Every
+        image is shown at least once.
+        """
+        if self.epochs:
+            return self.epochs, images
+        batches = math.ceil(max(self.passes, images) / ROUNDS / self.batch)
+        return ROUNDS, batches * self.batch
+
+
+# Epochs of a training with a fixed number of passes.
+ROUNDS = 20
 
 # The scale stays near 1 and nothing is put together: tiles exist so that sizes stay what they are, and the few passes
 # that two cores can do are better spent on pictures as they come.
 _TILE_ARGUMENTS = {
     "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "scale": 0.2, "mosaic": 0.0,
-    "hsv_h": 0.0, "hsv_s": 0.0, "warmup_epochs": 0.5,
-    "nbs": 16,
+    "hsv_h": 0.0, "hsv_s": 0.0, "warmup_epochs": 1.0, "close_mosaic": 0, "nbs": 16,
 }  # fmt: skip
 
 PRESETS: Mapping[str, Preset] = {
@@ -93,7 +103,8 @@ def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) 
     """
     rate = _RATE_320.get((preset.model, "gpu" if gpu else "cpu"), 5.0) * (320 / preset.image_size) ** 2
     rate *= 1 if gpu else cores / 2
-    return 20 + images * preset.epochs_for(images) / rate
+    epochs, shown = preset.epochs_for(images)
+    return 20 + epochs * shown / rate
 
 
 def tiles_expected(images: int, objects: int) -> int:

@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.rng import stream
 from infrablend.training.environment import has_fast_bfloat16, settle_ultralytics
 
 CHECKPOINT = "checkpoint.pt"
@@ -43,6 +44,7 @@ class Job:
         seed: For everything drawn.
         images: Images the train split must have.
         labels: Labels it must have.
+        shown: Images shown in an epoch; other than `images`, epochs go on in the data where the last one ended.
         arguments: Further ones for Ultralytics.
     """
 
@@ -58,6 +60,7 @@ class Job:
     seed: int
     images: int
     labels: int
+    shown: int
     arguments: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
@@ -67,6 +70,27 @@ class Job:
 
 class _Stopped(Exception):  # noqa: N818
     """The gate found the trainer to have dropped something."""
+
+
+class Turns:
+    """A sampler of `shown` indices an epoch: shuffled walks through all of them, one after the other without a gap.
+
+    The same seed and epoch give the same indices, so a resumed training goes on where it was.
+    """
+
+    def __init__(self, images: int, shown: int, seed: int, epoch: int = 0) -> None:
+        self.images, self.shown, self.seed, self.epoch = images, shown, seed, epoch
+
+    def __len__(self) -> int:
+        return self.shown
+
+    def __iter__(self) -> Iterator[int]:
+        first = self.epoch * self.shown
+        self.epoch += 1
+        for walk in range(first // self.images, (first + self.shown - 1) // self.images + 1):
+            order = stream(self.seed, "train", walk).permutation(self.images).tolist()
+            start = walk * self.images
+            yield from order[max(first - start, 0) : first + self.shown - start]
 
 
 def main(arguments: list[str]) -> int:
@@ -115,6 +139,8 @@ def _train(job: Job, say: Any) -> None:
     base = {"detect": yolo.detect.DetectionTrainer, "obb": yolo.obb.OBBTrainer,
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
+    checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
+    begun = _epochs_done(checkpoint, torch)
 
     class Trainer(base):  # type: ignore[misc,valid-type]
         """The usual one; on a processor, pixels are laid out as its convolutions like them."""
@@ -124,8 +150,14 @@ def _train(job: Job, say: Any) -> None:
             if on_cpu:
                 self.model: Any = self.model.to(memory_format=torch.channels_last)
 
-    checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
-    begun = _epochs_done(checkpoint, torch)
+        def get_dataloader(self, *args: Any, mode: str = "train", **kwargs: Any) -> Any:
+            loader = super().get_dataloader(*args, mode=mode, **kwargs)
+            if mode == "train" and job.shown != job.images:
+                turns = Turns(len(loader.dataset), job.shown, job.seed, begun)
+                loader.batch_sampler.sampler.sampler = turns
+                object.__setattr__(loader, "sampler", turns)  # torch allows it to itself alone
+            return loader
+
     overrides: dict[str, Any] = {
         "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
         "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
@@ -142,12 +174,13 @@ def _train(job: Job, say: Any) -> None:
     def gate(t: Any) -> None:
         found = t.train_loader.dataset
         images, labels = len(found.labels), sum(len(label["cls"]) for label in found.labels)
-        per_epoch = len(t.train_loader.sampler)
-        say("gate", images=images, labels=labels, images_per_epoch=per_epoch)
-        if (images, labels) != (job.images, job.labels) or per_epoch != job.images:
+        shown = len(t.train_loader.sampler)
+        say("gate", images=images, labels=labels, images_per_epoch=shown)
+        if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
             raise _Stopped(
-                f"of {job.images} images and {job.labels} labels the trainer would use {min(images, per_epoch)} and "
-                f"{labels}; its own log says which it left out ({out / 'train.log'})"
+                f"of {job.images} images and {job.labels} labels the trainer would use "
+                f"{min(images, shown * job.epochs)} and {labels}; its own log says which it left out "
+                f"({out / 'train.log'})"
             )
 
     def reseed(t: Any) -> None:
@@ -166,7 +199,7 @@ def _train(job: Job, say: Any) -> None:
             total = len(t.train_loader)
             done = (t.epoch * total + state["steps"] % (total + 1)) * t.batch_size
             losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
-            say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.images), losses=losses)
+            say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.shown), losses=losses)
 
     def epoch_end(t: Any) -> None:
         state["steps"] = 0
