@@ -484,6 +484,7 @@ def convert(
     objects: int | None = None,
     like: str | None = None,
     seed: int = 0,
+    loosen: float = 1.0,
     ids: Literal["new", "source"] = "new",
     category_ids: Literal["source", "from_one"] = "source",
     dont_care: Literal["drop", "keep"] = "drop",
@@ -508,9 +509,11 @@ def convert(
         without: Only pictures that show none of these classes (regions to ignore may be among them).
         images: Draw as many of the pictures.
         objects: Draw them so that they show as many objects of `with_class`, or as nearly as can be.
-        like: Draw the pictures, some several times, so that heights and times of day are shared out as among those
-            that show this class.
+        like: Draw the pictures, some several times, so that times of day, heights and pitches are shared out as among
+            those that show this class.
         seed: Of the draw.
+        loosen: Make inserted objects' axis-aligned boxes so many times as wide and high, as annotators by hand leave
+            room; counted, and said in the card. Oriented boxes and masks stay.
         ids: Image and annotation ids numbered anew, or the source's own.
         category_ids: The source's, or numbered from 1 (many tools take COCO's category 0 for background).
         dont_care: YOLO: regions to ignore are left out, or kept as a class.
@@ -531,6 +534,7 @@ def convert(
         drop=drop,
         only=only,
         selection=Selection(with_class, tuple(without), images, objects, like, seed),
+        loosen=loosen,
         settings=settings,
         overwrite=overwrite,
     )

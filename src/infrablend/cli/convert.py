@@ -79,10 +79,17 @@ def convert(
         typer.Option(
             "--like-class",
             metavar="NAME",
-            help="Draw pictures, some several times, to get heights and times of day as of those that show this class.",
+            help="Draw pictures, some several times, with times of day, heights and pitches as of those that show this "
+            "class.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the draw.")] = 0,
+    loosen: Annotated[
+        float,
+        typer.Option(
+            "--loosen-inserted", metavar="FACTOR", help="Inserted objects' boxes as much wider and higher, as by hand."
+        ),
+    ] = 1.0,
     ids: Annotated[Ids, typer.Option(help="Ids numbered anew, or the source's, where the format has ids.")] = Ids.NEW,
     category_ids: Annotated[
         CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools take 0 for background.")
@@ -123,6 +130,7 @@ def convert(
         objects=objects,
         like=like,
         seed=seed,
+        loosen=loosen,
         ids=ids.value,
         category_ids=category_ids.value,
         dont_care=dont_care.value,

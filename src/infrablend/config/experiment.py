@@ -85,7 +85,11 @@ class Convert(Strict):
     without: tuple[str, ...] = ()
     """Only images that show none of these classes; those that the data do not have are none."""
     like: str | None = None
-    """Images drawn so that heights and times of day are shared out as among those that show this class."""
+    """Images drawn so that times of day, heights and pitches are shared out as among those that show this class."""
+    images: dict[Scale, Limits] = Field(default_factory=dict)
+    """At most so many images of each split, drawn at random or as `like` says; all by default."""
+    loosen: float = Field(1.0, ge=1, le=2)
+    """Boxes of inserted objects so many times as wide and high, as annotators by hand leave room."""
     match: Name | None = None
     """As many images, and as many objects of `with_class`, in each split as this data item has."""
     splits: tuple[Split, ...] = SPLITS

@@ -11,9 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, rename_classes, unknown_classes
 from infrablend.config.recipe import CLASS_NAME
+from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import output_error, write_json
 from infrablend.errors import DatasetError, OutputError, Problem
@@ -71,6 +74,7 @@ def convert_dataset(
     drop: Sequence[str] = (),
     only: str | None = None,
     selection: Selection | None = None,
+    loosen: float = 1.0,
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
@@ -84,6 +88,8 @@ def convert_dataset(
         drop: Classes to leave out, by the name after renaming.
         only: The one class to keep, instead of `drop`.
         selection: Which pictures to take, by the names after renaming and before `drop`; all by default.
+        loosen: Make the axis-aligned boxes of inserted objects so many times as wide and as high, as far as the picture
+            goes: annotators by hand leave room, rendered boxes leave none. Oriented boxes and masks stay.
         settings: What the writer lets one choose.
         overwrite: Delete what the earlier call wrote first.
 
@@ -108,8 +114,14 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
+    if not 1 <= loosen <= 2:
+        factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
+        raise DatasetError(f"{dataset.root}: boxes cannot be made so loose", [factor])
     problems = list(dataset.problems)
     images = _with_sizes(wanted, problems)
+    loosened = 0
+    if loosen > 1:
+        images, loosened = _loosened(images, loosen)
     if not images:
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)
@@ -122,6 +134,7 @@ def convert_dataset(
         "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
         "source_format": dataset.format,
         **({} if chosen is None else {"selection": chosen}),
+        **({"boxes_loosened": loosened, "loosened_by": loosen} if loosen > 1 else {}),
     }
     folder = RunFolder(out)
     with folder.claimed():
@@ -148,6 +161,11 @@ def convert_dataset(
             raise
         problems += written.problems
         changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems, chosen)
+        if loosen > 1:
+            changes.append(
+                f"The axis-aligned boxes of {loosened} inserted objects are {loosen:g} times as wide and high as the "
+                "objects, as far as the picture goes: by hand, boxes are drawn with room."
+            )
         card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
         problems += write_card(out, card)
         problems += _background_class(writer.name, wanted, settings)
@@ -155,6 +173,21 @@ def convert_dataset(
         rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
         write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(out)}, indent=2)
     return report
+
+
+def _loosened(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
+    """Inserted objects' boxes so many times as wide and high, cut at the frame; how many."""
+    loose, n = [], 0
+    for image in images:
+        instances = []
+        for one in image.instances:
+            if one.inserted and image.size_wh is not None:
+                x0, y0, x1, y1 = one.box_xyxy
+                room = np.array([x0 - x1, y0 - y1, x1 - x0, y1 - y0]) * (factor - 1) / 2
+                one, n = replace(one, box_xyxy=clip_boxes(one.box_xyxy + room, image.size_wh)), n + 1
+            instances.append(one)
+        loose.append(replace(image, instances=tuple(instances)))
+    return loose, n
 
 
 def _changes(

@@ -382,9 +382,10 @@ def _plan_generate(
 def _plan_convert(
     spec: Convert, images: Mapping[str, int], setting: Setting
 ) -> tuple[str, dict[str, Any], dict[str, int]]:
-    inputs = spec.model_dump(mode="json", exclude={"kind", "of", "match"}, exclude_defaults=True)
-    inputs = {**inputs, "splits": list(spec.splits), "seed": setting.seed}
-    return "convert", inputs, {s: images[s] for s in spec.splits if s in images}
+    inputs = spec.model_dump(mode="json", exclude={"kind", "of", "match", "images"}, exclude_defaults=True)
+    limits: dict[str, int] = {str(s): n for s, n in spec.images.get(setting.scale, {}).items()}
+    inputs = {**inputs, "splits": list(spec.splits), "seed": setting.seed} | ({"images": limits} if limits else {})
+    return "convert", inputs, _limited({s: images[s] for s in spec.splits if s in images}, limits)
 
 
 def _plan_split(

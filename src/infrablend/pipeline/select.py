@@ -29,8 +29,9 @@ class Selection:
         with_class: Only pictures that show this class.
         without: No pictures that show one of these classes; those to ignore (DontCare) may be among them.
         images: As many pictures, drawn at random.
-        like: Draw them so that heights and times of day are shared out as among the pictures that show this class,
-            some up to `MOST_COPIES` times (under names of their own); as many as there are to choose from by default.
+        like: Draw them so that times of day, heights and camera pitches are shared out as among the pictures that show
+            this class, some up to `MOST_COPIES` times (under names of their own); as many as there are to choose from
+            by default.
         objects: Of `with_class`: the pictures are drawn so that they show this many, or as nearly as can be.
         seed: Of the draw.
     """
@@ -130,19 +131,24 @@ def _drawn_alike(
     return replace(dataset, images=sort_images(kept)), facts
 
 
-Flight = tuple[str, float]
+Flight = tuple[str, float, float]
 
 
 def _flight(image: ImageRecord) -> Flight:
-    """Time of day and height; -1 for an unknown height."""
-    return image.time_of_day or "", -1.0 if image.altitude_m is None else image.altitude_m
+    """Time of day, height, and camera pitch; -1 for what is unknown."""
+    height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.altitude_m, image.pitch_deg))
+    return image.time_of_day or "", height, pitch
+
+
+def _apart(a: Flight, b: Flight) -> tuple[bool, float]:
+    """How unlike two flights are: the time of day first, then steps of 20 m and of 10 degrees alike."""
+    return a[0] != b[0], abs(a[1] - b[1]) / 20 + abs(a[2] - b[2]) / 10
 
 
 def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
     """How often to take each of a pool, `size` in all, so that its flights are shared out as those of `like`.
 
-    What a flight cannot give, even with every picture taken `MOST_COPIES` times, the nearest height of the same time of
-    day gives, then the other time of day.
+    What a flight cannot give, even with every picture taken `MOST_COPIES` times, the nearest one (see `_apart`) gives.
     """
     members: dict[Flight, list[int]] = {}
     for k in stream(seed, "select").permutation(len(pool)).tolist():
@@ -163,7 +169,7 @@ def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed
         lacking += [f] * (n - own)
     for f in lacking:
         free = [g for g in members if given[g] < room[g]]
-        given[min(free, key=lambda g: (g[0] != f[0], abs(g[1] - f[1]), g))] += 1
+        given[min(free, key=lambda g: (_apart(g, f), g))] += 1
     for f, of in members.items():
         for n in range(given[f]):
             copies[of[n % len(of)]] += 1

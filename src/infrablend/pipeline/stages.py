@@ -331,6 +331,8 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
         wanted = Selection(spec.with_class, without, like=spec.like, seed=setting.seed)
         if spec.like is not None:
             wanted = replace(wanted, images=_as_many(part, spec.like, without))
+        if (most := spec.images.get(setting.scale, {}).get(split)) is not None:
+            wanted = replace(wanted, images=min(most, len(part.images) if wanted.images is None else wanted.images))
         if split != "train" and (wanted.images == 0 or not _shows(part, spec.with_class)):
             continue  # training does without val
         if (match := before.get("match")) is not None:
@@ -341,7 +343,7 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
                 continue
         images += select(part, wanted)[0].images if part.images and wanted else part.images
     dataset = replace(dataset, images=tuple(images))
-    convert_dataset(dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only)
+    convert_dataset(dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only, loosen=spec.loosen)
     return {**facts_of(setting.tools.read_dataset(out)), "dataset": "out", "there": ["out"]}
 
 
