@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,32 @@ def test_pictures_drawn_again_are_written_under_names_of_their_own(tmp_path):
     again = api.read_dataset(tmp_path / "out")
     assert len({i.path for i in again.images}) == 8
     assert len({i.path.stat().st_ino for i in again.images}) == 3
+
+
+def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
+    first = replace(
+        image(0, {"Person": 3}, root=tmp_path),
+        instances=(
+            Instance("Person", np.array([20.0, 20, 30, 40]), inserted=True),
+            Instance("Person", np.array([0.0, 50, 10, 64]), inserted=True),
+            Instance("Person", np.array([40.0, 20, 50, 40])),
+        ),
+    )
+    Image.fromarray(np.full((64, 64), 90, np.uint8)).save(first.path)
+    writing.write(
+        "coco", tmp_path / "data", [first], CATEGORIES, source=Dataset(tmp_path, "coco", CATEGORIES, (first,))
+    )
+    words = ["-q", "convert", tmp_path / "data", tmp_path / "out", "--to", "coco", "--loosen-inserted", 1.2]
+    done = CliRunner().invoke(build_app(), [str(w) for w in words])
+    assert done.exit_code == 0, done.output
+    (again,) = api.read_dataset(tmp_path / "out").images
+    boxes = sorted(i.box_xyxy.tolist() for i in again.instances)
+    np.testing.assert_allclose(boxes, [[0, 48.6, 11, 64], [19, 18, 31, 42], [40, 20, 50, 40]])
+    counts = json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]
+    assert (counts["boxes_loosened"], counts["loosened_by"]) == (2, 1.2)
+    assert "boxes of 2 inserted objects are 1.2 times" in (tmp_path / "out" / "README.md").read_text()
+    with pytest.raises(DatasetError, match=r"--loosen-inserted: 0\.5"):
+        api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen=0.5)
 
 
 @pytest.mark.realdata
