@@ -839,7 +839,8 @@ def compare_evaluations(
         seed: Of the draws.
 
     Raises:
-        DatasetError: One is no finished evaluation, or images, labels, task or treatment of regions differ.
+        DatasetError: One is no finished evaluation, or images, labels, split, task, groups or treatment of
+            regions differ.
     """
     from infrablend.pipeline import evaluate as judging
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
-from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError
+from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
 from infrablend.pipeline import evaluate as judging
 from infrablend.pipeline.evaluate import evaluate_detector
@@ -134,6 +134,136 @@ def test_configurations_of_one_background_are_drawn_together(saved: Path, tmp_pa
     assert not (tmp_path / "c").exists()
 
 
+def test_originals_and_other_names_are_drawn_with_their_configurations() -> None:
+    def groups(*names: str) -> list[int]:
+        record = made_up_dataset(1).images[0]
+        images = [replace(record, id=Path(n).stem, path=Path(n), file_name=n) for n in names]
+        found = judging._groups(images, "image", [])
+        return [found.index(g) for g in found]
+
+    hit = "0_60_30_0_00001"
+    assert groups(f"{hit}.jpg", f"{hit}_c0.png", f"{hit}_c1.png", "0_60_30_0_00002.jpg") == [0, 0, 0, 3]
+    assert groups("a.png", "a_c0.png", "b_c0.png", "b_c12.png", "c.png", "_c0.png") == [0, 0, 2, 2, 4, 5]
+    assert groups("x/a_c0.png", "y/a_c0.png", "a_c1_c0.png", "a_c0_c0.png", "a.jpg") == [0, 1, 2, 2, 2]
+    assert groups("a.jpg", "a.png", "a_cat.png", "a_c.png") == [0, 1, 2, 3]
+
+
+def test_one_configuration_each_keeps_the_names_that_draws_are_sorted_by() -> None:
+    record = made_up_dataset(1).images[0]
+    for names, expected in (
+        (["a_c0.png", "b_c0.png"], ("test/a_c0.png", "test/b_c0.png")),
+        (["0_60_30_0_00007_c0.png", "0_60_30_0_00008.png"], ("frame 7", "test/0_60_30_0_00008.png")),
+    ):
+        images = [replace(record, id=Path(n).stem, path=Path(n), file_name=n) for n in names]
+        assert judging._groups(images, "image", []) == expected
+
+
+def test_what_the_reader_rejected_is_told(saved: Path, tmp_path: Path) -> None:
+    whole = made_up_dataset()
+    stem = Path(whole.images[0].name).stem
+    ours = [
+        Problem("coco/test.json: annotation 5", "box-empty", "bbox [1, 1, 0, 0]"),
+        Problem("labels/test/x.txt: line 3", "label-malformed", "'0 a b'"),
+        Problem(f"Annotations/{stem}.xml: object 2", "box-outside", "box 900 900 910 910"),
+        Problem("Annotations/unknown.xml", "image-missing", "no picture"),
+        Problem("Annotations/train_1.xml", "image-missing", "no picture"),
+    ]
+    others = [
+        Problem("annotations/instances_val2017.json: annotation 5", "box-empty", "bbox [1, 1, 0, 0]"),
+        Problem("labels/train/x.txt: line 3", "label-malformed", "'0 a b'"),
+        Problem("test.json: annotation 9", "box-clipped", "box", severity="warning"),
+    ]
+    assert "rejected" not in run(saved, tmp_path / "a").metrics["counts"]
+    report = run(saved, tmp_path / "b", replace(whole, problems=(*others, *ours)))
+    assert report.metrics["counts"]["rejected"] == 5
+    assert [p for p in report.problems if p.severity == "error"] == ours
+    written = json.loads((tmp_path / "b" / "evaluation.json").read_text())["problems"]
+    assert [p["where"] for p in written if p["severity"] == "error"] == [p.where for p in ours]
+    (told,) = [p for p in report.problems if p.code == "labels-rejected"]
+    assert told.severity == "warning"
+    assert "5 labels or pictures" in told.found
+    assert "coco/test.json: annotation 5: bbox [1, 1, 0, 0]" in told.found
+    assert (tmp_path / "b" / "evaluation.html").read_text().count("bbox [1, 1, 0, 0]") == 1
+    with pytest.raises(DatasetError, match="annotation 5"):
+        run(saved, tmp_path / "c", replace(whole, images=(), problems=tuple(ours)))
+
+
+def test_the_command_tells_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -> None:
+    data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
+    file = data / "normal_json" / "annotations" / "test.json"
+    content = json.loads(file.read_text())
+    content["annotation"].append({**content["annotation"][0], "id": 77, "bbox": [5, 5, 0, 0]})
+    file.write_text(json.dumps(content))
+    (image,) = api.read_dataset(data, splits=["test"]).images
+    key = f"test/{image.name}"
+    found = detections([i.box_xyxy for i in image.instances], [0.9], [0])
+    made = Predictions("detect", ("other vehicle",), {key: found}, {key: (640, 512)})
+    saved = write_predictions(tmp_path / "p.json", made)
+    arguments = ["-q", "evaluate", str(saved), str(data), "--out", str(tmp_path / "out"), "--bootstrap", "0"]
+    done = CliRunner().invoke(build_app(), arguments)
+    assert done.exit_code == 0, done.output
+    assert "1 problem(s):" in done.stderr
+    assert "annotation 77" in done.stderr
+    assert "1 labels or pictures could not be read and are not judged" in done.stderr
+
+
+def test_hit_uav_has_nothing_that_is_rejected(real_data: Path) -> None:
+    dataset = api.read_dataset(real_data / "hit-uav")
+    assert [judging._rejected(dataset, split) for split in SPLITS] == [[], [], []]
+
+
+def test_two_labelled_classes_that_are_one_of_the_detector(tmp_path: Path) -> None:
+    base = made_up_dataset()
+    called = {"Person": "pedestrian", "Car": "people"}
+
+    def renamed(there: set[str]) -> Dataset:
+        images = []
+        for image in base.images:
+            named = [replace(i, category=called.get(i.category, i.category)) for i in image.instances]
+            images.append(replace(image, instances=tuple(i for i in named if i.category in there)))
+        categories = tuple(replace(c, name=called.get(c.name, c.name)) for c in base.categories)
+        return replace(base, images=tuple(images), categories=categories)
+
+    saved = write_predictions(tmp_path / "p.json", found_on(base, classes=("Person",)))
+    both = renamed({"pedestrian", "people"})
+    for classes in (None, ["pedestrian", "people"], ["person"]):
+        with pytest.raises(DatasetError, match=r"pedestrian and people .* --rename people=pedestrian.* --classes"):
+            run(saved, tmp_path / "out", both, classes=classes)
+    assert not (tmp_path / "out").exists()
+    one = run(saved, tmp_path / "out", both, classes=["pedestrian"]).metrics["classes"]["pedestrian"]
+    assert one["map50"] > 0.5
+    # Without people in the images nothing is taken from pedestrians.
+    report = run(saved, tmp_path / "out", renamed({"pedestrian"}), overwrite=True)
+    assert report.metrics["classes"]["pedestrian"] == one
+    assert "people" not in report.metrics["classes"]
+    assert any("people: no objects" in p.found for p in report.problems)
+
+
+def test_crowds_count_neither_way(tmp_path: Path) -> None:
+    dataset = made_up_dataset(4)
+    # One finding, the surest, of nothing; then a crowd around it, of which it is a part.
+    first = replace(dataset.images[0], instances=(Instance("Person", np.array([100.0, 100, 120, 140])),))
+    dataset = replace(dataset, images=(first, *dataset.images[1:]))
+    found = found_on(dataset)
+    key = f"test/{first.name}"
+    here = detections([[300, 300, 310, 320], [100, 100, 120, 140]], [0.99, 0.98], [0, 0])
+    saved = write_predictions(tmp_path / "p.json", replace(found, images={**found.images, key: here}))
+    before = run(saved, tmp_path / "a", dataset)
+    region = Instance("Person", np.array([290.0, 290, 400, 400]), extra={"iscrowd": 1})
+    crowded = replace(dataset, images=(replace(first, instances=(*first.instances, region)), *dataset.images[1:]))
+    after = run(saved, tmp_path / "b", crowded)
+    was, now = (r.metrics["classes"]["Person"] for r in (before, after))
+    assert now["instances"] == was["instances"]
+    assert now["map50"] > was["map50"]
+    assert after.metrics["counts"]["crowds"] == 1
+    assert any("1 crowds" in p.found for p in after.problems)
+    without = run(saved, tmp_path / "c", crowded, ignore_regions=False)
+    assert without.metrics["classes"]["Person"]["map50"] == was["map50"]
+    assert without.metrics["counts"]["crowds_left_out"] == 1
+    assert "crowds" not in before.metrics["counts"]
+    assert before.metrics["dataset"]["labels_sha256"] != after.metrics["dataset"]["labels_sha256"]
+
+
 def test_two_detectors_on_the_same_images(saved: Path, tmp_path: Path) -> None:
     worse = write_predictions(tmp_path / "worse.json", found_on(made_up_dataset(), noise_px=4, seed=1))
     run(worse, tmp_path / "worse")
@@ -164,12 +294,21 @@ def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) ->
         ("labels", replace(dataset, images=(moved, *dataset.images[1:])), {}),
         ("images", replace(dataset, images=dataset.images[1:]), {}),
         ("ignored regions", dataset, {"ignore_regions": False}),
+        ("group: image; expected gap", dataset, {"group": "gap"}),
     ):
         with pytest.raises(DatasetError, match=name):
             run(saved, tmp_path / "b", other, against=tmp_path / "a", **settings)
         assert not (tmp_path / "b").exists()
     with pytest.raises(DatasetError, match="no finished evaluation"):
         run(saved, tmp_path / "b", against=tmp_path)
+    for name, settings in (("group", {"group": "gap"}), ("ignored regions", {"ignore_regions": False})):
+        run(saved, tmp_path / name, **settings)
+        with pytest.raises(DatasetError, match=f"{name}: "):
+            api.compare_evaluations(tmp_path / "a", tmp_path / name)
+    val = replace(dataset, images=tuple(replace(i, split="val") for i in dataset.images))
+    run(write_predictions(tmp_path / "val.json", found_on(val)), tmp_path / "val", val, split="val")
+    with pytest.raises(DatasetError, match=r"split: val; expected test\. Give both the same --split"):
+        api.compare_evaluations(tmp_path / "a", tmp_path / "val")
     (tmp_path / "a" / "matches.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(DatasetError, match="cannot be read"):
         run(saved, tmp_path / "b", against=tmp_path / "a")

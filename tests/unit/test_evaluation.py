@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from infrablend.core.boxes import corners_of_cxcywha, polygon_iou
+from infrablend.core.boxes import corners_of_box, corners_of_cxcywha, polygon_iou
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.core.rng import stream
@@ -99,6 +100,29 @@ def test_what_lies_in_a_region_to_ignore_counts_neither_way() -> None:
     off, counts = truths([both], CATEGORIES, ["Person"], "detect", ignore_regions=False)
     assert counts == {"ignore_regions_left_out": 1}
     assert average_precisions(judge(off, found)[0])[0, 0] == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("task", ["detect", "obb", "segment"])
+def test_a_crowd_is_a_region_of_its_class_alone(task: str) -> None:
+    crowd = Instance("Person", np.array([100.0, 10, 180, 90]), extra={"iscrowd": 1})
+    own = Instance("Person", np.array([10.0, 10, 30, 50]), mask=filled([10, 10, 30, 50]))
+    record = replace(image("a"), instances=(crowd, own))
+    labels, counts = truths([record], CATEGORIES, ["Person", "Car"], task)
+    assert counts == {"crowds": 1} | ({"objects_without_oriented_box": 1} if task == "obb" else {})
+    boxes = [[10, 10, 30, 50], [110, 20, 130, 60], [140, 20, 160, 60], [110, 20, 130, 60]]
+    corners = [corners_of_box(np.array(b, np.float64)) for b in boxes] if task == "obb" else None
+    masks = [filled(b) for b in boxes] if task == "segment" else None
+    found = detections(boxes, [0.9, 0.8, 0.7, 0.6], [0, 0, 0, 1], corners, masks)
+    people, cars = judge(labels, {"test/a.png": found}, 2, task)
+    assert people.objects.sum() == 1
+    assert people.right[0, 0].tolist() == [True, False, False]
+    assert people.neutral[0, 0].tolist() == [False, True, True]
+    assert not cars.neutral.any()
+    assert not cars.objects.any()
+    assert coco_precisions(labels, {"test/a.png": found}, np.arange(2), 2, task)[0, 0] == pytest.approx(1)
+    left, counts = truths([record], CATEGORIES, ["Person", "Car"], task, ignore_regions=False)
+    assert counts["crowds_left_out"] == 1
+    assert len(left[0].classes) == 1
 
 
 def test_sizes_are_of_the_longer_side_and_others_are_ignored() -> None:

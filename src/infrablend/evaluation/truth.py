@@ -58,6 +58,11 @@ def image_key(image: ImageRecord) -> str:
     return f"{image.split}/{image.name}"
 
 
+def is_crowd(instance: Instance) -> bool:
+    """COCO's `iscrowd`: a region of many objects of a class, none of them told apart."""
+    return bool(instance.extra.get("iscrowd") == 1)
+
+
 def truths(
     images: Iterable[ImageRecord],
     categories: Sequence[Category],
@@ -74,7 +79,8 @@ def truths(
         classes: Names of the categories judged; objects of others are left out.
         task: What is compared. Oriented boxes: an object without one has its plain box. Masks: an object without one
             can be neither found nor missed, so that its box is a region to ignore for its class.
-        ignore_regions: Use regions of ignored categories; else they are left out.
+        ignore_regions: Use regions of ignored categories, and COCO's crowds as regions of their class; else both are
+            left out.
     """
     number = {name: k for k, name in enumerate(classes)}
     regions = {c.name for c in categories if c.ignore}
@@ -85,7 +91,11 @@ def truths(
             raise ValueError(f"{image.id}: size_wh must be known")
         objects: list[tuple[Instance, int, bool]] = []
         for i in image.instances:
-            if i.category in number:
+            if i.category in number and is_crowd(i):
+                counts["crowds" if ignore_regions else "crowds_left_out"] += 1
+                if ignore_regions:
+                    objects.append((i, number[i.category], True))
+            elif i.category in number:
                 lacking = task == "segment" and i.mask is None
                 counts["objects_without_mask"] += lacking
                 counts["objects_without_oriented_box"] += task == "obb" and i.corners_xy is None
@@ -138,6 +148,7 @@ def fingerprint(images: Iterable[ImageRecord]) -> str:
                     np.round(i.box_xyxy, 6).tolist(),
                     None if i.corners_xy is None else np.round(i.corners_xy, 6).tolist(),
                     None if i.mask is None else i.mask.counts,
+                    *(["crowd"] if is_crowd(i) else []),
                 ]
                 for i in image.instances
             ],

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 import time
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend import __version__
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, output_error, replace_atomically, write_bytes, write_json, write_text
 from infrablend.errors import DatasetError, ModelError, OutputError, Problem
 from infrablend.evaluation.bootstrap import LEVEL, MEASURES, draw_images, drawn_figures, interval, paired
@@ -35,6 +37,7 @@ from infrablend.evaluation.matching import ClassMatches, match_all, size_bins
 from infrablend.evaluation.precision import RECALLS, average_precisions, operating_point, precision_by_recall
 from infrablend.evaluation.strata import image_strata
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, match_classes, truths
+from infrablend.formats.base import few
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.pictures import read_size
 from infrablend.report.evaluation import draw_plots, evaluation_page
@@ -63,7 +66,7 @@ class EvaluationReport:
     Attributes:
         out: The folder.
         metrics: As in `evaluation.json`.
-        problems: Warnings.
+        problems: Warnings, and as errors the labels and pictures of the split that could not be read.
         seconds: Wall-clock time.
     """
 
@@ -126,8 +129,10 @@ def evaluate_detector(
     entries = _check_out(out, overwrite)
     theirs = None if against is None else _read_judged(against)
     problems: list[Problem] = []
+    rejected = _rejected(dataset, split)
     images = _sized([i for i in dataset.images if i.split == split], problems)
     if not images:
+        problems += few(rejected)
         where, n = f"{dataset.root.name}, split {split}", {s: sum(i.split == s for i in dataset.images) for s in SPLITS}
         there = ", ".join(f"{s} {k}" for s, k in n.items() if k) or "no images in any split"
         todo = "name another --split" if any(n.values()) else "check the dataset with `infrablend inspect`"
@@ -137,6 +142,8 @@ def evaluate_detector(
     judged = _classes(dataset, images, classes, source.classes, problems)
     if source.saved is not None:
         source.saved = _on_images(source.saved, images, weights, problems)
+    else:
+        problems += source.unreadable(images)
     grouping = _groups(images, group, problems)
     errors = [p for p in problems if p.severity == "error"]
     if errors:
@@ -146,6 +153,12 @@ def evaluate_detector(
     names = tuple(judged)
     labels, counts = truths(images, dataset.categories, names, chosen, ignore_regions=ignore_regions)
     problems += _label_warnings(names, labels, counts)
+    if rejected:
+        counts["rejected"] = len(rejected)
+        said = "; ".join(f"{p.where}: {p.found}" for p in rejected[:_SHOWN])
+        more = f" and {len(rejected) - _SHOWN} more" if len(rejected) > _SHOWN else ""
+        found = f"{len(rejected)} labels or pictures could not be read and are not judged: {said}{more}"
+        problems += [Problem("labels", "labels-rejected", found, severity="warning"), *rejected]
     if not any((~t.ignore).any() for t in labels):
         raise DatasetError(
             f"{dataset.root.name}, split {split}: no object of {', '.join(names)}",
@@ -153,11 +166,12 @@ def evaluate_detector(
         )
     key = fingerprint(images)
     if theirs is not None:
-        _require_same(theirs, key, chosen, ignore_regions, len(images), against or out)
+        same = _Compared(split, len(images), key, chosen, ignore_regions, group)
+        _require_same(theirs[0], same, against or out)
 
     with claimed_folder(out, "another evaluation is writing here"):
-        _clear(out, entries)
         predictions = source.predict(images, image_size, on_image)
+        _clear(out, entries)
         write_predictions(out / PREDICTIONS, predictions)
         class_of = class_numbers(judged, len(predictions.classes))
         _count_foreign(predictions, class_of, names, counts, problems)
@@ -222,6 +236,14 @@ class _Source:
         except (DatasetError, ModelError) as error:
             problems += error.problems
 
+    def unreadable(self, images: Sequence[ImageRecord]) -> list[Problem]:
+        """The pictures that weights could not be run on."""
+        if self._detector is None:
+            return []
+        from infrablend.training.predict import check_pictures
+
+        return check_pictures([i for i in images if i.size_wh is not None])  # others are told of already
+
     def predict(
         self, images: Sequence[ImageRecord], image_size: int, on_image: Callable[[int, int], None] | None
     ) -> Predictions:
@@ -247,6 +269,31 @@ def _task(wanted: str | None, source: _Source, problems: list[Problem]) -> Task:
 
 
 _FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segment": "masks"}
+
+
+_SPLIT_WORDS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+    "testing": "test",
+}  # fmt: skip
+
+
+def _rejected(dataset: Dataset, split: str) -> list[Problem]:
+    """What the reader could not use of the split: its errors, but for those that surely are of another split.
+
+    An error says the file alone. Its split is that of the folder it lies in, of the picture of its name, or, of JSON
+    for many pictures, the one in its name, as in `instances_val2017.json`.
+    """
+    of_stem: dict[str, set[str]] = {}
+    for image in dataset.images:
+        of_stem.setdefault(PurePosixPath(image.name).stem, set()).add(image.split)
+
+    def splits(p: Problem) -> set[str]:
+        path = PurePosixPath(p.where.partition(": ")[0])
+        folders: set[str] = {_SPLIT_WORDS[f.lower()] for f in path.parts[:-1] if f.lower() in _SPLIT_WORDS}
+        words = re.split(r"[^a-z]+", path.stem.lower()) if path.suffix == ".json" else []
+        return folders or of_stem.get(path.stem) or {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS} or {split}
+
+    return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
 
 
 def _sized(images: Sequence[ImageRecord], problems: list[Problem]) -> list[ImageRecord]:
@@ -287,6 +334,18 @@ def _classes(
         todo = f"judge the classes that both have with --classes {','.join(both)}" if both else "give other weights"
         found_text = f"the detector has no class {', '.join(lacking)} (it has {_few(detector)})"
         problems.append(Problem("classes", "class-absent", found_text, "every class that is judged", todo))
+    for k, name in enumerate(detector):
+        rivals = [n for n, of in mapping.items() if k in of]
+        judged = [n for n in rivals if n in there] or rivals[:1]
+        for n in [n for n in rivals if n not in judged]:  # it takes no findings from a class that has objects
+            mapping[n] = ()
+            found_text = f"{n}: no objects, and found as the detector's {name}, as {judged[0]} is: not judged"
+            problems.append(Problem("labels", "class-left-out", found_text, severity="warning"))
+        if len(judged) > 1:
+            found_text = f"{' and '.join(judged)} are both found as the detector's {name}"
+            pairs = " ".join(f"--rename {n}={judged[0]}" for n in judged[1:])
+            todo = f"make them one class with `infrablend convert {pairs}`, or choose with --classes {judged[0]}"
+            problems.append(Problem("classes", "class-shared", found_text, "a class of its own for each", todo))
     others = [n for k, n in enumerate(detector) if not any(k in of for of in mapping.values())]
     if others:
         found_text = f"{_few(others)}: findings of {'this class' if len(others) == 1 else 'these classes'} are left out"
@@ -333,14 +392,9 @@ def _on_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, pr
 
 
 def _groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:
-    """The group of each image. Pictures that were made of one background in several configurations are one."""
+    """The group of each image. One background in several configurations, and itself, are one."""
     if by == "image":
-        names = []
-        for image in images:
-            facts = facts_from_name(image.name)
-            made = facts is not None and facts.configuration is not None
-            names.append(f"frame {facts.frame}" if facts is not None and made else image_key(image))
-        return tuple(names)
+        return _frames(images)
     kind = next(b for b in BYS if b == by)
     try:
         groups = group_images(images, kind)
@@ -350,6 +404,26 @@ def _groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> 
         return ()
     of = {image_key(i): name for name, group in groups.items() for i in group}
     return tuple(of[image_key(i)] for i in images)
+
+
+_CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+)+$", re.ASCII)
+
+
+def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
+    """The frame that each image shows: its own key, or a name for all that were made of it, and for the original."""
+    backgrounds, made = [], []
+    for image in images:
+        key = PurePosixPath(image_key(image))
+        background = _CONFIGURATION.sub("", key.stem)
+        backgrounds.append(str(key.with_name(background)))
+        made.append(background != key.stem)
+    sizes = Counter(backgrounds)
+    names = {b: f"frame {b}" for b, m in zip(backgrounds, made, strict=True) if m and sizes[b] > 1}
+    for image, background in zip(images, backgrounds, strict=True):
+        facts = facts_from_name(image.name)
+        if facts is not None and facts.configuration is not None:  # its number is the frame's in the whole dataset
+            names[background] = f"frame {facts.frame}"
+    return tuple(names.get(b, image_key(i)) for i, b in zip(images, backgrounds, strict=True))
 
 
 def _masks_todo(task: Task) -> str:
@@ -367,6 +441,8 @@ def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mappi
         "objects_without_mask": "objects without mask: neither found nor missed, their boxes are ignored",
         "objects_without_oriented_box": "objects without oriented box: their plain boxes are taken",
         "ignore_regions": "regions to ignore: what is found in them counts neither way",
+        "crowds": "crowds (iscrowd): no objects; what is found of their class in them counts neither way",
+        "crowds_left_out": "crowds (iscrowd) left out: no objects; what is found in them counts against the detector",
     }
     for key, text in told.items():
         if counts.get(key):
@@ -530,9 +606,7 @@ def compare_evaluations(
     """Two evaluations on the same images and labels, by class: the difference, its interval; see `api.compare`."""
     record, judged = _read_judged(ours)
     other = _read_judged(theirs)
-    settings = record["settings"]
-    key, images = record["dataset"]["labels_sha256"], record["dataset"]["images"]
-    _require_same(other, key, record["task"], settings["ignore_regions"], images, theirs)
+    _require_same(other[0], _Compared.of(record), theirs)
     if classes is not None:
         numbers = match_classes(judged.classes, classes)
         unknown = [name for name, of in numbers.items() if not of]
@@ -560,24 +634,46 @@ def _paired_facts(
     }
 
 
-def _require_same(
-    other: tuple[Mapping[str, Any], Judged], key: str, task: str, ignore_regions: bool, images: int, where: Path
-) -> None:
-    record = other[0]
+@dataclass(frozen=True)
+class _Compared:
+    """What two evaluations must have in common."""
+
+    split: str
+    images: int
+    labels: str
+    task: str
+    ignore_regions: bool
+    group: str
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> _Compared:
+        """From `evaluation.json`."""
+        data, settings = record["dataset"], record["settings"]
+        return cls(
+            data["split"], data["images"], data["labels_sha256"],
+            record["task"], settings["ignore_regions"], settings["group"],
+        )  # fmt: skip
+
+
+def _require_same(record: Mapping[str, Any], ours: _Compared, where: Path) -> None:
+    theirs = _Compared.of(record)
     problems = []
 
     def differ(what: str, found: object, expected: object, todo: str) -> None:
         problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
 
-    theirs = record["dataset"]
-    if theirs["images"] != images:
-        differ("images", theirs["images"], images, "evaluate both on the same split of the same dataset")
-    elif theirs["labels_sha256"] != key:
+    if theirs.split != ours.split:
+        differ("split", theirs.split, ours.split, "give both the same --split")
+    elif theirs.images != ours.images:
+        differ("images", theirs.images, ours.images, "evaluate both on the same split of the same dataset")
+    elif theirs.labels != ours.labels:
         differ("labels", "others, or of other images", "the same", "evaluate both on the same split and labels")
-    if record["task"] != task:
-        differ("task", record["task"], task, "give both the same --task")
-    if record["settings"]["ignore_regions"] != ignore_regions:
-        differ("ignored regions", record["settings"]["ignore_regions"], ignore_regions, "treat regions alike in both")
+    if theirs.task != ours.task:
+        differ("task", theirs.task, ours.task, "give both the same --task")
+    if theirs.ignore_regions != ours.ignore_regions:
+        differ("ignored regions", theirs.ignore_regions, ours.ignore_regions, "treat regions alike in both")
+    if theirs.group != ours.group:
+        differ("group", theirs.group, ours.group, "give both the same --group")
     if problems:
         raise DatasetError(f"{where}: not to be compared image by image", problems)
 
@@ -614,8 +710,7 @@ def _read_judged(folder: Path) -> tuple[dict[str, Any], Judged]:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
             judged = Judged(classes, matches, tuple(str(g) for g in data["groups"]))
-        known = record["dataset"]["labels_sha256"], record["dataset"]["images"], record["task"]
-        if record["settings"]["ignore_regions"] is None or None in known or record["detector"] is None:
+        if None in astuple(_Compared.of(record)) or record["detector"] is None:
             raise KeyError("settings")
     except FileNotFoundError as error:
         raise refuse(f"no {Path(str(error.filename)).name}") from error

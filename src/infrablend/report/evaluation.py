@@ -166,7 +166,8 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
             parts += [f"<h2>By {_e(title)}</h2>", _stratum_table(strata, facts["classes"])]
         if f"{kind}.png" in plots:
             parts.append(_image(plots[f"{kind}.png"], title))
-    notes = [p["found"] for p in facts["problems"]]
+    # What could not be read, an error each, is in one warning together.
+    notes = [p["found"] for p in facts["problems"] if p["severity"] == "warning"]
     if notes:
         parts += ["<h2>To know</h2><ul>", *(f"<li>{_e(n)}</li>" for n in notes), "</ul>"]
     told = {k: v for k, v in detector.items() if k != "classes"}

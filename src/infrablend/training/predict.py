@@ -23,6 +23,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
+from infrablend.formats.pictures import read_size
 from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
 from infrablend.training.weights import require_ultralytics
 
@@ -188,7 +189,7 @@ def predict(
         on_image: Called with how many of how many are done.
 
     Raises:
-        DatasetError: Pictures that cannot be read, all of them named.
+        DatasetError: Pictures that cannot be read, all of them named. After the first one nothing more is detected.
         ModelError: Memory does not even hold one picture.
     """
     at_once = batch or (4 if detector.facts["device"] == "cpu" else 16)
@@ -213,6 +214,27 @@ def predict(
     return Predictions(detector.task, detector.classes, found, sizes, facts)
 
 
+def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
+    """What is wrong with pictures as far as their headers tell: a moment for all, before hours of detection."""
+    from ultralytics.utils.patches import imread
+
+    problems = []
+    for image in images:
+        size, problem = read_size(image.path, image_key(image))
+        if problem is not None:  # OpenCV reads a few kinds of file that are none of ours
+            problems += [] if imread(str(image.path), cv2.IMREAD_COLOR) is not None else [problem]
+        elif size is not None and image.size_wh is not None and sorted(size) != sorted(image.size_wh):
+            # The sides may be swapped: a tag in the file can say that it is to be turned, which decoding does.
+            problems.append(_other_size(image, size))
+    return problems
+
+
+def _other_size(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
+    assert image.size_wh is not None
+    found, expected = "{}x{} px".format(*size_wh), "{}x{} px as annotated".format(*image.size_wh)
+    return Problem(image_key(image), "image-size", found, expected)
+
+
 @dataclass(frozen=True, eq=False)
 class _Picture:
     """A picture ready for the network: (h, w, c) uint8, how much it was scaled, what was added left and on top."""
@@ -235,11 +257,13 @@ def _batches(
         picture = _read(image, detector, image_size, problems)
         if picture is None:
             continue
+        if problems:  # the findings will not be used: only the rest of what is wrong is still wanted
+            continue
         if group and (len(group) >= at_once or group[0][1].pixels.shape != picture.pixels.shape):
             yield group
             group = []
         group.append((image, picture))
-    if group:
+    if group and not problems:
         yield group
 
 
@@ -258,8 +282,7 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
         return None
     height, width = pixels.shape[:2]
     if image.size_wh is not None and image.size_wh != (width, height):
-        found, expected = f"{width}x{height} px", f"{image.size_wh[0]}x{image.size_wh[1]} px as annotated"
-        problems.append(Problem(image_key(image), "image-size", found, expected))
+        problems.append(_other_size(image, (width, height)))
         return None
     return fit_picture(pixels, image_size, detector.stride)
 
