@@ -566,7 +566,7 @@ def train(
         task: detect, obb or segment.
         weights: Where to start: a file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's own published
             weights if they can be had, else from scratch.
-        device: auto, cpu, cuda, or the number of a GPU.
+        device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
         seed: Of weights, order, augmentation and tiles.
         settings: Fields of the preset set otherwise (`{"passes": 4000}`), and arguments of Ultralytics.
         classes: Train on these classes only.
@@ -604,13 +604,15 @@ def plan_train(
     task: str = "detect",
     settings: Mapping[str, Any] | None = None,
     classes: Sequence[str] | None = None,
-    gpu: bool = False,
+    device: str = "auto",
+    seed: int = 0,
     format: str | None = None,
     options: Mapping[str, str] | None = None,
 ) -> TrainPlan:
     """What `train` would do: images, epochs, time, disk. Nothing is written."""
+    chosen = choose_preset(preset, settings or {})
     found = read_dataset(dataset, format=format, options=options)
-    return plan_training(found, choose_preset(preset, settings or {}), task=task, classes=classes, gpu=gpu)
+    return plan_training(found, chosen, task=task, classes=classes, device=device, seed=seed)
 
 
 def default_workers() -> int:

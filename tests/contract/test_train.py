@@ -8,17 +8,24 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
+from dataclasses import replace
+from importlib import metadata
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
 from infrablend import api
-from infrablend.errors import DatasetError, FetchError, MissingDependencyError, OutputError, RenderError
+from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.pipeline import train as pipeline
-from infrablend.training import weights
+from infrablend.training import trainer, weights
+from infrablend.training.environment import quiet_ultralytics
 from infrablend.training.presets import PRESETS
 from infrablend.training.trainer import Turns
 
@@ -54,6 +61,14 @@ def yolo(
     lines = [*(f"{s}: images/{s}" for s in splits), "names:", *(f"  {i}: {n}" for i, n in enumerate(names))]
     (root / "data.yaml").write_text("\n".join(lines) + "\n")
     return root
+
+
+def zipped() -> bytes:
+    """What begins and ends as a file of weights does."""
+    held = BytesIO()
+    with zipfile.ZipFile(held, "w") as file:
+        file.writestr("data.pkl", b"x" * 50)
+    return held.getvalue()
 
 
 SMOKE = {"preset": "smoke", "weights": "scratch", "device": "cpu"}
@@ -127,6 +142,15 @@ def test_the_gate_stops_where_ultralytics_would_drop_a_label(ultralytics, tmp_pa
     assert json.loads((tmp_path / "out" / "train.json").read_text())["status"] == "failed"
 
 
+@pytest.mark.slow
+def test_the_gate_looks_at_val_where_val_decides(ultralytics, tmp_path):
+    data = yolo(tmp_path / "data", {"train": 4, "val": 2})
+    doubled = data / "labels" / "val" / "0.txt"
+    doubled.write_text(doubled.read_text() * 2)
+    with pytest.raises(DatasetError, match="2 images and 6 labels of split val"):
+        api.train(data, tmp_path / "out", settings={"tile": 0, "patience": 3}, **SMOKE)
+
+
 def test_everything_wrong_with_a_dataset_is_said_at_once_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
     data = yolo(tmp_path / "data", {"val": 2, "test": 1}, names=("car", "drone", "deer"))
@@ -161,6 +185,233 @@ def test_settings_that_cannot_be():
     # However many images: as many epochs, as many shown in each, and all of them at least once.
     assert PRESETS["small"].epochs_for(700) == PRESETS["small"].epochs_for(15_000) == (20, 800)
     assert PRESETS["small"].epochs_for(100_000) == (20, 5008)
+    for name, settings, where in (
+        ("small", {"batch": 0, "image_size": 0, "tile": 0, "model": ""},
+         ["--set batch", "--set image_size", "--set model"]),
+        ("small", {"passes": 0}, ["--set passes"]),
+        ("smoke", {"epochs": 0, "passes": 0}, ["--set epochs --set passes"]),
+        ("smoke", {"epochs": True}, ["--set epochs"]),
+    ):  # fmt: skip
+        with pytest.raises(OutputError) as caught:
+            pipeline.choose_preset(name, settings)
+        assert [p.where for p in caught.value.problems] == where
+
+
+def test_arguments_that_ultralytics_would_refuse_are_refused_before_anything_is_made(ultralytics, tmp_path):
+    data = yolo(tmp_path / "data", {"train": 1})
+    before = dict(os.environ)
+    for settings, said in (({"lr": 0.1}, "not a valid YOLO argument"), ({"lr0": "much"}, "invalid type str")):
+        with pytest.raises(OutputError, match=said):
+            api.train(data, tmp_path / "out", settings=settings, **SMOKE)
+    pipeline._require_arguments(pipeline.choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
+    assert dict(os.environ) == before
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_on_the_command_line_are_numbers():
+    from infrablend.cli.train import _value
+
+    assert [_value("lr0", v) for v in ("1e-3", "2", "yolov8s", "true")] == [0.001, 2, "yolov8s", True]
+    with pytest.raises(typer.BadParameter, match="lr0"):
+        _value("lr0", "[1")
+
+
+def test_labels_that_could_not_be_read_are_not_left_out_in_silence(tmp_path, monkeypatch):
+    monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
+    bad = "0 0.5 0.5 0.1 0.1\n1 0.5 0.5 0.1 0.2\n0 nan 0.5 0.1 0.1\n"
+    data = yolo(tmp_path / "data", {"train": 25}, rows=bad)
+    for call in (lambda: api.train(data, tmp_path / "out", device="cpu"), lambda: api.plan_train(data, device="cpu")):
+        with pytest.raises(DatasetError, match="25 labels or pictures could not be read") as caught:
+            call()
+        assert "infrablend convert" in caught.value.message
+        assert "first 20" in caught.value.message
+        assert len(caught.value.problems) == 20
+        assert all("labels/train" in p.where and p.found and p.expected for p in caught.value.problems)
+    api.convert(data, tmp_path / "clean", to="coco")
+    plan = api.plan_train(tmp_path / "clean", device="cpu")
+    assert (plan.images, plan.labels) == (25, 50)
+
+
+def test_a_plan_says_what_is_shown_and_where(ultralytics, tmp_path, monkeypatch):
+    import torch
+
+    data = yolo(tmp_path / "data", {"train": 4})
+    plan = api.plan_train(data, device="cpu")
+    assert (plan.images, plan.shown, plan.epochs, plan.tiled, plan.device) == (4, 800, 20, True, "cpu")
+    assert plan.disk_bytes > 4 * 3.2e6 * 6
+    assert api.plan_train(data, device="cpu", settings={"model": "yolov8x"}).disk_bytes > 1.6e9
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    fast = api.plan_train(data)
+    assert fast.device == "0"
+    assert fast.seconds < plan.seconds
+    with pytest.raises(OutputError, match="finds 2 GPUs"):
+        api.plan_train(data, device="cuda:2")
+
+
+def test_devices(ultralytics, tmp_path, monkeypatch):
+    import torch
+
+    for wrong, said in (("foo", "no such device"), ("cuda:", "no such"), ("0,1", "several GPUs"),
+                        ("cuda:0,1", "such as 0"), ("-1", "no such device"), ("", "no such device")):  # fmt: skip
+        with pytest.raises(OutputError, match=said):
+            pipeline._device(wrong)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    names = ("auto", "cpu", "cuda", "cuda:0", "cuda:1", "1")
+    assert [pipeline._device(n) for n in names] == ["0", "cpu", "0", "0", "1", "1"]
+    with pytest.raises(OutputError, match="finds 2 GPUs, numbered from 0"):
+        api.train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="7")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert pipeline._device("auto") == "cpu"
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    with pytest.raises(OutputError, match="does not have it"):
+        pipeline._device("mps")
+
+
+def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
+    """The trainer's process replaced by what it says."""
+
+    def watch(command, log, take):
+        for event in said:
+            take(event)
+        job = json.loads(Path(command[-1]).read_text())
+        (Path(job["out"]) / "checkpoint.new").write_bytes(b"x")
+        if weights_there:
+            (Path(job["out"]) / "weights.pt").write_bytes(b"x")
+        return code, stopped
+
+    monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(pipeline, "_watch", watch)
+
+
+END = {"event": "end", "epochs": 1, "precision": "float32", "batch": 3, "short_of_memory": False, "threads": 1,
+       "versions": {}}  # fmt: skip
+
+
+def test_a_stop_when_all_is_done_stops_nothing(tmp_path, monkeypatch):
+    data = yolo(tmp_path / "data", {"train": 2})
+    events(monkeypatch, END, code=-15, stopped=True)
+    report = api.train(data, tmp_path / "out", **SMOKE)
+    assert report.record["status"] == "complete"
+    assert report.record["sessions"][0]["end"] == "end"
+    assert report.record["batch"] == 3
+    assert "there are 3 images" in report.record["note"]
+    assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "weights.pt"]
+
+
+def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
+    data = yolo(tmp_path / "data", {"train": 2})
+    call = {"settings": {"epochs": 9}, **SMOKE}
+    events(monkeypatch, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted, match="before the first of 9 epochs"):
+        api.train(data, tmp_path / "out", **call)
+    events(monkeypatch, {"event": "epoch", "epoch": 4}, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted, match="after epoch 4 of 9"):
+        api.train(data, tmp_path / "out", resume=True, **call)
+    events(monkeypatch, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted, match="after epoch 4 of 9"):
+        api.train(data, tmp_path / "out", resume=True, **call)
+    events(monkeypatch, {"event": "damaged", "message": "bad"}, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted, match="before the first"):
+        api.train(data, tmp_path / "out", resume=True, **call)
+    assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["begun_anew"] == "bad"
+
+
+def test_a_record_that_cannot_be_read_is_begun_anew_when_asked(tmp_path, monkeypatch, caplog):
+    data = yolo(tmp_path / "data", {"train": 2})
+    events(monkeypatch, END)
+    out = tmp_path / "out"
+    for option in ("resume", "overwrite"):
+        api.train(data, out, overwrite=out.exists(), **SMOKE)
+        (out / "train.json").write_text("")
+        (out / "checkpoint.pt").write_bytes(b"old")
+        with pytest.raises(OutputError, match="cannot be read"):
+            api.train(data, out, **SMOKE)
+        caplog.clear()
+        assert api.train(data, out, **{option: True}, **SMOKE).record["status"] == "complete"
+        assert "begins anew" in caplog.text
+        assert not (out / "checkpoint.pt").exists()
+    # Somebody's own folder stays what it is.
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "train.json").write_text("")
+    with pytest.raises(OutputError, match="no training"):
+        api.train(data, tmp_path / "mine", overwrite=True, **SMOKE)
+
+
+def test_going_on_asks_for_the_same_data_and_not_the_same_place(tmp_path, monkeypatch):
+    data = yolo(tmp_path / "data", {"train": 2, "test": 1})
+    out = tmp_path / "out"
+    events(monkeypatch, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted):
+        api.train(data, out, **SMOKE)
+    data = data.rename(tmp_path / "moved")
+    (data / "labels" / "test" / "0.txt").write_text("")  # not trained on
+    with pytest.raises(Interrupted):
+        api.train(data, out, resume=True, **SMOKE)
+    labels = data / "labels" / "train" / "0.txt"
+    was = labels.read_text()
+    labels.write_text(was.replace("1 0.", "0 0."))
+    with pytest.raises(OutputError, match="other labels or pictures"):
+        api.train(data, out, resume=True, **SMOKE)
+    labels.write_text(was)
+    Image.fromarray(np.full((240, 320), 9, np.uint8)).save(data / "images" / "train" / "1.png")
+    with pytest.raises(OutputError, match="other labels or pictures"):
+        api.train(data, out, resume=True, **SMOKE)
+    # Records of earlier versions know the place alone.
+    record = json.loads((out / "train.json").read_text())
+    del record["content"]
+    (out / "train.json").write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="data: "):
+        api.train(data, out, resume=True, **SMOKE)
+
+
+def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
+    import torch
+
+    said = []
+    checkpoint = tmp_path / "checkpoint.pt"
+    assert trainer._begun(checkpoint, torch, None) == 0
+    torch.save({"epoch": 4}, checkpoint)
+    assert trainer._begun(checkpoint, torch, None) == 5
+    whole = checkpoint.read_bytes()
+    (tmp_path / "run").mkdir()
+    for broken in (b"", whole[: len(whole) // 2], b"no checkpoint"):
+        checkpoint.write_bytes(broken)
+        assert trainer._begun(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"]))) == 0
+        assert (tmp_path / trainer.DAMAGED).read_bytes() == broken
+        assert not checkpoint.exists()
+        assert said.pop()[0] == "damaged"
+    assert not (tmp_path / "run").exists()  # nothing of what cannot be gone on with
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_turns_stay_with_their_epoch_when_the_loader_is_begun_anew(ultralytics, tmp_path, workers):
+    with quiet_ultralytics():
+        from ultralytics.data.build import InfiniteDataLoader
+
+    class Base:
+        def get_dataloader(self, mode: str = "train") -> Any:
+            return InfiniteDataLoader(
+                dataset=range(7), batch_size=2, shuffle=True, num_workers=workers, collate_fn=list
+            )
+
+        def _close_dataloader_mosaic(self) -> None:
+            pass
+
+    job = trainer.Job("", str(tmp_path), "detect", "", "cpu", 4, 2, 32, 0, seed=3, images=7, labels=7, shown=6)
+    t = trainer.with_turns(Base, job, 1)()
+    loader = t.get_dataloader()
+    shown = []
+    for t.epoch in (1, 2, 3):
+        if t.epoch == 2:  # as Ultralytics does inside the epoch
+            t._close_dataloader_mosaic()
+            loader.reset()
+        shown.append([int(i) for batch in loader for i in batch])
+    loader.close()
+    assert shown == [list(Turns(7, 6, seed=3, epoch=e)) for e in (1, 2, 3)]
+    assert trainer.with_turns(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
 
 
 def test_turns_walk_through_all_images_again_and_again():
@@ -195,6 +446,18 @@ def test_without_ultralytics_it_is_said_what_to_install(tmp_path):
     assert 'pip install "infrablend[train]"' in done.stdout
 
 
+def test_an_ultralytics_that_is_too_old_is_said(ultralytics, tmp_path, monkeypatch):
+    data = yolo(tmp_path / "d", {"train": 1})
+    for version in ("8.3.0", "8.4.189"):
+        monkeypatch.setattr(metadata, "version", lambda name, v=version: v)
+        with pytest.raises(MissingDependencyError, match=rf"{version} is installed; expected 8\.4\.190 or later"):
+            api.train(data, tmp_path / "out", **SMOKE)
+    assert not (tmp_path / "out").exists()
+    for version in ("8.4.190", "8.10", "9.0.0rc1"):
+        monkeypatch.setattr(metadata, "version", lambda name, v=version: v)
+        weights.require_ultralytics()
+
+
 def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
     small = PRESETS["small"]
     assert weights.find_start("scratch", small, "obb").model == "yolov8n-obb.yaml"
@@ -209,20 +472,39 @@ def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
         with pytest.raises(FetchError):
             weights.find_start(name, small, "detect", tmp_path / "cache")
     (tmp_path / "cache").mkdir()
-    (tmp_path / "cache" / "yolov8n.pt").write_bytes(b"x")
+    cached = tmp_path / "cache" / "yolov8n.pt"
+    for broken in (b"", b"<html>log in first</html>", zipped()[:60]):
+        cached.write_bytes(broken)
+        start = weights.find_start("auto", small, "detect", tmp_path / "cache")
+        assert start.kind == "scratch"
+        assert "no whole file of weights and is deleted" in start.why
+        assert not cached.exists()
+    cached.write_bytes(zipped())
     assert weights.find_start("auto", small, "detect", tmp_path / "cache").kind == "published"
+    # No request is made for what can be no name, and no file outside the cache is touched.
+    other = tmp_path / "other.pt"
+    other.write_bytes(b"of somebody else")
+    for name in ("my best.pt", "x" * 300 + ".pt", "a\nb.pt", "é.pt", "..pt"):
+        with pytest.raises(FetchError, match="no such file"):
+            weights.find_start(name, small, "detect", tmp_path / "cache")
+    start = weights.find_start("auto", replace(small, model="../other"), "detect", tmp_path / "cache")
+    assert (start.kind, other.read_bytes()) == ("scratch", b"of somebody else")
 
 
-def test_a_download_that_breaks_off_leaves_nothing_behind(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("length", "body", "said"),
+    [(1000, b"half", "run the command again"), (19, b"<html>hello</html>\n", "19 bytes that begin '<html>")],
+)
+def test_a_download_that_is_no_weights_leaves_nothing_behind(tmp_path, monkeypatch, length, body, said):
     import http.server
     import threading
 
     class Broken(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(200)
-            self.send_header("Content-Length", "1000")
+            self.send_header("Content-Length", str(length))
             self.end_headers()
-            self.wfile.write(b"half")
+            self.wfile.write(body)
 
         def log_message(self, *args: object) -> None:
             pass
@@ -231,8 +513,9 @@ def test_a_download_that_breaks_off_leaves_nothing_behind(tmp_path, monkeypatch)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         monkeypatch.setattr(weights, "_ADDRESS", f"http://127.0.0.1:{server.server_port}/{{name}}")
-        with pytest.raises(FetchError, match="run the command again"):
+        with pytest.raises(FetchError, match=said):
             weights.find_start("yolov8n.pt", PRESETS["small"], "detect", tmp_path / "cache")
+        assert said in weights.find_start("auto", PRESETS["small"], "detect", tmp_path / "cache").why
     finally:
         server.shutdown()
         server.server_close()

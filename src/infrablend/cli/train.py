@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-import yaml
 
 from infrablend.cli.options import DatasetArgument, FormatOption, JsonOption, ReadingOption, comma_list, key_values
+from infrablend.core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -48,7 +49,7 @@ def train(
         ),
     ] = "auto",
     classes: Annotated[str | None, typer.Option(metavar="A,B", help="Only these classes [default: all].")] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda, or a GPU's number.")] = "auto",
+    device: Annotated[str, typer.Option(help="auto, cpu, mps, cuda, or one GPU: cuda:1 or 1.")] = "auto",
     seed: Annotated[int, typer.Option(help="Of weights, order, augmentation and tiles.")] = 0,
     setting: Annotated[
         list[str] | None,
@@ -71,7 +72,7 @@ def train(
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import human_bytes, human_seconds, say, say_json, table
 
-    settings: dict[str, Any] = {k: yaml.safe_load(v) for k, v in key_values(setting, "--set").items()}
+    settings = {k: _value(k, v) for k, v in key_values(setting, "--set").items()}
     chosen: dict[str, Any] = {
         "preset": preset.value,
         "task": task.value,
@@ -81,17 +82,17 @@ def train(
         "options": key_values(reading, "--read"),
     }
     if plan:
-        p = api.plan_train(dataset, gpu=device not in ("auto", "cpu"), **chosen)
+        p = api.plan_train(dataset, device=device, seed=seed, **chosen)
         rows = {
-            "images per epoch": str(p.images),
+            "tiles" if p.tiled else "images": str(p.images),
             "labels": str(p.labels),
-            "epochs": str(p.epochs),
+            "epochs": f"{p.epochs} of {p.shown} images shown",
+            "device": p.device if p.device in ("cpu", "mps") else f"GPU {p.device}",
             "time, about": human_seconds(p.seconds),
-            "disk": human_bytes(p.disk_bytes),
+            "disk, about": human_bytes(p.disk_bytes),
         }
         if as_json:
-            say_json({"images": p.images, "labels": p.labels, "epochs": p.epochs, "seconds": p.seconds,
-                      "disk_bytes": p.disk_bytes})  # fmt: skip
+            say_json(asdict(p))
         else:
             say(table(rows))
         return
@@ -123,3 +124,10 @@ def train(
         rows["labels left out"] = ", ".join(f"{k} {n}" for k, n in r["left_out"].items())
     say(table(rows))
     say(str(report.weights))
+
+
+def _value(key: str, text: str) -> Any:
+    try:
+        return read_yaml(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{key}={text}: {error}", param_hint="--set") from error

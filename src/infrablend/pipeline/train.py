@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
+import logging
 import platform
 import shutil
 import subprocess
@@ -13,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +25,29 @@ from infrablend import __version__
 from infrablend.annotation.classes import drop_classes
 from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.files import claimed_folder, output_error, write_json
+from infrablend.core.files import claimed_folder, output_error, part_path, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem, RenderError
 from infrablend.execution.interrupt import Interruption
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
-from infrablend.training import presets, tiles, trainer, weights
+from infrablend.pipeline.stages import content_of
+from infrablend.training import environment, presets, tiles, trainer, weights
 from infrablend.training.presets import PRESETS, Preset
 
 RECORD = "train.json"
 LOG = "train.log"
+JOB = "job.json"
 DATA = "data"
+_NEW = Path(trainer.CHECKPOINT).with_suffix(".new").name
 # Labels that would be missing in what is trained on: nobody who trains wants that.
 _FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
 _PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
+_LEAST = {"image_size": 1, "batch": 1}
+# Rejected labels and pictures that an error names; it says how many there are.
+_REJECTED_SHOWN = 20
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -60,11 +71,25 @@ class TrainReport:
 
 @dataclass(frozen=True)
 class TrainPlan:
-    """What a training would do: `images` (pictures or tiles) per epoch, `epochs`, `seconds`, `disk_bytes`."""
+    """What a training would do.
+
+    Attributes:
+        images: Pictures, or tiles cut from them, that are trained on.
+        labels: Labels of the train split.
+        epochs: At most so many.
+        shown: Images shown in an epoch.
+        tiled: Whether `images` are tiles.
+        device: As Ultralytics names it.
+        seconds: About so long.
+        disk_bytes: About so much at once.
+    """
 
     images: int
     labels: int
     epochs: int
+    shown: int
+    tiled: bool
+    device: str
     seconds: float
     disk_bytes: int
 
@@ -81,34 +106,55 @@ def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
     fields = {k: v for k, v in settings.items() if k in _PRESET_FIELDS}
     arguments = {k: v for k, v in settings.items() if k not in _PRESET_FIELDS}
     problems = [
-        Problem(f"--set {k}", "setting-malformed", repr(v), "a name" if k == "model" else "a whole number from 0 up")
+        Problem(
+            f"--set {k}", "setting-malformed", repr(v),
+            "a name" if k == "model" else f"a whole number from {_LEAST.get(k, 0)} up",
+        )
         for k, v in fields.items()
-        if not (isinstance(v, str) if k == "model" else type(v) is int and v >= 0)
-    ]
+        if not (isinstance(v, str) and v if k == "model" else type(v) is int and v >= _LEAST.get(k, 0))
+    ]  # fmt: skip
     if problems:
         raise OutputError("settings of the training", problems)
     if fields.get("epochs"):
         fields.setdefault("passes", 0)
     elif fields.get("passes"):
         fields.setdefault("epochs", 0)
-    return replace(preset, **fields, arguments={**preset.arguments, **arguments})
+    chosen = replace(preset, **fields, arguments={**preset.arguments, **arguments})
+    if not (chosen.epochs or chosen.passes):
+        where = " ".join(f"--set {k}" for k in ("epochs", "passes") if k in settings)
+        problem = Problem(where, "setting-malformed", "neither epochs nor passes", "one of them from 1 up")
+        raise OutputError("settings of the training", [problem])
+    return chosen
 
 
 def plan_training(
-    dataset: Dataset, preset: Preset, *, task: str, classes: Sequence[str] | None, gpu: bool
+    dataset: Dataset, preset: Preset, *, task: str, classes: Sequence[str] | None, device: str = "auto", seed: int = 0
 ) -> TrainPlan:
-    """What `train_dataset` would do, without doing it."""
+    """What `train_dataset` would do, without doing it; what it would refuse is refused here too."""
+    chosen = _device(device, planning=True)
     wanted, _ = _wanted(dataset, preset, task, classes)
-    train = [i for i in wanted.images if i.split == "train"]
+    return _plan(wanted, preset, chosen, seed)
+
+
+def _plan(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPlan:
+    parts = {s: [i for i in wanted.images if i.split == s] for s in ("train", "val")}
     if preset.tile:
-        found = tiles.plan_tiles(train, preset.tile, seed=0, most=preset.tiles)
-        images, size = len(found), len(found) * preset.tile**2
+        cut = {s: tiles.plan_tiles(p, preset.tile, seed=seed, most=_most(preset, s)) for s, p in parts.items()}
+        images, size = len(cut["train"]), sum(len(c) for c in cut.values()) * preset.tile**2
     else:
-        images, size = len(train), sum(i.path.stat().st_size for i in train if i.path.is_file())
-    labels = sum(len(i.instances) for i in train)
-    seconds = presets.estimate_seconds(preset, images, gpu=gpu, cores=available_cores())
-    # Checkpoint, weights and Ultralytics' own two files.
-    return TrainPlan(images, labels, preset.epochs_for(images)[0], seconds, size + 120_000_000)
+        images, size = len(parts["train"]), sum(i.path.stat().st_size for i in wanted.images if i.path.is_file())
+    labels = sum(len(i.instances) for i in parts["train"])
+    epochs, shown = preset.epochs_for(images)
+    return TrainPlan(
+        images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, device=device,
+        seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", cores=available_cores()),
+        disk_bytes=round(size + presets.weights_bytes(preset)),
+    )  # fmt: skip
+
+
+def _most(preset: Preset, split: str) -> int:
+    """At most so many tiles of a split; 0: all."""
+    return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
 
 
 def train_dataset(
@@ -133,42 +179,46 @@ def train_dataset(
         preset: How, see `choose_preset`.
         task: detect, obb or segment.
         start: See `weights.find_start`.
-        device: `auto`, `cpu`, `cuda`, or a number of a GPU.
+        device: `auto`, `cpu`, `mps`, `cuda`, or one GPU as `cuda:1` or `1`.
         seed: Of weights, order, augmentation and tiles.
         classes: Only these; others are left out and counted.
-        resume: Go on from the last checkpoint; a finished training is left as it is.
+        resume: Go on from the last checkpoint; a finished training is left as it is. Refused if labels or pictures
+            are others than when it was begun; where they lie does not matter.
         overwrite: Delete an earlier training in `out` first.
         on_progress: Told the images passed.
 
     Raises:
-        MissingDependencyError: Ultralytics or torch is not installed.
-        DatasetError: The dataset cannot be trained on: splits, classes, labels that would be lost.
+        MissingDependencyError: Ultralytics or torch is not installed, or too old.
+        DatasetError: The dataset cannot be trained on: splits, classes, labels that would be lost or that its reader
+            rejected.
         OutputError: The folder, the disk, or a setting.
         RenderError: The trainer failed; its log says why.
         Interrupted: Stopped; `resume` goes on.
     """
     weights.require_ultralytics()
     chosen = _device(device)
+    _require_arguments(preset)
     wanted, left_out = _wanted(dataset, preset, task, classes)
     with claimed_folder(out, "another training is at work here; wait for it, or give another folder"):
         record = _begin(out, resume, overwrite)
         asked = {
             "preset": preset.name, "task": task, "seed": seed, "settings": dataclasses.asdict(preset),
             "classes": [c.name for c in wanted.categories], "data": str(dataset.root.resolve()), "start_asked": start,
+            "content": _content(wanted, task),
         }  # fmt: skip
         if record is not None:
             _require_same(out, record, asked)
             if record["status"] == "complete" and (out / trainer.WEIGHTS).is_file():
                 return TrainReport(out, out / trainer.WEIGHTS, record)
         if record is None or record.get("prepared") is None:
-            _require_space(out, wanted, preset)
+            _require_space(out, _plan(wanted, preset, chosen, seed))
             record = {
                 "infrablend": __version__, "status": "running", **asked, "left_out": left_out, "sessions": [],
                 "machine": _machine(chosen), "start": dataclasses.asdict(weights.find_start(start, preset, task)),
             }  # fmt: skip
-            write_json(out / RECORD, record)
+            write_json(out / RECORD, record, durable=True)
             record["prepared"] = _prepare(wanted, out, preset, task, seed)
-            write_json(out / RECORD, record)
+            write_json(out / RECORD, record, durable=True)
         return _run(out, record, preset, task, chosen, seed, on_progress)
 
 
@@ -211,8 +261,17 @@ def _wanted(
         problems += [Problem(f"class {k}", "mask-missing", f"{n} objects without mask", "one for each",
                              "train --task detect, or only classes with masks: --classes")
                      for k, n in bare.items()]  # fmt: skip
-    if any(p.severity == "error" for p in problems):
-        raise DatasetError(f"{dataset.root}: cannot be trained on", problems)
+    rejected = [p for p in dataset.problems if p.severity == "error"]
+    if rejected or any(p.severity == "error" for p in problems):
+        message = f"{dataset.root}: cannot be trained on"
+        if rejected:
+            shown = f"; here are the first {_REJECTED_SHOWN}" if len(rejected) > _REJECTED_SHOWN else ""
+            message += (
+                f". {len(rejected)} labels or pictures could not be read and would be missing{shown}; infrablend check "
+                f"{dataset.root} lists them: correct them, or infrablend convert {dataset.root} clean --to coco leaves "
+                "them out and counts them; then train on clean"
+            )
+        raise DatasetError(message, [*problems, *rejected[:_REJECTED_SHOWN]])
     return _sized(wanted), dict(sorted(left_out.items()))
 
 
@@ -239,26 +298,62 @@ def _sized(dataset: Dataset) -> Dataset:
     return replace(dataset, images=tuple(images))
 
 
-def _device(wanted: str) -> str:
-    """`cpu` or a GPU's number, as Ultralytics names them."""
-    if wanted == "cpu":
+def _device(wanted: str, *, planning: bool = False) -> str:
+    """`cpu`, `mps` or a GPU's number, as Ultralytics names them; for a plan without torch, `auto` is the processor."""
+    number = wanted.removeprefix("cuda:")
+    if "," in wanted:
+        raise OutputError(f"--device {wanted}: several GPUs; expected one, such as {number.partition(',')[0]}")
+    if wanted not in ("auto", "cpu", "cuda", "mps") and not (number.isascii() and number.isdigit()):
+        raise OutputError(f"--device {wanted}: no such device; expected auto, cpu, mps, cuda, or a GPU such as cuda:1")
+    if wanted == "cpu" or (planning and wanted == "auto" and find_spec("torch") is None):
         return "cpu"
+    if planning:
+        weights.require_ultralytics()
     import torch
 
-    if torch.cuda.is_available():
-        return "0" if wanted in ("auto", "cuda") else wanted
+    if wanted == "mps":
+        if torch.backends.mps.is_available():
+            return "mps"
+        raise OutputError(f"--device mps: torch {torch.__version__} does not have it here; expected --device cpu")
+    there = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if wanted == "auto":
-        return "cpu"
+        return "0" if there else "cpu"
+    index = 0 if wanted == "cuda" else int(number)
+    if index < there:
+        return str(index)
+    found = f"finds {there} GPU{'s' * (there > 1)}, numbered from 0" if there else "finds no GPU"
     raise OutputError(
-        f"--device {wanted}: torch {torch.__version__} finds no GPU; expected one, or --device cpu. "
+        f"--device {wanted}: torch {torch.__version__} {found}; expected one that is there, or --device cpu. "
         "infrablend doctor says what is there"
     )
+
+
+def _require_arguments(preset: Preset) -> None:
+    """Ultralytics' arguments that somebody set, judged by it before anything is made (not the presets': it is slow)."""
+    own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
+    given = {k: v for k, v in preset.arguments.items() if k not in own or own[k] != v}
+    wrong = environment.wrong_arguments(given) if given else ""
+    if wrong:
+        where = " ".join(f"--set {k}" for k in given)
+        raise OutputError(
+            "settings of the training",
+            [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(_PRESET_FIELDS)}) or Ultralytics' own")],
+        )
+
+
+def _content(wanted: Dataset, task: str) -> str:
+    """Digest of the labels and pictures that are trained on, wherever they lie."""
+    found = content_of(wanted)
+    if task != "segment":
+        return found
+    masks = [o.mask.to_coco() for i in wanted.images for o in i.instances if o.mask is not None]
+    return hashlib.sha256(json.dumps([found, masks], sort_keys=True).encode()).hexdigest()
 
 
 def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
     """The record of an earlier call to go on with, or None for an empty folder."""
     path = out / RECORD
-    entries = sorted(p.name for p in out.iterdir())
+    entries = sorted(p.name for p in out.iterdir() if p != part_path(path))
     if not entries:
         return None
     try:
@@ -266,32 +361,45 @@ def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
         ours = isinstance(record, dict) and "infrablend" in record and "status" in record
     except (OSError, ValueError):
         ours, record = False, None
-    if not ours:
+    damaged = not ours and RECORD in entries and JOB in entries
+    if not ours and not damaged:
         raise OutputError(f"{out}: not empty (found {', '.join(entries[:4])}) and no training; give another folder")
-    if resume:
+    if resume and not damaged:
         return record
-    if not overwrite:
+    if not (resume or overwrite):
+        what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
         raise OutputError(
-            f"{out}: holds a training ({record['status'] if record else '?'}). "
-            "--resume goes on with it, --overwrite replaces it, or give another folder."
+            f"{out}: holds a training ({what}). "
+            f"--resume {'begins it anew' if damaged else 'goes on with it'}, --overwrite replaces it, "
+            "or give another folder."
         )
+    if damaged:
+        log.warning("%s: cannot be read; the training begins anew", path)
     for name in (DATA, "tiles", "run", "ultralytics"):
         shutil.rmtree(out / name, ignore_errors=True)
-    for name in (trainer.CHECKPOINT, trainer.WEIGHTS, "job.json", LOG, RECORD):
+    for name in (trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG, RECORD):
         (out / name).unlink(missing_ok=True)
     return None
 
 
 def _require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     plain = json.loads(json.dumps(asked))
+    # What is trained on counts, not where it lies; records of earlier versions know only that.
+    plain.pop("data" if "content" in record else "content")
     other = [k for k in plain if record.get(k) != plain[k]]
     if other:
-        problems = [Problem(k, "resume-other", str(plain[k]), str(record.get(k)) + " as begun") for k in other]
+        problems = [
+            Problem(asked["data"], "resume-other",
+                    "other labels or pictures", f"those it was begun with, then in {record.get('data')}")
+            if k == "content"
+            else Problem(k, "resume-other", str(plain[k]), f"{record.get(k)} as begun")
+            for k in other
+        ]  # fmt: skip
         raise OutputError(f"{out}: was begun otherwise; give the same, or another folder", problems)
 
 
-def _require_space(out: Path, dataset: Dataset, preset: Preset) -> None:
-    need = plan_training(dataset, preset, task="detect", classes=None, gpu=False).disk_bytes * 1.5
+def _require_space(out: Path, plan: TrainPlan) -> None:
+    need = plan.disk_bytes * 1.2
     free = shutil.disk_usage(out).free
     if free < need:
         found = f"{free / 1e6:.0f} MB free"
@@ -312,8 +420,8 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
         cut: list[ImageRecord] = []
         for split in ("train", "val"):
             part = [i for i in images if i.split == split]
-            most = preset.tiles if split == "train" else min(preset.tiles or 256, 256)
-            records, found = tiles.write_tiles(tiles.plan_tiles(part, preset.tile, seed=seed, most=most), out / "tiles")
+            planned = tiles.plan_tiles(part, preset.tile, seed=seed, most=_most(preset, split))
+            records, found = tiles.write_tiles(planned, out / "tiles")
             cut += records
             counts["tiles" if split == "train" else "tiles_val"] = {"tiles": len(records), **found}
         images = cut
@@ -329,11 +437,14 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
         problems = [Problem(presets.FORMAT[task], k, f"{n} labels would be lost", "none",
                             "infrablend check says where") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: labels that the trainer would not see", problems)
-    labels = sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / "train").rglob("*.txt"))
+    labels = {s: sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))
+              for s in ("train", "val")}  # fmt: skip
     return {
         **counts,
         "images": sum(i.split == "train" for i in images),
-        "labels": labels,
+        "labels": labels["train"],
+        "images_val": sum(i.split == "val" for i in images),
+        "labels_val": labels["val"],
         "losses": dict(written.losses),
     }
 
@@ -349,15 +460,19 @@ def _run(
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, patience=preset.patience, seed=seed, images=prepared["images"],
         labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
+        val_images=prepared.get("images_val", 0) if preset.patience else 0,
+        val_labels=prepared.get("labels_val", 0) if preset.patience else 0,
     )  # fmt: skip
-    job.write(out / "job.json")
+    job.write(out / JOB)
     record |= {"status": "running", "epochs": epochs, "device": device}
-    write_json(out / RECORD, record)
-    began, cpu = time.monotonic(), 0.0
+    write_json(out / RECORD, record, durable=True)
+    began = time.monotonic()
     last: dict[str, dict[str, Any]] = {}
 
     def take(event: dict[str, Any]) -> None:
         last[event["event"]] = event
+        if event["event"] == "damaged":
+            log.warning("%s", event["message"])
         if event["event"] == "step" and on_progress is not None:
             seconds = max(time.monotonic() - began, 1e-6)
             done, total = int(event["images"]), epochs * shown
@@ -366,14 +481,15 @@ def _run(
             eta = (total - done) / pace if pace > 0 else None
             on_progress(Progress(done, total, pace, eta, {"epoch": event["epoch"]}))
 
-    code, stopped = _watch(
-        [sys.executable, "-W", "ignore", "-m", trainer.__name__, str(out / "job.json")], out / LOG, take
-    )
-    cpu = time.monotonic() - began
-    session = {"seconds": round(cpu, 1), "end": "stopped" if stopped else "end" if code == 0 else "failed",
-               "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
+    code, stopped = _watch([sys.executable, "-W", "ignore", "-m", trainer.__name__, str(out / JOB)], out / LOG, take)
+    # Once it has said so, the weights lie there: a stop that comes later stops nothing.
+    done = "end" in last and (code == 0 or stopped)
+    session: dict[str, Any] = {"seconds": round(time.monotonic() - began, 1),
+                               "end": "end" if done else "stopped" if stopped else "failed",
+                               "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
+    if "damaged" in last:
+        session["begun_anew"] = last["damaged"]["message"]
     record["sessions"] = [*record["sessions"], session]
-    done = "end" in last and code == 0
     record["status"] = "complete" if done else "interrupted" if stopped else "failed"
     if done:
         end = last["end"]
@@ -386,18 +502,31 @@ def _run(
             "gate": {k: v for k, v in last["gate"].items() if k != "event"} if "gate" in last else record.get("gate"),
         }
         if end["batch"] != preset.batch:
-            record["note"] = f"batch reduced from {preset.batch} to {end['batch']}: memory was short"
-    write_json(out / RECORD, record)
-    if stopped:
+            why = "memory was short" if end["short_of_memory"] else f"there are {prepared['images']} images"
+            record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
+    write_json(out / RECORD, record, durable=True)
+    if stopped and not done:
+        reached = _reached(record["sessions"])
+        if reached:
+            raise Interrupted(f"Stopped after epoch {reached} of {epochs}; the same command with --resume goes on.")
         raise Interrupted(
-            f"Stopped after epoch {session['epoch']} of {epochs}; the same command with --resume goes on."
+            f"Stopped before the first of {epochs} epochs had ended; the same command with --resume begins it again."
         )
     if not done:
         raise _failure(out, code, last.get("error"), preset)
     for name in (DATA, "run", "ultralytics"):  # the tiles alone are more than all the rest
         shutil.rmtree(out / name, ignore_errors=True)
-    (out / trainer.CHECKPOINT).unlink(missing_ok=True)
+    for name in (trainer.CHECKPOINT, _NEW):
+        (out / name).unlink(missing_ok=True)
     return TrainReport(out, out / trainer.WEIGHTS, record)
+
+
+def _reached(sessions: Sequence[Mapping[str, Any]]) -> int:
+    """The last epoch that ended, of sessions of which each went on where the one before ended or began anew."""
+    reached = 0
+    for s in sessions:
+        reached = max(0 if "begun_anew" in s else reached, s["epoch"])
+    return reached
 
 
 def _watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]) -> tuple[int, bool]:
@@ -462,5 +591,5 @@ def _machine(device: str) -> dict[str, Any]:
     if device != "cpu":
         import torch
 
-        found["gpu"] = torch.cuda.get_device_name(int(device.split(",")[0]))
+        found["gpu"] = torch.cuda.get_device_name(int(device)) if device.isdigit() else device
     return found

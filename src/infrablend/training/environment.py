@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -38,6 +38,29 @@ def quiet_ultralytics() -> Iterator[None]:
         yield
     finally:
         LOGGER.setLevel(before)
+
+
+def wrong_arguments(arguments: Mapping[str, Any]) -> str:
+    """What Ultralytics has against arguments of a training, in its words; empty if nothing, or if it cannot be asked.
+
+    Its import changes the environment; it is put back, so that a process started later has its own start.
+    """
+    before = dict(os.environ)
+    try:
+        with quiet_ultralytics():
+            try:
+                from ultralytics.cfg import DEFAULT_CFG_DICT, check_cfg, check_dict_alignment
+            except ImportError:
+                return ""
+            try:
+                check_dict_alignment(DEFAULT_CFG_DICT, dict(arguments))
+                check_cfg(dict(arguments))
+            except (SyntaxError, TypeError, ValueError) as error:
+                return " ".join(str(error).split()).rstrip(".")
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    return ""
 
 
 def _settle_torchvision() -> None:

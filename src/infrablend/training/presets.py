@@ -107,6 +107,19 @@ def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) 
     return 20 + epochs * shown / rate
 
 
+# Parameters of YOLOv8 by its letter, in millions; later versions have fewer.
+_PARAMETERS_M = {"n": 3.2, "s": 11.2, "m": 25.9, "l": 43.7, "x": 68.2}
+
+
+def weights_bytes(preset: Preset) -> float:
+    """About what a training's weights take on the disk at once.
+
+    That is four checkpoints (Ultralytics' last and best, ours, and ours while it is replaced) of weights and the
+    optimizer's two moments, and the final weights, all in half precision.
+    """
+    return _PARAMETERS_M.get(preset.model[-1:], _PARAMETERS_M["x"]) * 1e6 * 2 * (4 * 3 + 1)
+
+
 def tiles_expected(images: int, objects: int) -> int:
     """About so many tiles are cut from pictures with so many objects (HIT-UAV: 1.6 per picture)."""
     return images + math.ceil(0.08 * objects)

@@ -3,7 +3,8 @@
     python -m infrablend.training.trainer JOB.json
 
 writes one JSON object per line to standard output: `gate` (what Ultralytics loaded), `step` (progress), `epoch`
-(losses), `end`, or `error` with a code and a message. Ultralytics' own talk goes to standard error.
+(losses), `damaged` (a checkpoint put aside), `end`, or `error` with a code and a message.
+Ultralytics' own talk goes to standard error.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import sys
 import threading
 import time
@@ -20,10 +22,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.files import replace_atomically
 from infrablend.core.rng import stream
 from infrablend.training.environment import has_fast_bfloat16, settle_ultralytics
 
 CHECKPOINT = "checkpoint.pt"
+DAMAGED = "checkpoint.damaged.pt"
 WEIGHTS = "weights.pt"
 
 
@@ -46,6 +50,8 @@ class Job:
         labels: Labels it must have.
         shown: Images shown in an epoch; other than `images`, epochs go on in the data where the last one ended.
         arguments: Further ones for Ultralytics.
+        val_images: Images the val split must have; 0: nothing depends on it.
+        val_labels: Labels it must have.
     """
 
     data: str
@@ -62,6 +68,8 @@ class Job:
     labels: int
     shown: int
     arguments: dict[str, Any] = field(default_factory=dict)
+    val_images: int = 0
+    val_labels: int = 0
 
     def write(self, path: Path) -> None:
         """As `main` reads it."""
@@ -91,6 +99,31 @@ class Turns:
             order = stream(self.seed, "train", walk).permutation(self.images).tolist()
             start = walk * self.images
             yield from order[max(first - start, 0) : first + self.shown - start]
+
+
+def with_turns(base: Any, job: Job, begun: int) -> Any:
+    """A trainer class whose training data come in `Turns`, from epoch `begun` on, where an epoch is no walk."""
+
+    class Trainer(base):  # type: ignore[misc]
+        turns: Turns | None = None
+
+        def get_dataloader(self, *args: Any, mode: str = "train", **kwargs: Any) -> Any:
+            loader = super().get_dataloader(*args, mode=mode, **kwargs)
+            if mode == "train" and job.shown != job.images:
+                self.turns = Turns(len(loader.dataset), job.shown, job.seed, begun)
+                loader.batch_sampler.sampler.sampler = self.turns
+                object.__setattr__(loader, "sampler", self.turns)  # torch allows it to itself alone
+                if hasattr(loader, "reset"):
+                    loader.reset()  # where it has begun to load, it did so in another order
+            return loader
+
+        def _close_dataloader_mosaic(self) -> None:
+            super()._close_dataloader_mosaic()
+            if self.turns is not None:
+                # The loader is begun anew after this, in an epoch of which workers may have fetched the first batches.
+                self.turns.epoch = self.epoch
+
+    return Trainer
 
 
 def main(arguments: list[str]) -> int:
@@ -140,23 +173,15 @@ def _train(job: Job, say: Any) -> None:
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
     checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
-    begun = _epochs_done(checkpoint, torch)
+    begun = _begun(checkpoint, torch, say)
 
-    class Trainer(base):  # type: ignore[misc,valid-type]
+    class Trainer(with_turns(base, job, begun)):  # type: ignore[misc]
         """The usual one; on a processor, pixels are laid out as its convolutions like them."""
 
         def set_model_attributes(self) -> None:
             super().set_model_attributes()
             if on_cpu:
                 self.model: Any = self.model.to(memory_format=torch.channels_last)
-
-        def get_dataloader(self, *args: Any, mode: str = "train", **kwargs: Any) -> Any:
-            loader = super().get_dataloader(*args, mode=mode, **kwargs)
-            if mode == "train" and job.shown != job.images:
-                turns = Turns(len(loader.dataset), job.shown, job.seed, begun)
-                loader.batch_sampler.sampler.sampler = turns
-                object.__setattr__(loader, "sampler", turns)  # torch allows it to itself alone
-            return loader
 
     overrides: dict[str, Any] = {
         "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
@@ -172,18 +197,26 @@ def _train(job: Job, say: Any) -> None:
     state = {"steps": 0, "next": 0.0}
 
     def gate(t: Any) -> None:
-        found = t.train_loader.dataset
-        images, labels = len(found.labels), sum(len(label["cls"]) for label in found.labels)
+        images, labels = _loaded(t.train_loader)
         shown = len(t.train_loader.sampler)
-        say("gate", images=images, labels=labels, images_per_epoch=shown)
+        val = _loaded(t.test_loader) if job.val_images else (0, 0)
+        say("gate", images=images, labels=labels, images_per_epoch=shown,
+            **({"val_images": val[0], "val_labels": val[1]} if job.val_images else {}))  # fmt: skip
         if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
             raise _Stopped(
                 f"of {job.images} images and {job.labels} labels the trainer would use "
                 f"{min(images, shown * job.epochs)} and {labels}; its own log says which it left out "
                 f"({out / 'train.log'})"
             )
+        if val != (job.val_images, job.val_labels):
+            raise _Stopped(
+                f"of {job.val_images} images and {job.val_labels} labels of split val, on which it is decided when to "
+                f"stop, the trainer would use {val[0]} and {val[1]}; its own log says which it left out "
+                f"({out / 'train.log'})"
+            )
 
     def reseed(t: Any) -> None:
+        state["steps"] = 0
         # From seed and epoch alone, so that a resumed run draws what an uninterrupted one would have.
         seed = (job.seed * 100_003 + t.epoch) % 2**31
         random.seed(seed)
@@ -196,26 +229,21 @@ def _train(job: Job, say: Any) -> None:
         state["steps"] += 1
         if time.monotonic() >= state["next"]:
             state["next"] = time.monotonic() + 1.0
-            total = len(t.train_loader)
-            done = (t.epoch * total + state["steps"] % (total + 1)) * t.batch_size
+            # The loader's batch: fewer images than a batch make a smaller one.
+            done = t.epoch * job.shown + min(int(state["steps"]) * t.train_loader.batch_size, job.shown)
             losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
             say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.shown), losses=losses)
 
-    def epoch_end(t: Any) -> None:
-        state["steps"] = 0
-
     def saved(t: Any) -> None:
-        temporary = checkpoint.with_suffix(".new")
-        temporary.write_bytes(t.last.read_bytes())
-        temporary.replace(checkpoint)
-        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=t.batch_size,
+        with replace_atomically(checkpoint, beside=checkpoint.with_suffix(".new"), durable=True) as temporary:
+            temporary.write_bytes(t.last.read_bytes())
+        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=t.train_loader.batch_size,
             losses={k: round(float(v), 5) for k, v in (t.tloss or {}).items()},
             metrics={k: round(float(v), 5) for k, v in (t.metrics or {}).items()} if job.patience else {})  # fmt: skip
 
     trainer.add_callback("on_pretrain_routine_end", gate)
     trainer.add_callback("on_train_epoch_start", reseed)
     trainer.add_callback("on_train_batch_end", step)
-    trainer.add_callback("on_train_epoch_end", epoch_end)
     trainer.add_callback("on_model_save", saved)
     precision = "float32"
     with contextlib.ExitStack() as stack:
@@ -226,14 +254,37 @@ def _train(job: Job, say: Any) -> None:
             trainer.train()
     best = out / "run" / "weights" / "best.pt"
     torch_utils.strip_optimizer(best if job.patience and best.is_file() else checkpoint, weights)
+    loader = getattr(trainer, "train_loader", None)  # none where only the end was left to do
     say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,
-        batch=trainer.batch_size, threads=torch.get_num_threads(),
+        batch=min(trainer.batch_size, job.images) if loader is None else loader.batch_size,
+        short_of_memory=trainer.batch_size != job.batch, threads=torch.get_num_threads(),
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
 
 
-def _epochs_done(checkpoint: Path, torch: Any) -> int:
+def _loaded(loader: Any) -> tuple[int, int]:
+    """Images and labels that Ultralytics has taken up."""
+    found = loader.dataset.labels
+    return len(found), sum(len(label["cls"]) for label in found)
+
+
+def _begun(checkpoint: Path, torch: Any, say: Any) -> int:
+    """Epochs to go on from; a checkpoint that cannot be read is put aside, and the training begins anew."""
     if not checkpoint.is_file():
         return 0
+    try:
+        return _epochs_done(checkpoint, torch)
+    except (MemoryError, ImportError):
+        raise
+    except Exception as error:  # whatever a pickle can raise
+        aside = checkpoint.with_name(DAMAGED)
+        checkpoint.replace(aside)
+        shutil.rmtree(checkpoint.parent / "run", ignore_errors=True)
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        say("damaged", message=f"{checkpoint} cannot be read ({text}): put aside as {DAMAGED}; begun anew")
+        return 0
+
+
+def _epochs_done(checkpoint: Path, torch: Any) -> int:
     return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
 
 

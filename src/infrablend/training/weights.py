@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import http.client
+import io
+import logging
 import os
-import urllib.error
+import re
 import urllib.request
+import zipfile
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 from infrablend.core.files import write_bytes
@@ -18,6 +22,10 @@ AUTO = "auto"
 # Where Ultralytics publishes its weights.
 _ADDRESS = "https://github.com/ultralytics/assets/releases/latest/download/{name}"
 _TIMEOUT_S = 10
+# The first version that what is done here was tested with: older ones build their loaders otherwise.
+ULTRALYTICS = (8, 4, 190)
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,10 +60,12 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
     if wanted == SCRATCH:
         return Start(f"{own}.yaml", "scratch", "asked for")
     path = Path(wanted)
-    if wanted != AUTO and path.is_file():
+    if wanted != AUTO and _is_file(path):
         return Start(str(path.resolve()), "file")
     name = f"{own}.pt" if wanted == AUTO else wanted
-    if wanted != AUTO and (path.name != wanted or path.suffix != ".pt"):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.pt", name):
+        if wanted == AUTO:
+            return Start(f"{own}.yaml", "scratch", f"{name} is no name of published weights")
         raise FetchError(
             f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
         )
@@ -68,7 +78,7 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
 
 
 def require_ultralytics() -> None:
-    """Raise MissingDependencyError, saying what to install, where Ultralytics or torch is missing."""
+    """Raise MissingDependencyError, saying what to install, where Ultralytics or torch is missing or too old."""
     from importlib.util import find_spec
 
     missing = [name for name in ("ultralytics", "torch") if find_spec(name) is None]
@@ -76,6 +86,15 @@ def require_ultralytics() -> None:
         raise MissingDependencyError(
             f"{' and '.join(missing)} not installed, which training and prediction need; install with\n"
             '  pip install "infrablend[train]"\n(in a checkout: make train)'
+        )
+    try:
+        found = metadata.version("ultralytics")
+    except metadata.PackageNotFoundError:  # put on the path by hand: it cannot be asked
+        return
+    if tuple(int(n) for n in re.findall(r"\d+", found)[:3]) < ULTRALYTICS:
+        raise MissingDependencyError(
+            f"ultralytics {found} is installed; expected {'.'.join(map(str, ULTRALYTICS))} or later; upgrade with\n"
+            '  pip install --upgrade "infrablend[train]"\n(in a checkout: make train)'
         )
 
 
@@ -86,17 +105,32 @@ def _cache() -> Path:
 def _published(name: str, folder: Path) -> Path:
     """The file of that name from the cache, or downloaded whole into it."""
     path = folder / name
+    said = ""
     if path.is_file():
-        return path
+        if zipfile.is_zipfile(path):
+            return path
+        path.unlink()
+        said = f"{path} was no whole file of weights and is deleted; "
+        log.warning("%sit is downloaded anew", said)
     address = _ADDRESS.format(name=name)
+    todo = f"put the file there by hand ({path}), name a file with --weights, or train from --weights {SCRATCH}"
     try:
         with urllib.request.urlopen(address, timeout=_TIMEOUT_S) as answer:
             data = answer.read()
     except http.client.IncompleteRead as error:
-        raise FetchError(f"{address}: broke off ({error}); run the command again") from error
-    except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
+        raise FetchError(f"{said}{address}: broke off ({error}); run the command again") from error
+    except (OSError, http.client.HTTPException) as error:
+        raise FetchError(f"{said}{address}: {getattr(error, 'reason', None) or error!r}; {todo}") from error
+    if not zipfile.is_zipfile(io.BytesIO(data)):  # a page of a proxy that asks for a password, say
+        start = repr(data[:20].decode("utf-8", "replace"))
         raise FetchError(
-            f"{address}: {getattr(error, 'reason', error)}; put the file there by hand ({path}), "
-            "name a file with --weights, or train from --weights scratch"
-        ) from error
-    return write_bytes(path, data)
+            f"{said}{address}: {len(data)} bytes that begin {start}; expected weights (a zip file); {todo}"
+        )
+    return write_bytes(path, data, durable=True)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, say
+        return False
