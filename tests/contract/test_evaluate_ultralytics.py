@@ -252,3 +252,44 @@ def test_weights_that_cannot_be_used(tmp_path: Path) -> None:
     assert "cuda:7" in done.stderr
     assert not (tmp_path / "out").exists()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "torn.pt"]
+
+
+@pytest.mark.slow
+def test_pictures_that_cannot_be_read_are_told_first_and_an_earlier_evaluation_stays(tmp_path: Path) -> None:
+    data, out, weights = tmp_path / "data", tmp_path / "out", tmp_path / "weights.pt"
+    (data / "images" / "test").mkdir(parents=True)
+    rng = stream(0, "broken pictures")
+    names = [f"{k}.{suffix}" for k, suffix in enumerate(["png", "png", "png", "png", "bmp", "png"])]
+    for name in names:
+        Image.fromarray(rng.integers(0, 256, (64, 96), np.uint8)).save(data / "images" / "test" / name)
+    top = {
+        "categories": [{"id": 1, "name": "person"}],
+        "images": [{"id": k, "file_name": n, "width": 96, "height": 64} for k, n in enumerate(names)],
+        "annotations": [{"id": k, "image_id": k, "category_id": 1, "bbox": [5, 5, 20, 40]} for k in range(len(names))],
+    }
+    (data / "annotations").mkdir()
+    (data / "annotations" / "test.json").write_text(json.dumps(top))
+    made = python("-c", MAKE_WEIGHTS, "detect", weights)
+    assert made.returncode == 0, made.stderr
+    evaluate(weights, data, out, "--image-size", "64")
+    before = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()}
+
+    def refused() -> str:
+        done = python("-m", "infrablend", "-q", "evaluate", weights, data, "--out", out, "--overwrite",
+                      "--bootstrap", "0", "--image-size", "64")  # fmt: skip
+        assert done.returncode == 2, done.stderr
+        assert {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()} == before
+        return done.stderr
+
+    whole = {n: (data / "images" / "test" / n).read_bytes() for n in names}
+    # The header is there, the pixels are not; nothing tells but decoding.
+    (data / "images" / "test" / "4.bmp").write_bytes(whole["4.bmp"][:2000])
+    assert "1 of 6 pictures cannot be used" in refused()
+    (data / "images" / "test" / "1.png").write_bytes(b"no picture")
+    (data / "images" / "test" / "3.png").write_bytes(whole["3.png"][:2000])
+    Image.fromarray(np.zeros((32, 96), np.uint8)).save(data / "images" / "test" / "5.png")
+    told = refused()
+    assert "cannot be evaluated" in told  # before the first picture is detected on
+    for name in ("test/1.png", "test/3.png", "test/5.png: 96x32 px"):
+        assert name in told
+    assert "test/0.png" not in told

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import ImageRecord
@@ -23,7 +25,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures import PICTURE_FORMATS, read_size
 from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
 from infrablend.training.weights import require_ultralytics
 
@@ -215,18 +217,32 @@ def predict(
 
 
 def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
-    """What is wrong with pictures as far as their headers tell: a moment for all, before hours of detection."""
+    """What is wrong with pictures as far as headers and PNG's checksums tell, before hours of detection."""
     from ultralytics.utils.patches import imread
 
     problems = []
     for image in images:
         size, problem = read_size(image.path, image_key(image))
-        if problem is not None:  # OpenCV reads a few kinds of file that are none of ours
+        problem = problem or _torn(image)
+        if problem is not None:  # OpenCV reads some that others do not, and it is what counts
             problems += [] if imread(str(image.path), cv2.IMREAD_COLOR) is not None else [problem]
         elif size is not None and image.size_wh is not None and sorted(size) != sorted(image.size_wh):
             # The sides may be swapped: a tag in the file can say that it is to be turned, which decoding does.
             problems.append(_other_size(image, size))
     return problems
+
+
+def _torn(image: ImageRecord) -> Problem | None:
+    """A problem if the file ends too soon or has wrong checksums, where its format tells without decoding."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(image.path, formats=PICTURE_FORMATS) as picture:
+                picture.verify()
+    except Exception as error:  # PIL's decoders raise what they like on broken files
+        found = f"no readable picture ({error or type(error).__name__})"
+        return Problem(image_key(image), "image-unreadable", found, "a whole picture", "replace or remove the file")
+    return None
 
 
 def _other_size(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
