@@ -34,6 +34,24 @@ def test_a_full_disk_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Monk
     assert path.read_text() == "old" and not part_path(path).exists()
 
 
+def test_what_must_outlast_a_power_cut_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch) -> None:
+    path, seen = tmp_path / "f.json", []
+    monkeypatch.setattr(os, "fsync", lambda handle: seen.append((os.fstat(handle).st_ino, path.exists())))
+    write_bytes(path, b"x")
+    assert seen == []
+    path.unlink()
+    write_bytes(path, b"y", durable=True)
+    assert seen == [(path.stat().st_ino, False), (tmp_path.stat().st_ino, True)]
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match="No space"):
+        write_bytes(path, b"z", durable=True)
+    assert path.read_bytes() == b"y"
+
+
 def test_a_folder_in_the_way_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("a file")
     with pytest.raises(OutputError, match="cannot write"):

@@ -472,7 +472,7 @@ def _run(
     def take(event: dict[str, Any]) -> None:
         last[event["event"]] = event
         if event["event"] == "damaged":
-            log.warning("%s", event["message"])
+            log.warning("%s: %s", out, event["message"])
         if event["event"] == "step" and on_progress is not None:
             seconds = max(time.monotonic() - began, 1e-6)
             done, total = int(event["images"]), epochs * shown

@@ -279,8 +279,8 @@ def _begun(checkpoint: Path, torch: Any, say: Any) -> int:
         aside = checkpoint.with_name(DAMAGED)
         checkpoint.replace(aside)
         shutil.rmtree(checkpoint.parent / "run", ignore_errors=True)
-        text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        say("damaged", message=f"{checkpoint} cannot be read ({text}): put aside as {DAMAGED}; begun anew")
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
+        say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): put aside as {DAMAGED}; begun anew")
         return 0
 
 
