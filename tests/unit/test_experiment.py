@@ -49,13 +49,16 @@ class Bench:
             "seed": said["seed"],
             "classes": names,
             "settings": json.loads(json.dumps(api._preset(said["preset"], said["settings"]))),
+            "start_asked": said["weights"],
             "prepared": {
+                "images": 8,
                 "pictures": {"train": len(images)},
                 "objects": {"train": {n: k for n, k in objects.items() if k}},
             },
             "start": {"model": "yolov8n.yaml", "kind": "scratch", "why": ""},
             "device": "cpu",
             "passes": 8,
+            "epochs": 1,
             "epochs_done": 1,
             "seconds": 1.5,
         }
@@ -503,14 +506,27 @@ def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench,
     other = tmp_path / "other"
     other.mkdir()
     (other / "weights.pt").write_text("x")
-    record["seed"], record["prepared"]["pictures"]["train"] = 7, 99
+    record["seed"], record["prepared"]["pictures"]["train"], record["start_asked"] = 7, 99, "scratch"
+    record["passes"] = 4000
     (other / "train.json").write_text(json.dumps(record))
     with pytest.raises(DatasetError) as caught:
         run("hit-uav-drone", data, tmp_path / "third", adopt={**adopt, "train:aligned": other})
-    assert {p.where for p in caught.value.problems} == {"train:aligned, seed", "train:aligned, images"}
+    assert {p.where for p in caught.value.problems} == {
+        "train:aligned, seed", "train:aligned, images", "train:aligned, weights", "train:aligned, images shown",
+    }  # fmt: skip
     with pytest.raises(DatasetError) as caught:
         run("hit-uav-drone", data, tmp_path / "fourth", seed=1, adopt={"generate:aligned": generated / "out"})
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
+
+
+def test_an_unfinished_run_leaves_a_complete_page_alone(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    report = run("hit-uav-drone", data, work)
+    before = report.page.read_bytes()
+    again = run("hit-uav-drone", data, work, seed=5, only=["source"])
+    assert (again.status, again.page.name) == ("unfinished", report.page.stem + "-unfinished.md")
+    assert report.page.read_bytes() == before
+    assert f"[{again.page.stem}.json]" in again.page.read_text("utf-8")
 
 
 # Conclusions and the page.

@@ -122,6 +122,10 @@ def convert_dataset(
     loosened = 0
     if loosen > 1:
         images, loosened = _loosened(images, loosen)
+        if not loosened:
+            none = Problem("--loosen-inserted", "loosen-none", "no object that is marked as inserted", "some",
+                           "convert a run's coco folder, which has the mark")  # fmt: skip
+            raise DatasetError(f"{dataset.root}: no box to make loose", [none])
     if not images:
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)

@@ -36,6 +36,7 @@ from infrablend.pipeline import stages
 from infrablend.pipeline.stages import Made, Setting, Stage, plain
 from infrablend.report import results
 from infrablend.report.card import WORLD_FILE
+from infrablend.training.predict import pick_device
 
 log = logging.getLogger(__name__)
 
@@ -325,7 +326,7 @@ class _Builder:
         if self.skipped(name, [spec.data]):
             return
         inputs = {
-            "preset": dict(self.setting.tools.preset(self.setting.scale, {**self.setting.training, **spec.settings})),
+            "preset": dict(self.setting.tools.preset(self.setting.scale, {**spec.settings, **self.setting.training})),
             "scale": self.setting.scale,
             "seed": self.setting.seed,
             "task": spec.task,
@@ -452,32 +453,50 @@ def plan_experiment(experiment: Experiment, graph: Graph, setting: Setting) -> E
 
 
 def _measured(work: Path) -> dict[tuple[str, str], float]:
-    """Seconds per image of finished stages in the work folder, by kind and scale."""
+    """Seconds per image (shown, if trained on) of finished stages in the work folder, by kind and network."""
     found: dict[tuple[str, str], list[float]] = {}
     for path in sorted(work.glob(f"*/*/{stages.RECORD}")):
         record = stages.read_stage(path.parent) or {}
         if record.get("status") != "complete":
             continue
-        result, seconds = record["result"], float(record["seconds"])
-        kind, scale = str(record["kind"]), str(record["inputs"].get("scale", ""))
-        if kind == "train":  # passes are fixed by the preset, or bounded: a training costs about what the last did
-            found.setdefault((kind, scale), []).append(float(result["record"].get("seconds") or seconds))
-        elif kind == "evaluate":
-            images = int(result["metrics"]["classes"].get("all", {}).get("images") or 0)
-            found.setdefault((kind, scale), []).append(seconds / max(images, 1))
-        elif kind == "world":
-            found.setdefault((kind, scale), []).append(seconds / max(sum(result["images"].values()), 1))
+        with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):  # no record of ours
+            result, seconds = record["result"], float(record["seconds"])
+            kind, images = str(record["kind"]), 0
+            if kind == "train":
+                seconds, images = float(result["record"]["seconds"]), int(result["record"]["passes"])
+            elif kind == "evaluate":
+                images = int(result["metrics"]["classes"]["all"]["images"])
+            elif kind == "world":
+                images = sum(result["images"].values())
+            if images:
+                found.setdefault((kind, _like(record["inputs"])), []).append(seconds / images)
     return {k: sum(v) / len(v) for k, v in found.items()}
+
+
+def _like(inputs: Mapping[str, Any]) -> str:
+    """What a training's time for an image hangs on; nothing for other stages."""
+    preset = inputs.get("preset") or {}
+    return " ".join(str(preset[k]) for k in ("model", "image_size") if k in preset)
+
+
+def _on_gpu(device: str) -> bool:
+    """Whether a network would run on one."""
+    if device == "cpu":
+        return False
+    try:
+        return pick_device(device) != "cpu"
+    except InfraBlendError:  # nothing can be trained here at all, which is said elsewhere
+        return False
 
 
 def _seconds(stage: Stage, rates: Mapping[tuple[str, str], float], setting: Setting) -> float:
     images = sum(stage.images.values())
-    known = rates.get((stage.kind, str(stage.inputs.get("scale", ""))))
+    known = rates.get((stage.kind, _like(stage.inputs)))
     if stage.kind == "train":
-        if known is not None:
-            return known
-        gpu = setting.device not in ("cpu", "auto")
-        settings = {**setting.training, **stage.spec.settings}
+        if known is not None and (passes := stage.inputs["preset"].get("passes")):
+            return START_S + passes * known
+        gpu = _on_gpu(setting.device)
+        settings = {**stage.spec.settings, **setting.training}
         return setting.tools.training_seconds(setting.scale, settings, stage.images.get("train", 0), gpu)
     if known is not None:
         return START_S + images * known
@@ -486,7 +505,7 @@ def _seconds(stage: Stage, rates: Mapping[tuple[str, str], float], setting: Sett
     if stage.kind == "generate":
         return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
     if stage.kind == "evaluate":
-        return START_S + images * PREDICT_S["gpu" if setting.device not in ("cpu", "auto") else "cpu"]
+        return START_S + images * PREDICT_S["gpu" if _on_gpu(setting.device) else "cpu"]
     if stage.kind == "compare":
         return COMPARE_S * (0.1 if setting.scale == "smoke" else 1.0)
     return images * COPY_S
@@ -707,7 +726,7 @@ def gather(
                 "images": _images(s, done.get(s.id)),
                 "seconds": done[s.id].record["seconds"] if s.id in done else None,
                 "status": "complete" if s.id in done else "missing" if s.id in needed else "not needed",
-                "adopted": done[s.id].result.get("adopted") if s.id in done else None,
+                **{k: done[s.id].result.get(k) if s.id in done else None for k in ("adopted", *_LOOSE)},
             }
             for s in graph.stages
         ],
@@ -818,6 +837,7 @@ _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "status", "adopted",
 )  # fmt: skip
+_LOOSE = ("boxes_loosened", "loosened_by")
 _FIGURES = ("images", "instances", *METRICS)
 
 

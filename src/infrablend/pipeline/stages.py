@@ -39,6 +39,7 @@ from infrablend.pipeline.plan import fingerprint, make_plan
 from infrablend.pipeline.record import sha256_of
 from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.select import Selection, select
+from infrablend.training.presets import Preset
 
 RECORD = "stage.json"
 # Raised where a kind comes to make something else of the same inputs: its old results are then not taken.
@@ -245,7 +246,8 @@ def _source(stage: Stage, out: Path, before: Mapping[str, Made], setting: Settin
     limits = stage.inputs.get("limits") or {}
     facts = facts_of(dataset)
     if all(facts["images"].get(s, 0) <= n for s, n in limits.items()):
-        return {**facts, "whole": facts["images"]} | ({} if stage.path else {"dataset": _relative(out, path)})
+        stand_in = {} if stage.path else {"dataset": _relative(out, path), "there": [_relative(out, path)]}
+        return {**facts, "whole": facts["images"], **stand_in}
     _fresh(out)
     part = replace(dataset, images=tuple(some_of(dataset, limits)))
     convert_dataset(part, "coco", out)
@@ -343,8 +345,11 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
                 continue
         images += select(part, wanted)[0].images if part.images and wanted else part.images
     dataset = replace(dataset, images=tuple(images))
-    convert_dataset(dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only, loosen=spec.loosen)
-    return {**facts_of(setting.tools.read_dataset(out)), "dataset": "out", "there": ["out"]}
+    report = convert_dataset(
+        dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only, loosen=spec.loosen
+    )
+    loosened = {k: report.counts[k] for k in ("boxes_loosened", "loosened_by") if k in report.counts}
+    return {**facts_of(setting.tools.read_dataset(out)), **loosened, "dataset": "out", "there": ["out"]}
 
 
 def _shows(part: Dataset, category: str | None) -> bool:
@@ -502,8 +507,13 @@ def _adopted_training(stage: Stage, before: Mapping[str, Made], folder: Path) ->
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(stage.inputs["classes"] or data["classes"])
     labels = {k: n for k, n in data["labels"].get("train", {}).items() if k in classes and n}
+    epochs, shown = _length(asked, prepared.get("images") or 0)
+    early = bool(asked.get("patience"))
     pairs = {
         "status": (record.get("status"), "complete"),
+        "weights": (record.get("start_asked"), stage.inputs["weights"]),
+        "epochs": (record.get("epochs"), epochs),
+        "images shown": (record.get("passes"), record.get("passes") if early else epochs * shown),
         "task": (record.get("task"), stage.inputs["task"]),
         "seed": (record.get("seed"), stage.inputs["seed"]),
         "settings": (settings, json.loads(json.dumps(asked))),
@@ -513,6 +523,11 @@ def _adopted_training(stage: Stage, before: Mapping[str, Made], folder: Path) ->
     }
     _require_alike(stage.id, folder, pairs)
     return record
+
+
+def _length(preset: Mapping[str, Any], images: int) -> tuple[int, int]:
+    """Epochs of a training, and images shown in each."""
+    return Preset(**{"summary": "", **preset}).epochs_for(images)
 
 
 def _require_run(stage: Stage, before: Mapping[str, Made], setting: Setting, folder: Path) -> None:

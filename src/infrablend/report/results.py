@@ -49,6 +49,8 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
     # In the order in which the JSON has it: the page follows from that alone.
     facts = json.loads(json.dumps(facts, sort_keys=True))
     stem = page_name(facts["experiment"], facts["scale"])
+    if facts["status"] != "complete" and _is_complete(out / f"{stem}.json"):
+        stem += "-unfinished"  # what is complete stays
     kept = {k: v for k, v in facts.items() if k != "evaluations"}
     kept["evaluations"] = {n: _without_curves(e) for n, e in facts["evaluations"].items()}
     plots = [(f"{stem}_{name}.svg", title, svg) for name, title, svg in draw_plots(facts)]
@@ -58,9 +60,17 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
         if old.name not in {name for name, _, _ in plots}:
             old.unlink()  # of an earlier, fuller or other run
     write_json(out / f"{stem}.json", kept)
-    page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots]))
+    page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
     write_text(out / INDEX_FILE, index_text(out))
     return page
+
+
+def _is_complete(path: Path) -> bool:
+    try:
+        facts = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(facts, dict) and facts.get("status") == "complete"
 
 
 def _without_curves(evaluation: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,8 +80,9 @@ def _without_curves(evaluation: Mapping[str, Any]) -> dict[str, Any]:
 # The page.
 
 
-def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = ()) -> str:
-    """The page, Markdown."""
+def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
+    """The page, Markdown; `stem` is the name of its files."""
+    stem = stem or page_name(facts["experiment"], facts["scale"])
     blocks = [f"# {facts['title']}", facts["description"]]
     blocks += [facts["about"]] if facts["about"] else []
     blocks.append(_head(facts))
@@ -106,7 +117,6 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = ()) -
         blocks += ["## The same by Ultralytics' own code", _ultralytics(facts["evaluations"])]
     blocks += _strata(facts["evaluations"], facts["strata_class"])
     blocks += ["## Stages", _stages(facts["stages"]), "## Where it ran", _where(facts)]
-    stem = page_name(facts["experiment"], facts["scale"])
     blocks.append(f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).")
     return "\n\n".join(blocks) + "\n"
 
@@ -326,6 +336,19 @@ def differences(facts: Mapping[str, Any]) -> list[str]:
     for name, t in facts["trainings"].items():
         seen.setdefault(_training(t), []).append(name)
     lines += [f"Detector {', '.join(names)}: {text}" for text, names in seen.items()]
+    starts = {n: (t.get("start") or {}).get("kind") for n, t in facts["trainings"].items()}
+    if len(set(starts.values())) > 1:
+        which = ", ".join(f"{n} {kind}" for n, kind in sorted(starts.items()))
+        lines.append(f"**The detectors did not start alike, so their differences say little**: {which}.")
+    loose: dict[float, int] = {}
+    for s in facts["stages"]:
+        if s.get("boxes_loosened"):
+            loose[s["loosened_by"]] = loose.get(s["loosened_by"], 0) + s["boxes_loosened"]
+    lines += [
+        f"Boxes of {n:,} inserted objects to train on are {by:g} times as wide and as high as the objects, as the "
+        "source's annotators draw them; oriented boxes, masks and pictures are as they were."
+        for by, n in sorted(loose.items())
+    ]
     if facts["trainings"]:
         lines.append(
             "Paper: YOLOv8s, learning rate 0.002, batch 64, 640 px, at most 1000 epochs, patience 100; optimizer and "
@@ -361,7 +384,9 @@ def _training(record: Mapping[str, Any]) -> str:
     if record.get("seconds"):
         parts.append(f"trained in {_time(record['seconds'])}")
     if record.get("adopted"):
-        parts.append("trained by a command of its own and taken over: settings, seed, images and labels agree")
+        parts.append(
+            "trained by a command of its own and taken over: settings, seed, numbers of images and labels agree"
+        )
     return "; ".join(parts) + "."
 
 
