@@ -494,7 +494,7 @@ def _seconds(stage: Stage, rates: Mapping[tuple[str, str], float], setting: Sett
     known = rates.get((stage.kind, _like(stage.inputs)))
     if stage.kind == "train":
         if known is not None and (passes := stage.inputs["preset"].get("passes")):
-            return START_S + passes * known
+            return START_S + float(passes) * known
         gpu = _on_gpu(setting.device)
         settings = {**stage.spec.settings, **setting.training}
         return setting.tools.training_seconds(setting.scale, settings, stage.images.get("train", 0), gpu)
