@@ -824,8 +824,8 @@ def evaluate(
 
 
 def compare_evaluations(
-    ours: str | Path,
-    theirs: str | Path,
+    ours: str | Path | Sequence[str | Path],
+    theirs: str | Path | Sequence[str | Path],
     *,
     classes: Sequence[str] | None = None,
     bootstrap: int = 1000,
@@ -834,8 +834,9 @@ def compare_evaluations(
     """Two evaluations on the same images, by class: the difference of mAP50 and mAP50-95 with its interval.
 
     Args:
-        ours: Folder that `evaluate` wrote.
-        theirs: Another one, on the same images and labels.
+        ours: Folder that `evaluate` wrote; or several, of detectors trained alike but for the seed: their mean is
+            compared, and the interval holds what another seed would change.
+        theirs: Another one, or several, on the same images and labels.
         classes: Those to compare; all that both judged by default.
         bootstrap: Draws of the images (or groups, as `ours` was made with), the same for both.
         seed: Of the draws.
@@ -846,7 +847,8 @@ def compare_evaluations(
     """
     from infrablend.pipeline import evaluate as judging
 
-    return judging.compare_evaluations(Path(ours), Path(theirs), classes=classes, bootstrap=bootstrap, seed=seed)
+    first, second = ([Path(s)] if isinstance(s, str | Path) else [Path(p) for p in s] for s in (ours, theirs))
+    return judging.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
 
 
 def make_world(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -246,16 +247,57 @@ def test_pairs_on_the_same_images() -> None:
     first, second = judge(labels, better, 3), judge(labels, found, 3)
     weights = draw_images([t.key for t in labels], 200, 0)
     names = ("Person", "Car", "Bicycle")
-    same = paired(second, second, names, weights)
+    same = paired([second], [second], names, weights)
     assert same["all"]["map50"]["difference"] == 0
     assert same["all"]["map50"]["ci"] == [0, 0]
     assert same["all"]["map50"]["same_sign"] == 1
-    gain = paired(first, second, names, weights)
-    loss = paired(second, first, names, weights)
+    gain = paired([first], [second], names, weights)
+    loss = paired([second], [first], names, weights)
     for name in ("all", *names):
         assert gain[name]["map50_95"]["ci"][0] > 0
         assert gain[name]["map50_95"]["same_sign"] == 1
         assert loss[name]["map50_95"]["difference"] == -gain[name]["map50_95"]["difference"]
+
+
+def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
+    """The interval of means holds the spread of the detectors; detectors that are alike add none."""
+    labels, found = made_up(80, "detect")
+
+    def seen(share: float) -> Any:
+        """Detections that find a share of the objects."""
+        rng = np.random.default_rng(int(1000 * share))
+        kept = {}
+        for t in labels:
+            which = ~t.ignore & (rng.random(len(t.classes)) < share)
+            kept[t.key] = detections(t.boxes_xyxy[which], np.full(which.sum(), 0.9), t.classes[which])
+        return judge(labels, kept, 3)
+
+    weights = draw_images([t.key for t in labels], 500, 0)
+    names = ("Person", "Car", "Bicycle")
+    low, middle, high = seen(0.5), seen(0.6), seen(0.7)
+    base = judge(labels, found, 3)
+    one = paired([middle], [base], names, weights)
+    alike = paired([middle, middle, middle], [base, base], names, weights)
+    for name in ("all", *names):
+        for key, value in one[name]["map50"].items():
+            assert alike[name]["map50"][key] == pytest.approx(value)
+    three = paired([low, middle, high], [base], names, weights)
+    for name in ("all", *names):
+        of = [paired([d], [base], names, weights)[name]["map50"]["ours"] for d in (low, middle, high)]
+        assert three[name]["map50"]["ours"] == pytest.approx(np.mean(of))
+        assert three[name]["map50"]["difference"] == pytest.approx(np.mean(of) - one[name]["map50"]["theirs"])
+
+    def width(found: Any) -> float:
+        ci = found["all"]["map50"]["ci"]
+        return float(ci[1] - ci[0])
+
+    # The two sources of spread add up as squares: the images' and that of a mean of three detectors.
+    figures = [paired([d], [base], names, weights)["all"]["map50"]["ours"] for d in (low, middle, high)]
+    of_seeds = 2 * 1.96 * np.std(figures, ddof=1) / np.sqrt(3)
+    of_images = np.mean([width(paired([d], [base], names, weights)) for d in (low, middle, high)])
+    assert width(three) == pytest.approx(np.hypot(of_seeds, of_images), rel=0.15)
+    assert width(three) > 1.3 * of_images
+    assert paired([low, middle, high], [base], names, weights, seed=1) != three
 
 
 def test_confusion_by_hand() -> None:

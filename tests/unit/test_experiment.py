@@ -31,6 +31,7 @@ class Bench:
     def __init__(self) -> None:
         self.trained: list[Path] = []
         self.judged: list[Path] = []
+        self.compared: list[tuple[int, int]] = []
         self.stop: Callable[[str], None] = lambda what: None
 
     def train(self, dataset: Path, out: Path, **said: Any) -> Any:
@@ -91,8 +92,9 @@ class Bench:
         (Path(out) / "predictions.json").write_text("{}")
         return SimpleNamespace(out=Path(out), metrics=metrics)
 
-    def compare(self, ours: Path, theirs: Path, **said: Any) -> Any:
-        a, b = (json.loads((Path(p) / "evaluation.json").read_text())["classes"] for p in (ours, theirs))
+    def compare(self, ours: list[Path], theirs: list[Path], **said: Any) -> Any:
+        self.compared.append((len(ours), len(theirs)))
+        a, b = (json.loads((p[0] / "evaluation.json").read_text())["classes"] for p in (ours, theirs))
         both = [n for n in a if n in b]
         found = {n: {k: a[n][k] - b[n][k] for k in ("map50", "map50_95")} for n in both}
         return {
@@ -393,6 +395,37 @@ def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, 
     assert status["train:aligned"] == "done" and status["train:fixed"] == "to do"
     small = api.plan_experiment("pitch-alignment", data, work, scale="small").facts
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
+
+
+def test_the_same_with_other_seeds(bench: Bench, data: Path, tmp_path: Path) -> None:
+    """`reseed` makes another training of the same data; a comparison of several says so on the page."""
+    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav.yaml").read_text()
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(text.replace(": [small]", ": [small, smoke]").replace("scales: [small]", "scales: [small, smoke]"))
+    one = keys(str(mine), data, tmp_path)
+    assert len({one[f"train:{n}"] for n in ("original", "original-1", "original-2")}) == 3
+    assert one["train:original"] == keys("hit-uav", data, tmp_path)["train:original"]  # as if there were no others
+
+    report = run(str(mine), data, tmp_path / "work")
+    trained = [json.loads((p / "train.json").read_text()) for p in bench.trained]
+    assert sorted(t["seed"] for t in trained) == [0, 0, 0, 1, 1, 2, 2]
+    assert bench.compared.count((3, 3)) == 1
+    facts = json.loads(report.page.with_suffix(".json").read_text())
+    assert facts["comparisons"]["added-class-seeds"]["a"] == ["aligned-longer", "aligned-longer-1", "aligned-longer-2"]
+    assert "the detectors are drawn, too" in report.page.read_text()
+    assert "seed 2" in report.page.read_text()
+
+
+@pytest.mark.parametrize("which", ["[aligned-longer, original]", "[original, aligned]"])
+def test_only_evaluations_on_the_same_images_are_compared(which: str, data: Path, tmp_path: Path) -> None:
+    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav.yaml").read_text()
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(text.replace("b: original, title: trained with drones -", f"b: {which}, title: trained with -"))
+    if "aligned]" in which:  # `aligned` is on other images
+        with pytest.raises(DatasetError, match="the same images"):
+            keys(str(mine), data, tmp_path, scale="small")
+    else:
+        assert "compare:added-class" in keys(str(mine), data, tmp_path, scale="small")
 
 
 # What does not fit.

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.strict import Strict
@@ -28,6 +28,14 @@ METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
 
 _NAME = r"^[a-z0-9][a-z0-9-]*$"
 Name = Annotated[str, Field(pattern=_NAME)]
+
+
+def _names(given: Any) -> Any:
+    """One name needs no brackets."""
+    return (given,) if isinstance(given, str) else tuple(given) if isinstance(given, list) else given
+
+
+Names = Annotated[tuple[Name, ...], BeforeValidator(_names), Field(min_length=1)]
 Limits = dict[Split, Annotated[int, Field(ge=1)]]
 
 
@@ -140,6 +148,8 @@ class Training(Strict):
     """What it starts from: `auto`, `scratch`, a usual name or a file."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Trainer's settings over those of the scale's preset."""
+    reseed: int = Field(0, ge=0)
+    """Added to the run's seed: the same once more, with other weights to start from and images in another order."""
     paper_images: int | None = Field(None, ge=1)
     """Training images in the paper."""
 
@@ -162,10 +172,10 @@ class Evaluation(Strict):
 class Comparison(Strict):
     """Two evaluations on the same images and classes, paired: a - b."""
 
-    a: Name
-    """An evaluation."""
-    b: Name
-    """Another one."""
+    a: Names
+    """An evaluation; or several, of detectors trained alike but for `reseed`: their mean."""
+    b: Names
+    """Another one, or several."""
     title: str = ""
     """What it says, for the page."""
 
@@ -316,7 +326,7 @@ class Experiment(Strict):
             if e.data not in items:
                 yield f"evaluations.{n}.data: no source or data {e.data}"
         for n, c in self.comparisons.items():
-            yield from (f"comparisons.{n}: no evaluation {e}" for e in (c.a, c.b) if e not in self.evaluations)
+            yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in self.evaluations)
         for k, table in enumerate(self.tables):
             for row in table.rows:
                 of = row.evaluation or table.evaluation

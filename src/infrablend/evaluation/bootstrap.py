@@ -52,20 +52,46 @@ def interval(values: FloatArray) -> list[float] | None:
     return [float(low), float(high)]
 
 
+def _mean_of(detectors: Sequence[Sequence[ClassMatches]], weights: NDArray[Any], seed: int, side: str) -> FloatArray:
+    """(b, 1 + classes, 2) the mean of detectors trained alike but for the seed, for each weighting of the images.
+
+    Of several, as many are drawn with replacement each time. The mean of k so drawn scatters by a factor of
+    sqrt((k - 1) / k) too little; what they differ by is made larger by that.
+    """
+    each = np.stack([drawn_figures(matches, weights) for matches in detectors])
+    k, draws = each.shape[:2]
+    if k == 1:
+        return np.asarray(each[0])
+    mean = each.mean(axis=0)
+    drawn = stream(seed, "bootstrap", "detectors", side, k, draws).integers(0, k, (draws, k))
+    redrawn = each[drawn, np.arange(draws)[:, None]].mean(axis=1)
+    return np.asarray(mean + (redrawn - mean) * np.sqrt(k / (k - 1)))
+
+
 def paired(
-    ours: Sequence[ClassMatches],
-    theirs: Sequence[ClassMatches],
+    ours: Sequence[Sequence[ClassMatches]],
+    theirs: Sequence[Sequence[ClassMatches]],
     classes: Sequence[str],
     weights: NDArray[Any],
+    seed: int = 0,
 ) -> dict[str, dict[str, Any]]:
     """Ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
 
-    `same_sign` is the share of the draws in which the difference has the sign of the undrawn one, or is none if that
-    is none.
+    Args:
+        ours: The matches of a detector by class; of several, trained alike but for the seed, the mean is taken and
+            they are drawn, too, so that the interval holds what another seed would change.
+        theirs: Likewise.
+        classes: Their names.
+        weights: (draws, i) how often each image is drawn.
+        seed: For drawing detectors.
+
+    Returns:
+        By class and measure `ours`, `theirs`, `difference`, `ci`, and `same_sign`: the share of the draws in which the
+        difference has the sign of the undrawn one, or is none if that is none.
     """
     once = np.ones((1, weights.shape[1]), np.int32)
-    first, second = drawn_figures(ours, once)[0], drawn_figures(theirs, once)[0]
-    drawn = drawn_figures(ours, weights) - drawn_figures(theirs, weights)
+    first, second = (np.mean([drawn_figures(m, once)[0] for m in side], axis=0) for side in (ours, theirs))
+    drawn = _mean_of(ours, weights, seed, "ours") - _mean_of(theirs, weights, seed, "theirs")
     result: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(("all", *classes)):
         result[name] = {}

@@ -200,7 +200,7 @@ def evaluate_detector(
             **metrics,
             "paired": None
             if theirs is None
-            else _paired_facts(kept, theirs[1], theirs[0], bootstrap, seed, (against or out).name),
+            else _paired_facts([kept], [theirs[1]], theirs[0], bootstrap, seed, (against or out).name),
             "problems": [p.to_json() for p in problems],
         }
         _write_judged(out / MATCHES, kept)
@@ -601,12 +601,18 @@ def _intervals(drawn: NDArray[np.float64]) -> dict[str, list[float] | None] | No
 
 
 def compare_evaluations(
-    ours: Path, theirs: Path, *, classes: Sequence[str] | None = None, bootstrap: int = 1000, seed: int = 0
+    ours: Sequence[Path],
+    theirs: Sequence[Path],
+    *,
+    classes: Sequence[str] | None = None,
+    bootstrap: int = 1000,
+    seed: int = 0,
 ) -> dict[str, Any]:
     """Two evaluations on the same images and labels, by class: the difference, its interval; see `api.compare`."""
-    record, judged = _read_judged(ours)
-    other = _read_judged(theirs)
-    _require_same(other[0], _Compared.of(record), theirs)
+    record, judged = _read_judged(ours[0])
+    read = {folder: _read_judged(folder) for folder in [*ours[1:], *theirs]}
+    for folder, (other, _) in read.items():
+        _require_same(other, _Compared.of(record), folder)
     if classes is not None:
         numbers = match_classes(judged.classes, classes)
         unknown = [name for name, of in numbers.items() if not of]
@@ -614,23 +620,28 @@ def compare_evaluations(
             raise DatasetError(f"classes: found {', '.join(unknown)}, expected some of {', '.join(judged.classes)}")
         kept = [k for k in range(len(judged.classes)) if any(k in of for of in numbers.values())]
         judged = Judged(tuple(judged.classes[k] for k in kept), tuple(judged.matches[k] for k in kept), judged.groups)
-    return _paired_facts(judged, other[1], other[0], bootstrap, seed, theirs.name)
+    a = [judged, *(read[f][1] for f in ours[1:])]
+    b = [read[f][1] for f in theirs]
+    return _paired_facts(a, b, read[theirs[0]][0], bootstrap, seed, theirs[0].name)
 
 
 def _paired_facts(
-    ours: Judged, theirs: Judged, record: Mapping[str, Any], draws: int, seed: int, name: str
+    ours: Sequence[Judged], theirs: Sequence[Judged], record: Mapping[str, Any], draws: int, seed: int, name: str
 ) -> dict[str, Any]:
-    both = [n for n in ours.classes if n in theirs.classes]
+    sides = [*ours, *theirs]
+    both = [n for n in ours[0].classes if all(n in j.classes for j in sides)]
     if not both:
-        raise DatasetError(f"{name}: judged {', '.join(theirs.classes)}; expected some of {', '.join(ours.classes)}")
-    weights = draw_images(ours.groups, draws, seed)
-    a = [ours.matches[ours.classes.index(n)] for n in both]
-    b = [theirs.matches[theirs.classes.index(n)] for n in both]
+        raise DatasetError(
+            f"{name}: judged {', '.join(theirs[0].classes)}; expected some of {', '.join(ours[0].classes)}"
+        )
+    weights = draw_images(ours[0].groups, draws, seed)
+    a, b = ([[j.matches[j.classes.index(n)] for n in both] for j in side] for side in (ours, theirs))
     return {
         "against": {"name": name, "detector": record["detector"]},
         "draws": draws,
-        "classes": paired(a, b, both, weights),
-        "left_out": sorted({*ours.classes, *theirs.classes} - set(both)),
+        "detectors": [len(ours), len(theirs)],
+        "classes": paired(a, b, both, weights, seed),
+        "left_out": sorted({n for j in sides for n in j.classes} - set(both)),
     }
 
 

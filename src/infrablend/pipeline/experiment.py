@@ -328,7 +328,7 @@ class _Builder:
         inputs = {
             "preset": dict(self.setting.tools.preset(self.setting.scale, {**spec.settings, **self.setting.training})),
             "scale": self.setting.scale,
-            "seed": self.setting.seed,
+            "seed": self.setting.seed + spec.reseed,
             "task": spec.task,
             "classes": spec.classes,
             "weights": spec.weights,
@@ -355,15 +355,19 @@ class _Builder:
 
     def comparison(self, name: str) -> None:
         spec = self.experiment.comparisons[name]
-        if self.skipped(name, [spec.a, spec.b]):
+        if self.skipped(name, [*spec.a, *spec.b]):
             return
-        a, b = self.experiment.evaluations[spec.a], self.experiment.evaluations[spec.b]
-        if (a.data, a.split, a.group) != (b.data, b.split, b.group):
-            found = f"{spec.a} is on {a.data} {a.split}, {spec.b} on {b.data} {b.split}"
-            self.problems.append(Problem(f"comparisons.{name}", "experiment-value", found, "the same images"))
-        one = self.stages[f"evaluate:{spec.a}"]
+        first, *others = (self.experiment.evaluations[e] for e in (*spec.a, *spec.b))
+        for e, other in zip((*spec.a[1:], *spec.b), others, strict=True):
+            if (other.data, other.split, other.group) != (first.data, first.split, first.group):
+                found = f"{spec.a[0]} is on {first.data} {first.split}, {e} on {other.data} {other.split}"
+                self.problems.append(Problem(f"comparisons.{name}", "experiment-value", found, "the same images"))
+        one = self.stages[f"evaluate:{spec.a[0]}"]
         inputs = {"bootstrap": BOOTSTRAP[self.setting.scale], "seed": self.setting.seed}
-        needs = {"a": f"evaluate:{spec.a}", "b": f"evaluate:{spec.b}"}
+        # The first of a side has no number.
+        needs = {
+            f"{side}{k or ''}": f"evaluate:{e}" for side, of in (("a", spec.a), ("b", spec.b)) for k, e in enumerate(of)
+        }
         self.add(Stage("compare", name, inputs, needs, spec, one.images))
 
 
@@ -693,7 +697,12 @@ def gather(
         if (i := f"evaluate:{n}") in done
     }
     comparisons = {
-        n: {"title": c.title or f"{c.a} - {c.b}", "a": c.a, "b": c.b, "classes": done[i].result["classes"]}
+        n: {
+            "title": c.title or f"{', '.join(c.a)} - {', '.join(c.b)}",
+            "a": c.a,
+            "b": c.b,
+            "classes": done[i].result["classes"],
+        }
         for n, c in experiment.comparisons.items()
         if (i := f"compare:{n}") in done
     }

@@ -394,7 +394,7 @@ def _train(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setting
         task=spec.task,
         weights=spec.weights,
         device=setting.device,
-        seed=setting.seed,
+        seed=stage.inputs["seed"],
         settings={**setting.training, **spec.settings},
         classes=spec.classes,
         options=_options(before["data"]),
@@ -444,9 +444,10 @@ def _classes(
 
 def _compare(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setting) -> dict[str, Any]:
     """Two detectors on the same images."""
+    a, b = ([made.folder / "out" for part, made in before.items() if part.startswith(side)] for side in "ab")
     found = setting.tools.compare_evaluations(
-        before["a"].folder / "out",
-        before["b"].folder / "out",
+        a,
+        b,
         bootstrap=stage.inputs["bootstrap"],
         seed=setting.seed,
     )

@@ -227,9 +227,13 @@ def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
                 d = of_class.get(k)
                 cells.append("-" if d is None else f"{d['difference']:+.3f}{_interval(d.get('ci'))}")
             lines.append([c["title"], name, *cells])
-    return _grid(["Difference", "Class", "mAP50", "mAP50-95"], lines) + (
-        "\n\nOn the same images, drawn together; in brackets the 95 % interval."
-    )
+    note = "On the same images, drawn together; in brackets the 95 % interval."
+    if any(len(c["a"]) > 1 or len(c["b"]) > 1 for c in comparisons.values()):
+        note += (
+            " It holds what another seed of the training would change only where means of several are compared; "
+            "then the detectors are drawn, too."
+        )
+    return _grid(["Difference", "Class", "mAP50", "mAP50-95"], lines) + "\n\n" + note
 
 
 def _interval(ci: Any) -> str:
@@ -377,6 +381,8 @@ def _training(record: Mapping[str, Any]) -> str:
         parts.append(f"batch {record['batch']}")
     if record.get("passes"):
         parts.append(f"{record['passes']:,} images shown, epochs {record.get('epochs_done', '?')}")
+    if record.get("seed"):
+        parts.append(f"seed {record['seed']}")
     if start:
         parts.append("from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}")
         parts[-1] += f" ({start['why']})" if start.get("why") else ""
