@@ -490,7 +490,7 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     axes[0].set_yticks(y, names, fontsize=8)
     axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
     axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
-    axes[1].legend(frameon=False, fontsize=8, loc="lower right")
+    figure.legend(*axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2)
     return _svg(figure)
 
 
@@ -513,6 +513,7 @@ def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
             if d.get("ci"):
                 ax.plot(d["ci"], [at, at], color=OURS, lw=1.6)
         ax.set(xlabel=f"difference of {METRICS[metric]}")
+        ax.locator_params(axis="x", nbins=5)
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].set_yticks(y, [name for name, _ in rows], fontsize=8)
     return _svg(figure)
