@@ -233,6 +233,8 @@ def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
             " It holds what another seed of the training would change only where means of several are compared; "
             "then the detectors are drawn, too."
         )
+    else:
+        note += " What another seed of the training would change is not in it."
     return _grid(["Difference", "Class", "mAP50", "mAP50-95"], lines) + "\n\n" + note
 
 
