@@ -498,6 +498,9 @@ def test_an_absent_dataset_is_told_where_to_get_and_the_rest_is_run(bench: Bench
     assert report.status == "complete"
     assert "github.com/wangdongdut/DUT-Anti-UAV" in report.facts["left_out"]["dut-anti-uav"]
     page = report.page.read_text("utf-8")
+    assert "Complete for the data at hand." in page
+    index = (report.page.parent / "index.md").read_text("utf-8")
+    assert "| complete for the data at hand |" in index
     assert "0.429 → -" in page and "DUT-Anti-UAV: no folder of DUT-Anti-UAV was given" in page
     assert [p.code for p in report.problems] and len(bench.trained) == 1
 

@@ -123,8 +123,14 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
 
 def _head(facts: Mapping[str, Any]) -> str:
     """Scale, status, command."""
-    said = f"**Scale: {facts['scale']}. {facts['status'].capitalize()}.** Written by the command, not by hand:"
+    said = f"**Scale: {facts['scale']}. {_standing(facts).capitalize()}.** Written by the command, not by hand:"
     return f"{said}\n\n```text\n{facts['command']}\n```"
+
+
+def _standing(facts: Mapping[str, Any]) -> str:
+    """How far it got; a run without the user's other datasets is not simply complete."""
+    some_left_out = facts["status"] == "complete" and facts["left_out"]
+    return "complete for the data at hand" if some_left_out else str(facts["status"])
 
 
 def _unfinished(facts: Mapping[str, Any]) -> str:
@@ -415,7 +421,7 @@ def index_text(out: Path) -> str:
             row = [
                 f"[{facts['title']}]({path.stem}.md)",
                 facts["scale"],
-                facts["status"],
+                _standing(facts),
                 _headline(facts),
                 f"{checks.count(True)} of {checks.count(True) + checks.count(False)}" if any_said(checks) else "-",
             ]
