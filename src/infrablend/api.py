@@ -608,11 +608,18 @@ def plan_train(
     seed: int = 0,
     format: str | None = None,
     options: Mapping[str, str] | None = None,
+    weights: str = "auto",
+    out: str | Path | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
 ) -> TrainPlan:
-    """What `train` would do: images, epochs, time, disk. Nothing is written."""
+    """What `train` would do: images, epochs, time, disk. Nothing is written; what `train` would refuse is refused."""
     chosen = choose_preset(preset, settings or {})
     found = read_dataset(dataset, format=format, options=options)
-    return plan_training(found, chosen, task=task, classes=classes, device=device, seed=seed)
+    return plan_training(
+        found, chosen, task=task, classes=classes, device=device, seed=seed, start=weights,
+        out=None if out is None else Path(out), resume=resume, overwrite=overwrite,
+    )  # fmt: skip
 
 
 def default_workers() -> int:

@@ -96,6 +96,13 @@ def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
         api.train(data, tmp_path / "out", **SMOKE)
     with pytest.raises(OutputError, match="begun otherwise"):
         api.train(data, tmp_path / "out", resume=True, **{**SMOKE, "seed": 4})
+    with pytest.raises(OutputError, match="begun otherwise") as caught:
+        api.train(data, tmp_path / "out", settings={"batch": 2, "hsv_v": 0.1}, resume=True, **SMOKE)
+    assert {p.where: (p.found, p.expected) for p in caught.value.problems} == {
+        "settings.batch": ("2", "4 as begun"),
+        "settings.tiles": ("8", "0 as begun"),
+        "settings.arguments.hsv_v": ("0.1", "None as begun"),
+    }
 
 
 @pytest.mark.slow
@@ -171,6 +178,33 @@ def test_everything_wrong_with_a_dataset_is_said_at_once_before_anything_is_made
     with pytest.raises(DatasetError, match="8-bit"):
         api.train(data, tmp_path / "out", device="cpu", classes=["car"])
     assert not (tmp_path / "out").exists()
+
+
+def test_what_does_not_stop_a_training_is_said_too(tmp_path, caplog):
+    data = yolo(tmp_path / "data", {"train": 2}, names=("car", "drone", "deer"))
+    api.plan_train(data, preset="smoke", device="cpu")
+    assert "class deer: no object in split train" in caplog.text
+    assert "split val: no pictures" in caplog.text
+
+
+def test_a_plan_refuses_what_the_training_would(ultralytics, tmp_path):
+    data = yolo(tmp_path / "data", {"train": 2, "val": 1})
+    with pytest.raises(OutputError, match="pases"):
+        api.plan_train(data, device="cpu", settings={"pases": 320})
+    with pytest.raises(FetchError, match="no such file"):
+        api.plan_train(data, device="cpu", weights="no/where.onnx")
+    out = tmp_path / "out"
+    assert api.plan_train(data, device="cpu", out=out, weights="yolov8n.pt").images
+    out.mkdir()
+    (out / "train.json").write_text('{"infrablend": "1", "status": "complete"}')
+    (out / "weights.pt").write_text("whole")
+    with pytest.raises(OutputError, match="holds a training"):
+        api.plan_train(data, device="cpu", out=out)
+    assert api.plan_train(data, device="cpu", out=out, overwrite=True).images
+    assert (out / "weights.pt").read_text() == "whole"  # a plan replaces nothing
+    (out / "train.json").unlink()
+    with pytest.raises(OutputError, match="no training"):
+        api.plan_train(data, device="cpu", out=out, overwrite=True)
 
 
 def test_settings_that_cannot_be():

@@ -82,10 +82,12 @@ def train(
         "options": key_values(reading, "--read"),
     }
     if plan:
-        p = api.plan_train(dataset, device=device, seed=seed, **chosen)
+        p = api.plan_train(
+            dataset, device=device, seed=seed, weights=weights, out=out, resume=resume, overwrite=overwrite, **chosen
+        )
         rows = {
             "tiles" if p.tiled else "images": str(p.images),
-            "labels": str(p.labels),
+            "labels of the split": str(p.labels),
             "epochs": f"{p.epochs} of {p.shown} images shown",
             "device": p.device if p.device in ("cpu", "mps") else f"GPU {p.device}",
             "time, about": human_seconds(p.seconds),
@@ -116,7 +118,7 @@ def train(
     rows = {
         "classes": ", ".join(r["classes"]),
         "started from": start["model"] + (f" ({start['why']})" if start["why"] else ""),
-        "images, labels": f"{r['prepared']['images']}, {r['prepared']['labels']}: all used",
+        **_used(r["prepared"]),
         "epochs": f"{r['epochs_done']} ({r['passes']} images passed)",
         "time": human_seconds(r["seconds"]),
     }
@@ -124,6 +126,16 @@ def train(
         rows["labels left out"] = ", ".join(f"{k} {n}" for k, n in r["left_out"].items())
     say(table(rows))
     say(str(report.weights))
+
+
+def _used(prepared: dict[str, Any]) -> dict[str, str]:
+    """What the trainer has really seen; in tiles an object counts as often as it is in one."""
+    both = f"{prepared['images']}, {prepared['labels']}: all used"
+    tiles = prepared.get("tiles")
+    if not tiles:
+        return {"images, labels": both}
+    pieces = tiles["labels_left_out"]
+    return {"tiles, labels in them": both + (f"; {pieces} small pieces at edges are unlabelled" if pieces else "")}
 
 
 def _value(key: str, text: str) -> Any:

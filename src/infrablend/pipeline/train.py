@@ -128,10 +128,29 @@ def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
 
 
 def plan_training(
-    dataset: Dataset, preset: Preset, *, task: str, classes: Sequence[str] | None, device: str = "auto", seed: int = 0
+    dataset: Dataset,
+    preset: Preset,
+    *,
+    task: str,
+    classes: Sequence[str] | None,
+    device: str = "auto",
+    seed: int = 0,
+    start: str = weights.AUTO,
+    out: Path | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
 ) -> TrainPlan:
-    """What `train_dataset` would do, without doing it; what it would refuse is refused here too."""
+    """What `train_dataset` would do, without doing it.
+
+    What it would refuse is refused here too, but for Ultralytics' arguments where that is not installed, and for
+    published weights, which are not asked for.
+    """
     chosen = _device(device, planning=True)
+    if find_spec("ultralytics") is not None and find_spec("torch") is not None:
+        _require_arguments(preset)
+    weights.require_known(start)
+    if out is not None and out.is_dir():
+        _earlier(out, resume, overwrite)
     wanted, _ = _wanted(dataset, preset, task, classes)
     return _plan(wanted, preset, chosen, seed)
 
@@ -246,6 +265,10 @@ def _wanted(
             why = "the preset stops when val gets no better" if split == "val" else "nothing to train on"
             todo = "infrablend split makes splits"
             problems.append(Problem(f"split {split}", "split-empty", "no pictures", why, todo))
+    if splits["train"] and not splits["val"] and not preset.patience:
+        todo = "infrablend split makes splits"
+        expected = "some, to watch the training by; nothing else depends on them"
+        problems.append(Problem("split val", "split-empty", "no pictures", expected, todo, severity="warning"))
     found = Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
     for name in keep:
         if splits["train"] and not found[name]:
@@ -271,7 +294,10 @@ def _wanted(
                 f"{dataset.root} lists them: correct them, or infrablend convert {dataset.root} clean --to coco leaves "
                 "them out and counts them; then train on clean"
             )
-        raise DatasetError(message, [*problems, *rejected[:_REJECTED_SHOWN]])
+        wrong = [p for p in problems if p.severity == "error"]
+        raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
+    for p in problems:
+        log.warning("%s", p)
     return _sized(wanted), dict(sorted(left_out.items()))
 
 
@@ -351,11 +377,26 @@ def _content(wanted: Dataset, task: str) -> str:
 
 
 def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
-    """The record of an earlier call to go on with, or None for an empty folder."""
+    """The record of an earlier call to go on with, or None for a folder that is empty, or now is."""
+    record, damaged = _earlier(out, resume, overwrite)
+    if record is not None and resume:
+        return record
+    if damaged:
+        log.warning("%s: cannot be read; the training begins anew", out / RECORD)
+    if record is not None or damaged:
+        for name in (DATA, "tiles", "run", "ultralytics"):
+            shutil.rmtree(out / name, ignore_errors=True)
+        for name in (trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG, RECORD):
+            (out / name).unlink(missing_ok=True)
+    return None
+
+
+def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] | None, bool]:
+    """The record of an earlier call, and whether it is there but damaged; refused if nobody said what to do with it."""
     path = out / RECORD
     entries = sorted(p.name for p in out.iterdir() if p != part_path(path))
     if not entries:
-        return None
+        return None, False
     try:
         record: dict[str, Any] | None = json.loads(path.read_text("utf-8"))
         ours = isinstance(record, dict) and "infrablend" in record and "status" in record
@@ -364,8 +405,6 @@ def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
     damaged = not ours and RECORD in entries and JOB in entries
     if not ours and not damaged:
         raise OutputError(f"{out}: not empty (found {', '.join(entries[:4])}) and no training; give another folder")
-    if resume and not damaged:
-        return record
     if not (resume or overwrite):
         what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
         raise OutputError(
@@ -373,29 +412,38 @@ def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
             f"--resume {'begins it anew' if damaged else 'goes on with it'}, --overwrite replaces it, "
             "or give another folder."
         )
-    if damaged:
-        log.warning("%s: cannot be read; the training begins anew", path)
-    for name in (DATA, "tiles", "run", "ultralytics"):
-        shutil.rmtree(out / name, ignore_errors=True)
-    for name in (trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG, RECORD):
-        (out / name).unlink(missing_ok=True)
-    return None
+    return (None, True) if damaged else (record, False)
 
 
 def _require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    plain = json.loads(json.dumps(asked))
+    plain, record = _flat(json.loads(json.dumps(asked))), _flat(record)
     # What is trained on counts, not where it lies; records of earlier versions know only that.
     plain.pop("data" if "content" in record else "content")
-    other = [k for k in plain if record.get(k) != plain[k]]
+    # A setting that one side alone has differs, too.
+    other = [k for k in {**plain, **_of_settings(record)} if record.get(k) != plain.get(k)]
     if other:
         problems = [
             Problem(asked["data"], "resume-other",
                     "other labels or pictures", f"those it was begun with, then in {record.get('data')}")
             if k == "content"
-            else Problem(k, "resume-other", str(plain[k]), f"{record.get(k)} as begun")
+            else Problem(k, "resume-other", str(plain.get(k)), f"{record.get(k)} as begun")
             for k in other
         ]  # fmt: skip
         raise OutputError(f"{out}: was begun otherwise; give the same, or another folder", problems)
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A record with its settings side by side: `settings.passes`, `settings.arguments.lr0`."""
+    flat = dict(record)
+    settings = dict(flat.pop("settings", {}))
+    arguments = dict(settings.pop("arguments", {}))
+    return flat | {
+        f"settings.{k}": v for k, v in (settings | {f"arguments.{k}": v for k, v in arguments.items()}).items()
+    }
+
+
+def _of_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in flat.items() if k.startswith("settings.")}
 
 
 def _require_space(out: Path, plan: TrainPlan) -> None:

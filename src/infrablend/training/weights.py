@@ -21,6 +21,7 @@ SCRATCH = "scratch"
 AUTO = "auto"
 # Where Ultralytics publishes its weights.
 _ADDRESS = "https://github.com/ultralytics/assets/releases/latest/download/{name}"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.pt")
 _TIMEOUT_S = 10
 # The first version that what is done here was tested with: older ones build their loaders otherwise.
 ULTRALYTICS = (8, 4, 190)
@@ -63,18 +64,23 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
     if wanted != AUTO and _is_file(path):
         return Start(str(path.resolve()), "file")
     name = f"{own}.pt" if wanted == AUTO else wanted
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.pt", name):
-        if wanted == AUTO:
-            return Start(f"{own}.yaml", "scratch", f"{name} is no name of published weights")
-        raise FetchError(
-            f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
-        )
+    require_known(wanted)
+    if not _NAME.fullmatch(name):
+        return Start(f"{own}.yaml", "scratch", f"{name} is no name of published weights")
     try:
         return Start(str(_published(name, cache or _cache())), "published", name)
     except FetchError as error:
         if wanted != AUTO:
             raise
         return Start(f"{own}.yaml", "scratch", f"{name} could not be had: {error.message}")
+
+
+def require_known(wanted: str) -> None:
+    """Raise FetchError if that is no file, no name that published weights might have, and neither word."""
+    if wanted not in (SCRATCH, AUTO) and not _is_file(Path(wanted)) and not _NAME.fullmatch(wanted):
+        raise FetchError(
+            f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
+        )
 
 
 def require_ultralytics() -> None:
