@@ -96,7 +96,7 @@ def test_what_is_written(saved: Path, tmp_path: Path) -> None:
     assert low < table["Person"]["map50"] < high
     assert table["OtherVehicle"] == {
         "images": 0, "instances": 0, "p": None, "r": None, "map50": None, "map50_95": None,
-        "ci": {"map50": None, "map50_95": None},
+        "ci": None,
     }  # fmt: skip
     assert report.metrics["ultralytics"] is None
     codes = {p.code for p in report.problems}
@@ -129,9 +129,40 @@ def test_configurations_of_one_background_are_drawn_together(saved: Path, tmp_pa
     assert run(saved, tmp_path / "a").metrics["settings"]["groups"] == 20
     by_gap = run(saved, tmp_path / "b", group="gap")
     assert by_gap.metrics["settings"]["groups"] == 1
+    assert all(row["ci"] is None for row in by_gap.metrics["classes"].values())  # drawn from one, it is always the same
     with pytest.raises(DatasetError, match="--group image, gap or date"):
         run(saved, tmp_path / "c", group="sequence")
     assert not (tmp_path / "c").exists()
+
+
+def test_strata_of_one_image_have_no_interval_and_say_the_images_that_hold_a_class(tmp_path: Path) -> None:
+    whole = made_up_dataset()
+    images = tuple(replace(i, time_of_day=None) if k == 0 else i for k, i in enumerate(whole.images))
+    dataset = replace(whole, images=images)
+    saved = write_predictions(tmp_path / "p.json", found_on(dataset))
+    strata = run(saved, tmp_path / "out", dataset).metrics["strata"]
+    lone, day = (strata["time"][n]["classes"] for n in ("unknown", "day"))
+    assert lone["all"]["instances"] > 0
+    assert lone["all"]["map50"] is not None
+    assert all(row["ci"] is None for row in lone.values())
+    low, high = day["all"]["ci"]["map50"]
+    assert low < high
+
+    def holding(wanted: str, low: float, high: float, images: Any = images) -> int:
+        boxes = [[o.box_xyxy for o in i.instances if wanted in ("all", o.category)] for i in images]
+        return sum(any(low <= max(b[2:] - b[:2]) < high for b in of) for of in boxes)
+
+    by_size = strata["size"]
+    for name, edges in (("8-16", (8, 16)), ("16-32", (16, 32))):
+        rows = by_size[name]["classes"]
+        for c in ("Person", "Car"):
+            assert 0 < rows[c]["images"] == holding(c, *edges) < 40
+        assert max(rows[c]["images"] for c in ("Person", "Car")) <= rows["all"]["images"] <= holding("all", *edges)
+    at_day = [i for i in images if i.time_of_day == "day"]
+    assert day["Car"]["images"] == holding("Car", 0, 999, at_day) < day["all"]["images"] == len(at_day) == 19
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    car = by_size["16-32"]["classes"]["Car"]
+    assert f"<td>16-32</td><td>Car</td><td>{car['images']}</td><td>{car['instances']}</td>" in page
 
 
 def test_originals_and_other_names_are_drawn_with_their_configurations() -> None:
