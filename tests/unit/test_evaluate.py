@@ -345,6 +345,62 @@ def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) ->
         run(saved, tmp_path / "b", against=tmp_path / "a")
 
 
+def test_a_folder_stands_for_what_was_written_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Path] = []
+
+    def load(path: Path, device: str) -> Any:
+        asked.append(path)
+        raise ModelError("asked", [Problem(str(path), "weights", "asked for")])
+
+    from infrablend.training import predict
+
+    monkeypatch.setattr(predict, "load_detector", load)
+    training = tmp_path / "training"
+    training.mkdir()
+    with pytest.raises(
+        ModelError, match=r"without predictions\.json and weights\.pt.*of a finished `infrablend train`"
+    ):
+        run(training, tmp_path / "out")
+    (training / "train.json").write_text("{}")
+    with pytest.raises(ModelError, match=r"not finished: no weights\.pt yet.*--resume"):
+        run(training, tmp_path / "out")
+    assert not asked
+    (training / "weights.pt").write_bytes(b"")
+    with pytest.raises(ModelError, match="asked for"):
+        run(training, tmp_path / "out")
+    assert asked == [training / "weights.pt"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("name", "says"), [("README.md", "a .md file"), ("weights", "a file without .pt")])
+def test_files_of_other_types_are_no_weights(
+    name: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from infrablend.training import predict
+
+    monkeypatch.setattr(predict, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(predict, "pick_device", lambda wanted: "cpu")
+    (tmp_path / name).write_text("# Words")
+    with pytest.raises(ModelError) as raised:
+        run(tmp_path / name, tmp_path / "out")
+    told = str(raised.value)
+    assert f"{says}; expected a .pt file" in told
+    assert "weights.pt of a finished `infrablend train`" in told
+    assert "Error" not in told
+
+
+def test_findings_that_hit_nothing_are_told(saved: Path, tmp_path: Path) -> None:
+    dataset = made_up_dataset()
+    nothing = {f"test/{i.name}": detections([[0, 0, 3, 3]], [0.5], [0]) for i in dataset.images}
+    away = write_predictions(tmp_path / "away.json", replace(found_on(dataset), images=nothing))
+    report = run(away, tmp_path / "a")
+    (told,) = [p for p in report.problems if p.code == "no-hits"]
+    assert told.severity == "warning"
+    assert "40 findings, hardly any of them on an object: mAP50 is below 0.001 in every class" in told.found
+    assert told.found in (tmp_path / "a" / "evaluation.html").read_text()
+    assert "no-hits" not in {p.code for p in run(saved, tmp_path / "b").problems}
+
+
 def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:
     dataset = made_up_dataset()
     saved = write_predictions(tmp_path / "p.json", found_on(dataset, classes=("person", "drone")))

@@ -271,11 +271,11 @@ def _meant(path: Path) -> Path:
     Raises:
         ModelError: The folder is neither.
     """
+    if not path.is_dir():
+        return path
     from infrablend.pipeline.train import RECORD as TRAINING
     from infrablend.training.trainer import WEIGHTS
 
-    if not path.is_dir():
-        return path
     for file in (PREDICTIONS, WEIGHTS):
         if (path / file).is_file():
             return path / file
@@ -564,7 +564,9 @@ def _judge(
     strata: dict[str, Any] = {"size": {}}
     for a, name in enumerate(bins):
         if a:
-            stratum = _stratum([_at_size(m, a) for m in matches], names, np.ones(len(images), np.bool_), weights, groups)
+            stratum = _stratum(
+                [_at_size(m, a) for m in matches], names, np.ones(len(images), np.bool_), weights, groups
+            )
             # Any image may hold any size, and so is looked at; told is in how many there are objects of this one.
             stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
             strata["size"][name] = stratum
