@@ -312,6 +312,9 @@ def test_two_detectors_on_the_same_images(saved: Path, tmp_path: Path) -> None:
     assert set(only["classes"]) == {"all", "Car"}
     assert only["classes"]["Car"]["map50"]["difference"] == -pair["classes"]["Car"]["map50"]["difference"]
     assert "Against worse" in (tmp_path / "better" / "evaluation.html").read_text()
+    run(saved, tmp_path / "itself", against=tmp_path / "better")
+    page = (tmp_path / "itself" / "evaluation.html").read_text()
+    assert "<td>+0.000</td><td>+0.000 to +0.000</td><td>-</td>" in page  # no difference has no sign
 
 
 def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) -> None:
