@@ -793,8 +793,8 @@ def evaluate(
     docs/how_to/evaluate.md for what each figure means.
 
     Args:
-        weights: A .pt file of Ultralytics', or the `predictions.json` (or folder) of an earlier evaluation, which
-            needs neither torch nor Ultralytics.
+        weights: A .pt file of Ultralytics', or the folder of a finished `train`; or the `predictions.json` (or folder)
+            of an earlier evaluation, which needs neither torch nor Ultralytics.
         dataset: Folder of the dataset.
         out: Folder to write; new or empty, or an earlier evaluation with `overwrite`.
         split: train, val or test.

@@ -96,7 +96,7 @@ def test_what_is_written(saved: Path, tmp_path: Path) -> None:
     assert low < table["Person"]["map50"] < high
     assert table["OtherVehicle"] == {
         "images": 0, "instances": 0, "p": None, "r": None, "map50": None, "map50_95": None,
-        "ci": {"map50": None, "map50_95": None},
+        "ci": None,
     }  # fmt: skip
     assert report.metrics["ultralytics"] is None
     codes = {p.code for p in report.problems}
@@ -129,9 +129,40 @@ def test_configurations_of_one_background_are_drawn_together(saved: Path, tmp_pa
     assert run(saved, tmp_path / "a").metrics["settings"]["groups"] == 20
     by_gap = run(saved, tmp_path / "b", group="gap")
     assert by_gap.metrics["settings"]["groups"] == 1
+    assert all(row["ci"] is None for row in by_gap.metrics["classes"].values())  # drawn from one, it is always the same
     with pytest.raises(DatasetError, match="--group image, gap or date"):
         run(saved, tmp_path / "c", group="sequence")
     assert not (tmp_path / "c").exists()
+
+
+def test_strata_of_one_image_have_no_interval_and_say_the_images_that_hold_a_class(tmp_path: Path) -> None:
+    whole = made_up_dataset()
+    images = tuple(replace(i, time_of_day=None) if k == 0 else i for k, i in enumerate(whole.images))
+    dataset = replace(whole, images=images)
+    saved = write_predictions(tmp_path / "p.json", found_on(dataset))
+    strata = run(saved, tmp_path / "out", dataset).metrics["strata"]
+    lone, day = (strata["time"][n]["classes"] for n in ("unknown", "day"))
+    assert lone["all"]["instances"] > 0
+    assert lone["all"]["map50"] is not None
+    assert all(row["ci"] is None for row in lone.values())
+    low, high = day["all"]["ci"]["map50"]
+    assert low < high
+
+    def holding(wanted: str, low: float, high: float, images: Any = images) -> int:
+        boxes = [[o.box_xyxy for o in i.instances if wanted in ("all", o.category)] for i in images]
+        return sum(any(low <= max(b[2:] - b[:2]) < high for b in of) for of in boxes)
+
+    by_size = strata["size"]
+    for name, edges in (("8-16", (8, 16)), ("16-32", (16, 32))):
+        rows = by_size[name]["classes"]
+        for c in ("Person", "Car"):
+            assert 0 < rows[c]["images"] == holding(c, *edges) < 40
+        assert max(rows[c]["images"] for c in ("Person", "Car")) <= rows["all"]["images"] <= holding("all", *edges)
+    at_day = [i for i in images if i.time_of_day == "day"]
+    assert day["Car"]["images"] == holding("Car", 0, 999, at_day) < day["all"]["images"] == len(at_day) == 19
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    car = by_size["16-32"]["classes"]["Car"]
+    assert f"<td>16-32</td><td>Car</td><td>{car['images']}</td><td>{car['instances']}</td>" in page
 
 
 def test_originals_and_other_names_are_drawn_with_their_configurations() -> None:
@@ -281,6 +312,9 @@ def test_two_detectors_on_the_same_images(saved: Path, tmp_path: Path) -> None:
     assert set(only["classes"]) == {"all", "Car"}
     assert only["classes"]["Car"]["map50"]["difference"] == -pair["classes"]["Car"]["map50"]["difference"]
     assert "Against worse" in (tmp_path / "better" / "evaluation.html").read_text()
+    run(saved, tmp_path / "itself", against=tmp_path / "better")
+    page = (tmp_path / "itself" / "evaluation.html").read_text()
+    assert "<td>+0.000</td><td>+0.000 to +0.000</td><td>-</td>" in page  # no difference has no sign
 
 
 def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) -> None:
@@ -312,6 +346,62 @@ def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) ->
     (tmp_path / "a" / "matches.npz").write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(DatasetError, match="cannot be read"):
         run(saved, tmp_path / "b", against=tmp_path / "a")
+
+
+def test_a_folder_stands_for_what_was_written_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Path] = []
+
+    def load(path: Path, device: str) -> Any:
+        asked.append(path)
+        raise ModelError("asked", [Problem(str(path), "weights", "asked for")])
+
+    from infrablend.training import predict
+
+    monkeypatch.setattr(predict, "load_detector", load)
+    training = tmp_path / "training"
+    training.mkdir()
+    with pytest.raises(
+        ModelError, match=r"without predictions\.json and weights\.pt.*of a finished `infrablend train`"
+    ):
+        run(training, tmp_path / "out")
+    (training / "train.json").write_text("{}")
+    with pytest.raises(ModelError, match=r"not finished: no weights\.pt yet.*--resume"):
+        run(training, tmp_path / "out")
+    assert not asked
+    (training / "weights.pt").write_bytes(b"")
+    with pytest.raises(ModelError, match="asked for"):
+        run(training, tmp_path / "out")
+    assert asked == [training / "weights.pt"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("name", "says"), [("README.md", "a .md file"), ("weights", "a file without .pt")])
+def test_files_of_other_types_are_no_weights(
+    name: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from infrablend.training import predict
+
+    monkeypatch.setattr(predict, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(predict, "pick_device", lambda wanted: "cpu")
+    (tmp_path / name).write_text("# Words")
+    with pytest.raises(ModelError) as raised:
+        run(tmp_path / name, tmp_path / "out")
+    told = str(raised.value)
+    assert f"{says}; expected a .pt file" in told
+    assert "weights.pt of a finished `infrablend train`" in told
+    assert "Error" not in told
+
+
+def test_findings_that_hit_nothing_are_told(saved: Path, tmp_path: Path) -> None:
+    dataset = made_up_dataset()
+    nothing = {f"test/{i.name}": detections([[0, 0, 3, 3]], [0.5], [0]) for i in dataset.images}
+    away = write_predictions(tmp_path / "away.json", replace(found_on(dataset), images=nothing))
+    report = run(away, tmp_path / "a")
+    (told,) = [p for p in report.problems if p.code == "no-hits"]
+    assert told.severity == "warning"
+    assert "40 findings, hardly any of them on an object: mAP50 is below 0.001 in every class" in told.found
+    assert told.found in (tmp_path / "a" / "evaluation.html").read_text()
+    assert "no-hits" not in {p.code for p in run(saved, tmp_path / "b").problems}
 
 
 def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:

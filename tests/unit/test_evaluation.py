@@ -245,18 +245,47 @@ def test_pairs_on_the_same_images() -> None:
         for t in labels
     }
     first, second = judge(labels, better, 3), judge(labels, found, 3)
-    weights = draw_images([t.key for t in labels], 200, 0)
+    groups = [t.key for t in labels]
+    weights = draw_images(groups, 200, 0)
     names = ("Person", "Car", "Bicycle")
-    same = paired([second], [second], names, weights)
+    same = paired([second], [second], names, weights, groups)
     assert same["all"]["map50"]["difference"] == 0
     assert same["all"]["map50"]["ci"] == [0, 0]
-    assert same["all"]["map50"]["same_sign"] == 1
-    gain = paired([first], [second], names, weights)
-    loss = paired([second], [first], names, weights)
+    assert same["all"]["map50"]["same_sign"] is None
+    gain = paired([first], [second], names, weights, groups)
+    loss = paired([second], [first], names, weights, groups)
     for name in ("all", *names):
         assert gain[name]["map50_95"]["ci"][0] > 0
         assert gain[name]["map50_95"]["same_sign"] == 1
         assert loss[name]["map50_95"]["difference"] == -gain[name]["map50_95"]["difference"]
+
+
+def test_draws_without_a_class_have_no_mean() -> None:
+    """A class on one image of many: without it the mean would be that of the other class, which is found wholly."""
+    records = [image(str(k), ("Person", [10, 10, 30, 50])) for k in range(8)]
+    records[0] = image("0", ("Person", [10, 10, 30, 50]), ("Car", [100, 20, 140, 60]))
+    labels, _ = truths(records, CATEGORIES, ["Person", "Car", "Bicycle"], "detect")
+    found = {t.key: detections([[10, 10, 30, 50]], [0.9], [0]) for t in labels}
+    matches, groups = judge(labels, found, 3), [t.key for t in labels]
+    weights = draw_images(groups, 300, 0)
+    drawn = drawn_figures(matches, weights)
+    without = weights[:, 0] == 0
+    assert 50 < without.sum() < 200
+    assert np.isnan(drawn[without, 0]).all()
+    assert drawn[~without, 0] == pytest.approx(0.5)  # and bicycles, of which there are none, stay out
+    assert interval(drawn[:, 0, 0]) == pytest.approx([0.5, 0.5])
+    assert drawn_figures(matches, np.ones((1, 8)))[0, 0] == pytest.approx(0.5)
+    pair = paired([matches], [judge(labels, {}, 3)], ("Person", "Car", "Bicycle"), weights, groups)
+    assert pair["all"]["map50"]["ci"] == pytest.approx([0.5, 0.5])
+
+
+def test_one_group_has_no_interval() -> None:
+    labels, found = made_up(30, "detect")
+    ours, theirs = judge(labels, found, 3), judge(labels, {}, 3)
+    names, groups = ("Person", "Car", "Bicycle"), ["a"] * 30
+    for of in paired([ours], [theirs], names, draw_images(groups, 50, 0), groups).values():
+        assert of["map50"]["difference"] > 0
+        assert of["map50"]["ci"] is of["map50"]["same_sign"] is None
 
 
 def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
@@ -272,18 +301,19 @@ def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
             kept[t.key] = detections(t.boxes_xyxy[which], np.full(which.sum(), 0.9), t.classes[which])
         return judge(labels, kept, 3)
 
-    weights = draw_images([t.key for t in labels], 500, 0)
+    groups = [t.key for t in labels]
+    weights = draw_images(groups, 500, 0)
     names = ("Person", "Car", "Bicycle")
     low, middle, high = seen(0.5), seen(0.6), seen(0.7)
     base = judge(labels, found, 3)
-    one = paired([middle], [base], names, weights)
-    alike = paired([middle, middle, middle], [base, base], names, weights)
+    one = paired([middle], [base], names, weights, groups)
+    alike = paired([middle, middle, middle], [base, base], names, weights, groups)
     for name in ("all", *names):
         for key, value in one[name]["map50"].items():
             assert alike[name]["map50"][key] == pytest.approx(value)
-    three = paired([low, middle, high], [base], names, weights)
+    three = paired([low, middle, high], [base], names, weights, groups)
     for name in ("all", *names):
-        of = [paired([d], [base], names, weights)[name]["map50"]["ours"] for d in (low, middle, high)]
+        of = [paired([d], [base], names, weights, groups)[name]["map50"]["ours"] for d in (low, middle, high)]
         assert three[name]["map50"]["ours"] == pytest.approx(np.mean(of))
         assert three[name]["map50"]["difference"] == pytest.approx(np.mean(of) - one[name]["map50"]["theirs"])
 
@@ -292,12 +322,12 @@ def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
         return float(ci[1] - ci[0])
 
     # The two sources of spread add up as squares: the images' and that of a mean of three detectors.
-    figures = [paired([d], [base], names, weights)["all"]["map50"]["ours"] for d in (low, middle, high)]
+    figures = [paired([d], [base], names, weights, groups)["all"]["map50"]["ours"] for d in (low, middle, high)]
     of_seeds = 2 * 1.96 * np.std(figures, ddof=1) / np.sqrt(3)
-    of_images = np.mean([width(paired([d], [base], names, weights)) for d in (low, middle, high)])
+    of_images = np.mean([width(paired([d], [base], names, weights, groups)) for d in (low, middle, high)])
     assert width(three) == pytest.approx(np.hypot(of_seeds, of_images), rel=0.15)
     assert width(three) > 1.3 * of_images
-    assert paired([low, middle, high], [base], names, weights, seed=1) != three
+    assert paired([low, middle, high], [base], names, weights, groups, seed=1) != three
 
 
 def test_confusion_by_hand() -> None:

@@ -44,7 +44,10 @@ class DrawnBy(StrEnum):
 def evaluate(
     ctx: typer.Context,
     weights: Annotated[
-        Path, typer.Argument(metavar="WEIGHTS", help="Weights (.pt), or the predictions.json of an earlier evaluation.")
+        Path,
+        typer.Argument(
+            metavar="WEIGHTS", help="Weights (.pt), predictions.json of an evaluation, or the folder of either."
+        ),
     ],
     dataset: DatasetArgument,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write; new or empty.")] = Path("evaluation"),

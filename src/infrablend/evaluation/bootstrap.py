@@ -30,17 +30,22 @@ def draw_images(groups: Sequence[str], draws: int, seed: int) -> NDArray[np.int3
 def drawn_figures(all_matches: Sequence[ClassMatches], weights: NDArray[Any]) -> FloatArray:
     """(b, 1 + classes, 2) mAP50 and mAP50-95 for each weighting of the images: the mean of the classes, then each.
 
-    The mean is over the classes that a weighting has objects of; NaN where a class has none.
+    The mean is over the classes that the images have objects of. NaN where a class has none, and so the mean of a
+    weighting that lacks one of those: the mean of other classes would be another figure.
     """
     figures = np.full((len(weights), 1 + len(all_matches), len(MEASURES)), np.nan)
     for k, matches in enumerate(all_matches, 1):
         ap = average_precisions(matches, weights)
         figures[:, k, 0], figures[:, k, 1] = ap[:, 0], ap.mean(axis=1)
-    known = ~np.isnan(figures[:, 1:])
-    count = known.sum(axis=1)
-    total = np.where(known, figures[:, 1:], 0.0).sum(axis=1)
-    figures[:, 0] = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    there = [k for k, matches in enumerate(all_matches, 1) if matches.objects[0].any()]
+    if there:
+        figures[:, 0] = figures[:, there].mean(axis=1)
     return figures
+
+
+def several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
+    """Whether the images chosen by (i,) are of two groups at least: drawing from one gives the same again and again."""
+    return len({groups[k] for k in np.flatnonzero(images)}) > 1
 
 
 def interval(values: FloatArray) -> list[float] | None:
@@ -73,6 +78,7 @@ def paired(
     theirs: Sequence[Sequence[ClassMatches]],
     classes: Sequence[str],
     weights: NDArray[Any],
+    groups: Sequence[str],
     seed: int = 0,
 ) -> dict[str, dict[str, Any]]:
     """Ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
@@ -83,29 +89,34 @@ def paired(
         theirs: Likewise.
         classes: Their names.
         weights: (draws, i) how often each image is drawn.
+        groups: (i,) of each image, that the draws were made of.
         seed: For drawing detectors.
 
     Returns:
-        By class and measure `ours`, `theirs`, `difference`, `ci`, and `same_sign`: the share of the draws in which the
-        difference has the sign of the undrawn one, or is none if that is none.
+        By class and measure `ours`, `theirs`, `difference`, `ci` (None if all objects are of one group), and
+        `same_sign`: the share of the draws in which the difference has the sign of the undrawn one; None without `ci`,
+        and if there is no difference, as zero has no sign.
     """
     once = np.ones((1, weights.shape[1]), np.int32)
     first, second = (np.mean([drawn_figures(m, once)[0] for m in side], axis=0) for side in (ours, theirs))
     drawn = _mean_of(ours, weights, seed, "ours") - _mean_of(theirs, weights, seed, "theirs")
+    held = [m.objects[0] > 0 for m in ours[0]]
     result: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(("all", *classes)):
         result[name] = {}
+        several = several_groups(held[k - 1] if k else np.any(held, axis=0), groups)
         for m, measure in enumerate(MEASURES):
             if np.isnan(first[k, m]) or np.isnan(second[k, m]):
                 result[name][measure] = None
                 continue
             difference = float(first[k, m] - second[k, m])
-            values = drawn[:, k, m][~np.isnan(drawn[:, k, m])]
+            values = drawn[:, k, m][~np.isnan(drawn[:, k, m])] if several else np.zeros(0)
+            signed = len(values) > 0 and difference != 0
             result[name][measure] = {
                 "ours": float(first[k, m]),
                 "theirs": float(second[k, m]),
                 "difference": difference,
                 "ci": interval(values),
-                "same_sign": float(np.mean(np.sign(values) == np.sign(difference))) if len(values) else None,
+                "same_sign": float(np.mean(np.sign(values) == np.sign(difference))) if signed else None,
             }
     return result

@@ -159,7 +159,7 @@ def read_predictions(path: Path) -> Predictions:
     """
 
     def refuse(found: str, expected: str) -> DatasetError:
-        todo = "give the predictions.json of an earlier evaluation, or weights (.pt)"
+        todo = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
         return DatasetError(f"{path}: no predictions", [Problem(path.name, "predictions", found, expected, todo)])
 
     try:

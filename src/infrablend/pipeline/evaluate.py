@@ -21,7 +21,15 @@ from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, output_error, replace_atomically, write_bytes, write_json, write_text
 from infrablend.errors import DatasetError, ModelError, OutputError, Problem
-from infrablend.evaluation.bootstrap import LEVEL, MEASURES, draw_images, drawn_figures, interval, paired
+from infrablend.evaluation.bootstrap import (
+    LEVEL,
+    MEASURES,
+    draw_images,
+    drawn_figures,
+    interval,
+    paired,
+    several_groups,
+)
 from infrablend.evaluation.coco import MAX_DETECTIONS, coco_precisions
 from infrablend.evaluation.confusion import IOU as CONFUSION_IOU
 from infrablend.evaluation.confusion import confusion_matrix
@@ -57,6 +65,7 @@ PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS = (
 )
 _OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
 _SHOWN = 5
+_LEAST_AP = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +185,7 @@ def evaluate_detector(
         class_of = class_numbers(judged, len(predictions.classes))
         _count_foreign(predictions, class_of, names, counts, problems)
         metrics, kept = _judge(labels, images, predictions, class_of, names, chosen, bootstrap, grouping, seed)
+        problems += _hardly_anything(metrics["classes"], counts)
         facts = {
             "infrablend": __version__,
             "dataset": {
@@ -224,9 +234,9 @@ class _Source:
         self.classes: tuple[str, ...] | None = None
         self.task: Task | None = None
         try:
-            if path.suffix == ".json" or path.is_dir():
-                file = path / PREDICTIONS if path.is_dir() else path
-                self.saved = read_predictions(file)
+            path = _meant(path)
+            if path.suffix == ".json":
+                self.saved = read_predictions(path)
                 self.classes, self.task = self.saved.classes, self.saved.task
             else:
                 from infrablend.training.predict import load_detector
@@ -253,6 +263,28 @@ class _Source:
         from infrablend.training.predict import predict
 
         return predict(self._detector, images, image_size=image_size, on_image=on_image)
+
+
+def _meant(path: Path) -> Path:
+    """The file that a folder stands for: the findings of an evaluation, or the weights of a finished training.
+
+    Raises:
+        ModelError: The folder is neither.
+    """
+    if not path.is_dir():
+        return path
+    from infrablend.pipeline.train import RECORD as TRAINING
+    from infrablend.training.trainer import WEIGHTS
+
+    for file in (PREDICTIONS, WEIGHTS):
+        if (path / file).is_file():
+            return path / file
+    found, expected = f"a folder without {PREDICTIONS} and {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
+    todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
+    if (path / TRAINING).exists():
+        found, expected = f"a training that is not finished: no {WEIGHTS} yet", "a finished one"
+        todo = "finish it: the same `infrablend train` with --resume"
+    raise ModelError(f"{path}: nothing to judge", [Problem(str(path), "weights", found, expected, todo)])
 
 
 def _task(wanted: str | None, source: _Source, problems: list[Problem]) -> Task:
@@ -466,6 +498,16 @@ def _count_foreign(
         problems.append(Problem("detector", "no-findings", found, "a trained detector", severity="warning"))
 
 
+def _hardly_anything(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
+    """A warning if there are findings, but no class with an AP that its three decimals would show."""
+    best = max(row["map50"] for row in table.values() if row["map50"] is not None)
+    if not counts["findings"] or best >= _LEAST_AP:
+        return []
+    found = f"{counts['findings']} findings, hardly any of them on an object: mAP50 is below {_LEAST_AP} in every class"
+    todo = "see that it is trained to the end, on pictures and classes such as these"
+    return [Problem("detector", "no-hits", found, "a trained detector", todo, severity="warning")]
+
+
 # -- the figures -----------------------------------------------------------------------------------------------
 
 
@@ -501,25 +543,35 @@ def _judge(
         "map50_95": float(np.nanmean(coco)),
     }
     everything = np.sum([m.objects[0] for m in matches], axis=0)
-    table["all"] = {"images": len(images), "instances": int(everything.sum()), **total, "ci": _intervals(drawn[:, 0])}
+    held = [m.objects[0] > 0 for m in matches]
+    table["all"] = {
+        "images": len(images),
+        "instances": int(everything.sum()),
+        **total,
+        "ci": _intervals(drawn[:, 0], everything > 0, groups),
+    }
     for k, name in enumerate(names):
         point, m = points[k], matches[k]
         table[name] = {
-            "images": int((m.objects[0] > 0).sum()),
+            "images": int(held[k].sum()),
             "instances": int(m.objects[0].sum()),
             "p": None if point is None else point[0],
             "r": None if point is None else point[1],
             "map50": _number(coco[k, 0]),
             "map50_95": _number(coco[k].mean()),
-            "ci": _intervals(drawn[:, k + 1]),
+            "ci": _intervals(drawn[:, k + 1], held[k], groups),
         }
     strata: dict[str, Any] = {"size": {}}
     for a, name in enumerate(bins):
         if a:
-            at_size = [_at_size(m, a) for m in matches]
-            strata["size"][name] = _stratum(at_size, names, np.ones(len(images), np.bool_), weights)
+            stratum = _stratum(
+                [_at_size(m, a) for m in matches], names, np.ones(len(images), np.bool_), weights, groups
+            )
+            # Any image may hold any size, and so is looked at; told is in how many there are objects of this one.
+            stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
+            strata["size"][name] = stratum
     for kind, parts in image_strata(images).items():
-        strata[kind] = {name: _stratum(matches, names, which, weights) for name, which in parts.items()}
+        strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
     matrix = confusion_matrix(labels, found, class_of, len(names), task, confidence)
     metrics = {
         "classes": table,
@@ -564,26 +616,32 @@ def _at_size(m: ClassMatches, size: int) -> ClassMatches:
 
 
 def _of_images(m: ClassMatches, which: NDArray[np.bool_]) -> ClassMatches:
-    """Without the findings in other images, which would only be counted 0 times, a thousand times over."""
+    """Without the objects of other images, and the findings, which would be counted 0 times, a thousand times over."""
     keep = which[m.images]
-    return ClassMatches(m.scores[keep], m.images[keep], m.right[..., keep], m.neutral[..., keep], m.objects)
+    return ClassMatches(m.scores[keep], m.images[keep], m.right[..., keep], m.neutral[..., keep], m.objects * which)
 
 
 def _stratum(
-    matches: Sequence[ClassMatches], names: Sequence[str], which: NDArray[np.bool_], weights: NDArray[Any]
+    matches: Sequence[ClassMatches],
+    names: Sequence[str],
+    which: NDArray[np.bool_],
+    weights: NDArray[Any],
+    groups: Sequence[str],
 ) -> dict[str, Any]:
     """Figures of some images: all others count for nothing."""
     matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
-    instances = [int(m.objects[0][which].sum()) for m in matches]
+    objects = [m.objects[0] for m in matches]
+    objects = [np.sum(objects, axis=0), *objects]
     rows = {}
-    for k, (name, n) in enumerate(zip(("all", *names), (sum(instances), *instances), strict=True)):
+    for k, (name, of) in enumerate(zip(("all", *names), objects, strict=True)):
         rows[name] = {
-            "instances": n,
+            "images": int((of > 0).sum()) if k else int(which.sum()),
+            "instances": int(of.sum()),
             "map50": _number(figures[k, 0]),
             "map50_95": _number(figures[k, 1]),
-            "ci": _intervals(drawn[:, k]) if n else None,
+            "ci": _intervals(drawn[:, k], of > 0, groups),
         }
     return {"images": int(which.sum()), "classes": rows}
 
@@ -592,9 +650,13 @@ def _number(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _intervals(drawn: NDArray[np.float64]) -> dict[str, list[float] | None] | None:
-    """Intervals of (draws, 2) mAP50 and mAP50-95; None without draws."""
-    return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)} if len(drawn) else None
+def _intervals(
+    drawn: NDArray[np.float64], held: NDArray[np.bool_], groups: Sequence[str]
+) -> dict[str, list[float] | None] | None:
+    """Intervals of (draws, 2) mAP50 and mAP50-95; None without draws, or with objects in images of one group alone."""
+    if not len(drawn) or not several_groups(held, groups):
+        return None
+    return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)}
 
 
 # -- two evaluations -------------------------------------------------------------------------------------------
@@ -640,7 +702,7 @@ def _paired_facts(
         "against": {"name": name, "detector": record["detector"]},
         "draws": draws,
         "detectors": [len(ours), len(theirs)],
-        "classes": paired(a, b, both, weights, seed),
+        "classes": paired(a, b, both, weights, ours[0].groups, seed),
         "left_out": sorted({n for j in sides for n in j.classes} - set(both)),
     }
 

@@ -196,7 +196,7 @@ def _stratum_table(strata: Mapping[str, Any], classes: Mapping[str, Any]) -> str
         for c in classes:
             row = stratum["classes"][c]
             if row["instances"]:
-                rows.append([name, c, stratum["images"], row["instances"], show(row["map50"]), show(row["map50_95"]),
+                rows.append([name, c, row["images"], row["instances"], show(row["map50"]), show(row["map50_95"]),
                              span(row["ci"], "map50_95")])  # fmt: skip
     return _table(["", "class", "images", "instances", "mAP50", "mAP50-95", "interval"], rows)
 

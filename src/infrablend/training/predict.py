@@ -7,6 +7,7 @@ that is sure enough. So the network is called here, and Ultralytics' own suppres
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -34,7 +35,10 @@ IOU = 0.7
 MAX_DETECTIONS = 300
 IMAGE_SIZE = 640
 Precision = Literal["auto", "float32", "bfloat16"]
+_TODO = "give weights.pt of a finished `infrablend train`, or best.pt or last.pt of an Ultralytics training"
 _GREY = 114  # Ultralytics pads with it
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +114,15 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
     chosen = pick_device(device)
 
     def refuse(found: str, expected: str = "a .pt file that Ultralytics' training wrote") -> ModelError:
-        problem = Problem(str(weights), "weights", found, expected, "give the best.pt or last.pt of a training")
+        problem = Problem(str(weights), "weights", found, expected, _TODO)
         return ModelError(f"{weights}: no weights that can be used", [problem])
 
     # Ultralytics would take a name that is no file for one to download.
     if not weights.is_file():
         raise refuse("no such file" if not weights.exists() else "no file")
+    # Nor does it open files of other types, but takes them for exported models, or for a network to begin from.
+    if weights.suffix.lower() != ".pt":
+        raise refuse(f"a {weights.suffix} file" if weights.suffix else "a file without .pt")
     with quiet_ultralytics():
         import torch
         import ultralytics
@@ -133,7 +140,8 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
         except OSError as error:
             raise refuse(f"cannot be read: {error.strerror or error}") from error
         except Exception as error:  # unpickling raises what it likes
-            raise refuse(f"cannot be loaded: {type(error).__name__}: {error}"[:300]) from error
+            log.debug("%s", weights, exc_info=True)
+            raise refuse("a file that cannot be loaded: damaged, or of another tool") from error
     task = next((t for t in TASKS if t == model.task), None)
     if task is None:
         raise refuse(f"a network for {model.task}", "one that detects boxes, oriented boxes or masks")
