@@ -43,7 +43,7 @@ from infrablend.training.presets import Preset
 
 RECORD = "stage.json"
 # Raised where a kind comes to make something else of the same inputs: its old results are then not taken.
-VERSIONS = {"source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "train": 2, "evaluate": 1, "compare": 1}
+VERSIONS = {"source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "train": 2, "evaluate": 2, "compare": 1}
 _PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
 
 
