@@ -64,6 +64,8 @@ class Tools:
     """About how long a training takes: scale, settings, images, whether on a GPU."""
     require_training: Callable[[str], None]
     """Raises where training cannot begin on the device."""
+    require_settings: Callable[[str, Mapping[str, Any]], None]
+    """Raises where the trainer does not know a setting: scale, settings."""
 
 
 @dataclass(frozen=True)
