@@ -422,6 +422,8 @@ def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path,
         plan(only=["train:foxed"])
     with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
         plan(adopt={"train:foxed": data})
+    with pytest.raises(DatasetError, match="a stage of evaluate; expected a stage of train"):
+        plan(adopt={"evaluate:fixed": data})
     with pytest.raises(DatasetError, match="generate:fixed is not there"):
         plan(adopt={"train:fixed": data})
     with pytest.raises(DatasetError, match="no such folder"):

@@ -447,7 +447,7 @@ def plan_experiment(
     """Stages, images, passes, disk and time, roughly: of what `run_experiment` would make with `only` and `adopt`.
 
     Raises:
-        DatasetError: `only` or `adopt` names no stage, or what is to be taken over cannot be yet.
+        DatasetError: `only` or `adopt` names no stage, or something cannot be taken over.
         MissingDependencyError: The device that was asked for is not there.
         OutputError: A setting that the trainer does not know.
     """
@@ -672,6 +672,10 @@ def _require_adoptable(graph: Graph, setting: Setting, adopt: Mapping[str, Path]
     there = _finished(graph, setting)
     problems = []
     for i in adopt:
+        if by_id[i].kind not in stages.ADOPTABLE:
+            expected = f"a stage of {', '.join(stages.ADOPTABLE)}"
+            problems.append(Problem(f"--adopt {i}", "adopt-kind", f"a stage of {by_id[i].kind}", expected))
+            continue
         if i in there:
             continue
         if not adopt[i].is_dir():
@@ -682,7 +686,7 @@ def _require_adoptable(graph: Graph, setting: Setting, adopt: Mapping[str, Path]
                 todo = f"make that first: --only {need}, or --adopt it, too"
                 problems.append(Problem(i, "adopt-early", f"{need} is not there", "what it is checked against", todo))
     if problems:
-        raise DatasetError("cannot be taken over yet", problems)
+        raise DatasetError("cannot be taken over", problems)
 
 
 def _take_over(graph: Graph, setting: Setting, adopt: Mapping[str, Path], on_stage: OnStage | None) -> None:
