@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +30,7 @@ from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
 from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline import train as train_stage
 from infrablend.pipeline import world
 from infrablend.pipeline.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.models import ready_model, run_once
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.experiment import ExperimentPlan, ExperimentReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.split import SplitReport
+    from infrablend.pipeline.stages import Setting
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -72,6 +75,7 @@ __all__ = [
     "make_world",
     "plan",
     "plan_experiment",
+    "plan_train",
     "preview",
     "preview_ground",
     "profile",
@@ -81,6 +85,7 @@ __all__ = [
     "show_model",
     "show_recipe",
     "split",
+    "train",
     "write_infrared_effect",
 ]
 
@@ -944,9 +949,7 @@ def experiment(
     loaded, graph, setting = _experiment(
         name, data, work, scale, seed, device, training, workers, renderer, on_progress
     )
-    target = default_results(setting.work, setting.scale) if out is None else Path(out)
-    for folder in graph.given.values():
-        _require_apart(folder, target)
+    target = _results_folder(graph.given.values(), setting, out)
     folders = {i: Path(folder) for i, folder in (adopt or {}).items()}
     return experiments.run_experiment(loaded, graph, setting, target, only=only, adopt=folders, on_stage=on_stage)
 
@@ -955,18 +958,31 @@ def plan_experiment(
     name: str | Path,
     data: str | Path | Sequence[str | Path] = (),
     work: str | Path = "experiments",
+    out: str | Path | None = None,
     *,
     scale: str = "small",
     seed: int = 0,
     device: str = "auto",
     training: Mapping[str, Any] | None = None,
+    only: Sequence[str] = (),
+    adopt: Mapping[str, str | Path] | None = None,
     renderer: str = "blender",
 ) -> ExperimentPlan:
     """What `experiment` with the same arguments would do: stages, images, passes, disk, time. Writes nothing."""
     from infrablend.pipeline import experiment as experiments
 
     loaded, graph, setting = _experiment(name, data, work, scale, seed, device, training, None, renderer, None)
-    return experiments.plan_experiment(loaded, graph, setting)
+    _results_folder(graph.given.values(), setting, out)
+    folders = {i: Path(folder) for i, folder in (adopt or {}).items()}
+    return experiments.plan_experiment(loaded, graph, setting, only=only, adopt=folders)
+
+
+def _results_folder(data: Iterable[Path], setting: Setting, out: str | Path | None) -> Path:
+    """Where the page goes, apart from the data."""
+    target = default_results(setting.work, setting.scale) if out is None else Path(out)
+    for folder in data:
+        _require_apart(folder, target)
+    return target
 
 
 def default_results(work: Path, scale: str) -> Path:
@@ -1005,7 +1021,7 @@ def _experiment(
     given = experiments.assign(loaded, folders)
     tools = Tools(
         read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, _training_seconds,
-        _require_training,
+        _require_training, _require_settings,
     )  # fmt: skip
     setting = Setting(Path(work), known, seed, device, tools, dict(training or {}), renderer, workers, on_progress)
     return loaded, experiments.build(loaded, given, setting), setting
@@ -1033,3 +1049,10 @@ def _require_training(device: str) -> None:
     from infrablend.training.predict import pick_device
 
     pick_device(device)
+
+
+def _require_settings(scale: str, settings: Mapping[str, Any]) -> None:
+    """What a training would refuse of its settings; without Ultralytics only what we know ourselves."""
+    preset = choose_preset(scale, settings)
+    if all(find_spec(name) is not None for name in ("ultralytics", "torch")):
+        train_stage._require_arguments(preset)

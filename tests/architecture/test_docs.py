@@ -124,6 +124,8 @@ def test_the_python_page_names_what_the_api_offers() -> None:
     named = set(re.findall(r"`(\w+)\(", "\n".join(table)))
     offered = {name for name in api.__all__ if name[0].islower()}
     assert named == offered
+    functions = {n for n, f in vars(api).items() if getattr(f, "__module__", "") == api.__name__ and callable(f)}
+    assert {n for n in functions if n[0].islower() and not n.startswith("default_")} == offered
     for block in blocks(ROOT / "docs" / "reference" / "python_api.md", "python"):
         compile(block, "python_api.md", "exec")
 

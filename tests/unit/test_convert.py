@@ -184,3 +184,18 @@ def test_the_source_is_never_written_to(data: Path) -> None:
     for out in (data, data / "out", data.parent):
         with pytest.raises(OutputError):
             api.convert(data, out, "yolo")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--images", "2", "--seed", "3"], "2 pictures drawn, seed 3; left out:"),
+        (["--with-class", "Car"], "pictures that show Car"),
+        (["--without", "Car"], "none that shows Car"),
+        (["--with-class", "Car", "--objects", "1", "--images", "1"], "1 asked for, seed 0"),
+    ],
+)
+def test_the_selection_is_told_in_plain_words(words: list[str], said: str, data: Path, tmp_path: Path) -> None:
+    result = run("convert", data, tmp_path / "out", "--to", "coco", *words)
+    (line,) = [x for x in result.output.splitlines() if x.startswith("selection")]
+    assert said in line and "None" not in line and "_" not in line

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from infrablend.report import doctor
-from infrablend.report.doctor import Blender, Machine, judge, parse_ldd
+from infrablend.report.doctor import Blender, Machine, Trainer, judge, parse_ldd
 from infrablend.report.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
 
 GOOD = Machine(
@@ -107,3 +107,36 @@ def test_this_machine_is_surveyed_without_importing_bpy(tmp_path) -> None:
     assert machine.blender.version[:2] == doctor.SUPPORTED_BLENDER
     assert machine.free_bytes[str(tmp_path / "not" / "there")] > 0
     assert set(machine.blender.devices) == set(doctor.GPU_TYPES)
+
+
+NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'
+
+
+@pytest.mark.parametrize(
+    ("trainer", "status", "torch", "ultralytics"),
+    [
+        (Trainer(), "ok", NOT_INSTALLED, NOT_INSTALLED),
+        (Trainer("2.9.0", "8.4.1"), "ok", "2.9.0, no CUDA device", "8.4.1"),
+        (Trainer("2.9.0", "8.4.1", ("An H100",)), "ok", "2.9.0, CUDA devices: An H100", "8.4.1"),
+        (Trainer("2.9.0", trouble="no answer within 60 s"), "warning", "no answer within 60 s", NOT_INSTALLED),
+    ],
+)
+def test_torch_and_ultralytics_are_told(trainer: Trainer, status: str, torch: str, ultralytics: str) -> None:
+    machine = replace(GOOD, trainer=trainer)
+    assert verdict(machine, "torch").status == status and torch in verdict(machine, "torch").found
+    assert (verdict(machine, "Ultralytics").status, verdict(machine, "Ultralytics").found) == ("ok", ultralytics)
+    assert judge(machine).ok
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ('print(\'{"devices": ["A GPU"]}\')', Trainer("1.2", "1.2", ("A GPU",))),
+        ("raise ImportError('libcuda')", Trainer("1.2", "1.2", trouble="ImportError: libcuda")),
+        ("import time; time.sleep(60)", Trainer("1.2", "1.2", trouble="no answer within 5 s")),
+    ],
+)
+def test_torch_is_asked_in_a_process_of_its_own(code: str, found: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_ASK_TORCH", code)
+    monkeypatch.setattr(doctor, "_version", lambda package: "1.2")
+    assert doctor._ask_trainer(5.0) == found

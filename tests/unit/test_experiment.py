@@ -264,10 +264,10 @@ def test_a_stopped_run_says_so_and_goes_on(bench: Bench, data: Path, tmp_path: P
     def stop(what: str) -> None:
         calls.append(what)
         if calls.count(where) == 2 and what == where:
-            raise Interrupted("Stopped.")
+            raise Interrupted("Stopped; the same command with --resume begins it again.")
 
     bench.stop = stop
-    with pytest.raises(Interrupted, match="same command goes on"):
+    with pytest.raises(Interrupted, match=r"The same command goes on\.$"):
         run("pitch-alignment", data, work)
     page = (work / "results" / "pitch-alignment-smoke.md").read_text("utf-8")
     assert "This run is not finished" in page and f"`{where}:fixed`" in page
@@ -316,6 +316,20 @@ def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str)
     assert {k: report.facts[k] for k in figures} == {k: whole.facts[k] for k in figures}
     keys = [[s["key"] for s in r.facts["stages"]] for r in (report, whole)]
     assert keys[0] == keys[1]
+
+
+def test_a_stopped_run_counts_all_that_is_there(bench: Bench, data: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    run("pitch-alignment", data, work)
+    (gone,) = [p for p in (work / "train").iterdir() if _name(p) == "fixed"]
+    shutil.rmtree(gone)
+
+    def stop(what: str) -> None:
+        raise Interrupted("Stopped.")
+
+    bench.stop = stop
+    with pytest.raises(Interrupted, match="13 of 14 stages are done"):  # several come after the one that is missing
+        run("pitch-alignment", data, work, only=["train"])
 
 
 def test_a_failing_stage_leaves_a_page_that_says_so(bench: Bench, data: Path, tmp_path: Path) -> None:
@@ -395,6 +409,54 @@ def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, 
     assert status["train:aligned"] == "done" and status["train:fixed"] == "to do"
     small = api.plan_experiment("pitch-alignment", data, work, scale="small").facts
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
+
+
+def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path, tmp_path: Path) -> None:
+    def plan(**more: Any) -> dict[str, Any]:
+        facts = api.plan_experiment("pitch-alignment", data, tmp_path / "work", **{"scale": "smoke", **more}).facts
+        return {s["stage"]: s["status"] for s in facts["stages"]} | {"to_do": facts["to_do"]}
+
+    one = {"source:hit-uav": "to do", "generate:fixed": "to do", "train:fixed": "to do", "to_do": 3}
+    assert plan(only=["train:fixed"], renderer="fake") == one
+    with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
+        plan(only=["train:foxed"])
+    with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
+        plan(adopt={"train:foxed": data})
+    with pytest.raises(DatasetError, match="a stage of evaluate; expected a stage of train"):
+        plan(adopt={"evaluate:fixed": data})
+    with pytest.raises(DatasetError, match="generate:fixed is not there"):
+        plan(adopt={"train:fixed": data})
+    with pytest.raises(DatasetError, match="no such folder"):
+        plan(adopt={"generate:fixed": tmp_path / "nowhere"})
+    taken = plan(adopt={"generate:fixed": data, "train:fixed": data}, only=["evaluate:fixed"])
+    assert (taken["train:fixed"], taken["generate:fixed"], taken["to_do"]) == ("taken over", "taken over", 3)
+    with pytest.raises(OutputError, match="data folder"):
+        api.plan_experiment("pitch-alignment", data, tmp_path / "work", data, scale="smoke")
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_plan_wants_the_device_that_is_asked_for(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(device: str) -> None:
+        raise MissingDependencyError(f"no {device}")
+
+    monkeypatch.setattr(api, "_require_training", refuse)
+    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cpu")
+    with pytest.raises(MissingDependencyError, match="no cuda"):
+        api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda")
+    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda", only=["generate"])
+
+
+def test_a_misspelled_setting_is_refused_before_anything_is_made(bench: Bench, data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ultralytics")
+    wrong = {"training": {"pases": 100}}
+    with pytest.raises(OutputError, match="pases"):
+        api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", **wrong)
+    with pytest.raises(OutputError, match="pases"):
+        run("pitch-alignment", data, tmp_path / "work", **wrong)
+    assert not (tmp_path / "work").exists()
+    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", training={"passes": 100, "lr0": 0.1})
 
 
 def test_the_same_with_other_seeds(bench: Bench, data: Path, tmp_path: Path) -> None:
@@ -555,6 +617,15 @@ def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench,
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
 
 
+def test_a_stage_that_is_there_is_not_taken_over_and_that_is_said(
+    bench: Bench, data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run("hit-uav-drone", data, tmp_path / "work")
+    report = run("hit-uav-drone", data, tmp_path / "work", adopt={"train:aligned": tmp_path})
+    assert report.status == "complete" and report.made == ()
+    assert [r.levelname for r in caplog.records if "--adopt train:aligned=" in r.message] == ["WARNING"]
+
+
 def test_an_unfinished_run_leaves_a_complete_page_alone(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     report = run("hit-uav-drone", data, work)
@@ -604,6 +675,17 @@ def test_a_ratio_is_judged_by_its_least() -> None:
     assert experiments.judge(check, {}, {}, {})["holds"] is None
 
 
+@pytest.mark.parametrize(
+    ("scale", "said"), [("smoke", "figures mean nothing"), ("small", "compared with each other"), ("paper", None)]
+)
+def test_a_page_says_what_its_figures_are_worth(
+    scale: str, said: str | None, bench: Bench, data: Path, tmp_path: Path
+) -> None:
+    facts = run("hit-uav-drone", data, tmp_path / "work").facts
+    text = " ".join(results.differences({**facts, "scale": scale}))
+    assert [s for s in ("figures mean nothing", "compared with each other") if s in text] == ([said] if said else [])
+
+
 def test_pages_of_scales_stand_side_by_side(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("hit-uav-drone", data, tmp_path / "work")
     out = tmp_path / "results"
@@ -647,6 +729,11 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     assert main(["experiment", "--list"]) == 0
     assert "pitch-alignment" in capsys.readouterr().out
     command = ["experiment", "hit-uav-drone", "--data", str(data), "--work", str(tmp_path / "w"), "--scale", "smoke"]
+    assert main([*command, "--plan", "--only", "generate"]) == 0
+    shown = capsys.readouterr().out
+    assert "train:aligned" not in shown and "3 of 3 stages" in shown
+    assert main([*command, "--plan", "--only", "trian"]) == 2
+    assert "no such stage" in capsys.readouterr().err
     assert main([*command, "--plan"]) == 0
     shown = capsys.readouterr().out
     assert "train:aligned" in shown and "5 of 5 stages" in shown and not (tmp_path / "w").exists()
@@ -665,6 +752,7 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     ("words", "said"),
     [
         (["hit-uav-dron"], "neither a shipped experiment"),
+        (["hit-uav-dron"], "Did you mean hit-uav-drone?"),
         ([], "which experiment?"),
         (["hit-uav"], "no HIT-UAV"),
         (["hit-uav", "--adopt", "train"], "KEY=VALUE"),

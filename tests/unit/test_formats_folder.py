@@ -288,8 +288,9 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
         detection.read(tmp_path, form="normal")
     with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
         detection.read(tmp_path, format="no-such-format")
-    with pytest.raises(DatasetError, match="no such folder"):
+    with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
         detection.read(tmp_path / "absent")
+    assert str(caught.value).count("absent") == 1
 
 
 def test_every_format_in_the_table_can_be_loaded() -> None:

@@ -90,8 +90,10 @@ def test_bad_texts(text, match):
 
 
 def test_unknown_recipe_names_the_shipped_ones():
-    with pytest.raises(RecipeError, match="hit-uav-drone"):
+    with pytest.raises(RecipeError, match=r"shipped are .*monet-deer.*\. Did you mean hit-uav-drone\?"):
         load_recipe("hit-uav-dron")
+    with pytest.raises(RecipeError, match="Give one of these names or the path"):
+        load_recipe("zzz")
 
 
 def test_recipe_survives_json():

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -141,9 +142,28 @@ def convert(
     if as_json:
         say_json(report.to_json())
     else:
-        say(table(facts(report.counts)))
+        rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
+        if selection := report.counts.get("selection"):
+            rows["selection"] = _in_words(selection)
+        say(table(rows))
         for kind, n in report.losses.items():
             say(f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}")
         say(str(report.out))
     if not report.ok:
         raise typer.Exit(PARTIAL)
+
+
+def _in_words(selection: Mapping[str, Any]) -> str:
+    """What was asked for, and what was left out."""
+    named = selection["with_class"]
+    parts = [f"pictures that show {named}"] if named is not None else []
+    parts += [f"none that shows {' or '.join(selection['without'])}"] if selection["without"] else []
+    if selection["images"] is not None:
+        parts.append(f"{selection['images']} pictures drawn")
+    if selection["objects"] is not None:
+        parts.append(f"{selection['objects_taken']} objects of {named}, {selection['objects']} asked for")
+    if selection["like"] is not None:
+        parts.append(f"as those of {selection['like']}, {selection['drawn_again']} drawn again")
+    parts += [f"seed {selection['seed']}"] if "drawn_again" in selection or selection["images"] is not None else []
+    left_out = ", ".join(f"{n} {why}" for why, n in selection["left_out"].items())
+    return ", ".join(parts) + (f"; left out: {left_out}" if left_out else "")

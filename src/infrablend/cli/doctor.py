@@ -8,7 +8,7 @@ from infrablend.cli.options import JsonOption
 
 
 def doctor(ctx: typer.Context, as_json: JsonOption = False) -> None:
-    """Report Python, bpy, system libraries, render devices and disk; exit code 3 if a run would fail."""
+    """Report Python, bpy, libraries, devices, torch, Ultralytics, disk; exit code 3 if a run would fail."""
     from infrablend import api
     from infrablend.cli.exits import ENVIRONMENT
     from infrablend.cli.results import say, say_json, table

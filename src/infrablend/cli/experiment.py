@@ -95,8 +95,9 @@ def experiment(
     training = {k: read_yaml(v) for k, v in key_values(settings, "--set").items()}
     if plan:
         planned = api.plan_experiment(
-            name, data or [], work, scale=scale.value, seed=seed, device=device, training=training
-        ).to_json()
+            name, data or [], work, results, scale=scale.value, seed=seed, device=device, training=training,
+            only=only or [], adopt=key_values(adopt, "--adopt"),
+        ).to_json()  # fmt: skip
         if as_json:
             say_json(planned)
         else:
@@ -131,13 +132,14 @@ _NEWS = {"there": "is there", "begins": "begins", "done": "done", "taken over": 
 
 def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
     from infrablend.cli.results import grid, human_bytes, human_seconds, table
+    from infrablend.pipeline.experiment import NOTHING_TO_DO
 
     rows = []
     for s in plan["stages"]:
         preset = s.get("training", {})
         passes = preset.get("passes") and f"{preset['passes']:,} passes"
         epochs = preset.get("epochs") and f"at most {preset['epochs']} epochs"
-        todo = s["status"] not in ("done", "not needed")
+        todo = s["status"] not in NOTHING_TO_DO
         rows.append(
             [
                 s["stage"],

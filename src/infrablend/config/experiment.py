@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.strict import Strict
-from infrablend.core.wording import field_problems
+from infrablend.core.wording import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
@@ -374,7 +374,8 @@ def load_experiment(experiment: str | Path) -> Experiment:
     else:
         raise RecipeError(
             f"experiment {str(experiment)!r}: neither a shipped experiment nor a YAML file that exists; "
-            f"shipped are {', '.join(list_experiments())}. Give one of these names or the path of a .yaml file."
+            f"shipped are {', '.join(list_experiments())}. "
+            f"{did_you_mean(str(experiment), list_experiments()) or 'Give one of these or the path of a .yaml file.'}"
         )
     return parse_experiment(text, str(experiment), folder)
 

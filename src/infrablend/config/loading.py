@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
-from infrablend.core.wording import field_problems
+from infrablend.core.wording import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
@@ -32,7 +32,8 @@ def recipe_text(name: str) -> str:
     if name not in list_recipes():
         raise RecipeError(
             f"recipe {name!r}: neither a shipped recipe nor a YAML file that exists; "
-            f"shipped are {', '.join(list_recipes())}. Give one of these names or the path of a .yaml file."
+            f"shipped are {', '.join(list_recipes())}. "
+            f"{did_you_mean(name, list_recipes()) or 'Give one of these names or the path of a .yaml file.'}"
         )
     return (resources.files("infrablend.config") / "recipes" / f"{name}.yaml").read_text("utf-8")
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 from pydantic import ValidationError
@@ -35,6 +36,14 @@ _EXPECTED = {
     "string_pattern_mismatch": "a text that matches {pattern}",
     "literal_error": "{expected}",
 }
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """`Did you mean X?` if one of the names is close, else nothing."""
+    close = get_close_matches(name, sorted(names), 1)
+    return f"Did you mean {close[0]}?" if close else ""
+
+
 _SPACE = "write a space after the colon: {key: value}"
 
 

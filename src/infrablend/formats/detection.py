@@ -105,8 +105,8 @@ def read(
         DatasetError: The folder cannot be read, or an option does not belong to its format.
     """
     if not root.is_dir():
-        problem = Problem(str(root), "folder-missing", "no such folder", "a data set's folder", "check --data")
-        raise DatasetError(f"{root}: no such folder", [problem])
+        problem = Problem(str(root), "folder-missing", "no such folder", "a data set's folder", "check the path")
+        raise DatasetError("no dataset to read", [problem])
     if format is None:
         found = detect(root)
         if found.format is None:

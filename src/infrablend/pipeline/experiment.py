@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import shutil
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.cores import available_cores
 from infrablend.core.dataset import SPLITS
 from infrablend.core.files import output_error
+from infrablend.core.wording import did_you_mean
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.fetching.fetch import require_source
 from infrablend.formats import detection
@@ -42,7 +43,10 @@ log = logging.getLogger(__name__)
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
 OTHER_SCALES = "at other scales only"
+NOTHING_TO_DO = ("done", "not needed", "taken over")
+"""What a plan says of stages that take no time."""
 _MAKES_DATA = ("world", "source", "generate", "convert", "split")
+_LEARNS = ("train", "evaluate")
 
 OnStage = Callable[[str, str, int, int], None]
 """Told of each stage: its id; `there`, `begins` or `done`; its number; how many."""
@@ -77,10 +81,10 @@ class Graph:
         by_id = {s.id: s for s in self.stages}
         if not only:
             return set(by_id)
-        unknown = [w for w in only if not any(w in (s.kind, s.name, s.id) for s in self.stages)]
+        words = {w for s in self.stages for w in (s.kind, s.name, s.id)}
+        unknown = [w for w in only if w not in words]
         if unknown:
-            problem = Problem("--only", "stage-unknown", ", ".join(unknown), f"some of {', '.join(by_id)}")
-            raise DatasetError("no such stage", [problem])
+            raise _no_stage("--only", unknown, by_id, words)
         chosen: set[str] = set()
         queue = [s.id for s in self.stages if any(w in (s.kind, s.name, s.id) for w in only)]
         while queue:
@@ -90,12 +94,22 @@ class Graph:
         return chosen
 
 
-def demanded(experiment: Experiment, graph: Graph, work: Path) -> set[str]:
-    """Ids of the stages that the page rests on: what a finished stage was made of is not needed again."""
+def _no_stage(option: str, unknown: Sequence[str], ids: Iterable[str], words: Iterable[str]) -> DatasetError:
+    """Words that name no stage, with what may have been meant."""
+    todo = did_you_mean(unknown[0], words)
+    problem = Problem(option, "stage-unknown", ", ".join(unknown), f"some of {', '.join(ids)}", todo)
+    return DatasetError("no such stage", [problem])
+
+
+def demanded(experiment: Experiment, graph: Graph, work: Path, adopted: Collection[str] = ()) -> set[str]:
+    """Ids of the stages that the page rests on: what a finished stage was made of is not needed again.
+
+    Those `adopted` count as finished.
+    """
     of_facts = {d for f in experiment.facts for d in f.data}
     needed = {s.id for s in graph.stages if s.kind in ("source", "train", "evaluate", "compare") or s.name in of_facts}
     for s in reversed(graph.stages):
-        if s.id in needed and stages.finished(work, s, graph.keys[s.id]) is None:
+        if s.id in needed and s.id not in adopted and stages.finished(work, s, graph.keys[s.id]) is None:
             needed |= set(s.needs.values())
     return needed
 
@@ -422,18 +436,46 @@ IMAGE_BYTES = 120_000
 WEIGHTS_BYTES = 60_000_000
 
 
-def plan_experiment(experiment: Experiment, graph: Graph, setting: Setting) -> ExperimentPlan:
-    """Stages, images, passes, disk and time, roughly."""
+def plan_experiment(
+    experiment: Experiment,
+    graph: Graph,
+    setting: Setting,
+    *,
+    only: Sequence[str] = (),
+    adopt: Mapping[str, Path] | None = None,
+) -> ExperimentPlan:
+    """Stages, images, passes, disk and time, roughly: of what `run_experiment` would make with `only` and `adopt`.
+
+    Raises:
+        DatasetError: `only` or `adopt` names no stage, or something cannot be taken over.
+        MissingDependencyError: The device that was asked for is not there.
+        OutputError: A setting that the trainer does not know.
+    """
+    _require_adoptable(graph, setting, adopt or {})
+    finished = set(_finished(graph, setting))
+    adopted = set(adopt or {}) - finished
+    chosen = graph.wanted(only, finished | adopted) | adopted
+    chosen |= {n for s in graph.stages if s.id in adopted for n in s.needs.values() if n.startswith("source:")}
+    needed = demanded(experiment, graph, setting.work, adopted)
+    todo = [s for s in graph.stages if s.id in chosen & needed - finished - adopted]
+    if setting.device not in ("auto", "cpu") and any(s.kind in _LEARNS for s in todo):
+        setting.tools.require_training(setting.device)
+    _require_settings(setting, todo)
     rates = _measured(setting.work)
-    needed = demanded(experiment, graph, setting.work)
     rows = []
     for s in graph.stages:
+        if s.id not in chosen:
+            continue
         folder = stages.folder_of(setting.work, s, graph.keys[s.id])
         record = stages.read_stage(folder) or {}
-        done = stages.finished(setting.work, s, graph.keys[s.id]) is not None
         row: dict[str, Any] = {"stage": s.id, "key": graph.keys[s.id], "images": sum(s.images.values())}
-        row["status"] = "done" if done else record.get("status", "to do") if s.id in needed else "not needed"
-        done = row["status"] in ("done", "not needed")
+        if s.id in finished:
+            row["status"] = "done"
+        elif s.id in adopted:
+            row["status"] = "taken over"
+        else:
+            row["status"] = record.get("status", "to do") if s.id in needed else "not needed"
+        done = row["status"] in NOTHING_TO_DO
         row["needs"] = sorted(s.needs.values())
         if s.kind == "train":
             row["training"] = dict(s.inputs["preset"])
@@ -446,7 +488,7 @@ def plan_experiment(experiment: Experiment, graph: Graph, setting: Setting) -> E
         "device": setting.device,
         "seed": setting.seed,
         "stages": rows,
-        "to_do": sum(r["status"] not in ("done", "not needed") for r in rows),
+        "to_do": sum(r["status"] not in NOTHING_TO_DO for r in rows),
         "about_s": round(sum(r["about_s"] for r in rows)),
         "disk_bytes": sum(r["disk_bytes"] for r in rows),
         "disk_free_bytes": _free(setting.work),
@@ -573,8 +615,7 @@ def run_experiment(
         InfraBlendError: Whatever a stage raises.
     """
     _take_over(graph, setting, adopt or {}, on_stage)
-    finished = {s.id for s in graph.stages if stages.finished(setting.work, s, graph.keys[s.id]) is not None}
-    wanted = graph.wanted(only, finished) & demanded(experiment, graph, setting.work)
+    wanted = graph.wanted(only, _finished(graph, setting)) & demanded(experiment, graph, setting.work)
     _require_ready(experiment, graph, setting, wanted)
     done: dict[str, Made] = {}
     made, there = [], []
@@ -594,12 +635,16 @@ def run_experiment(
                 log.info("%s done in %s s", stage.id, done[stage.id].record["seconds"])
                 _tell(on_stage, stage.id, "done", k, len(graph.stages))
     except (Interrupted, KeyboardInterrupt) as error:
+        done = _finished(graph, setting)  # those after this one may be there, too
         page = _write_quietly(experiment, graph, setting, done, out, "stopped")
+        # What the stage says of going on (its --resume) is not for this command.
+        log.info("%s stopped: %s", stage.id, error)
         raise Interrupted(
-            f"stopped in experiment {experiment.name}; {len(done)} of {len(graph.stages)} stages are done"
-            f"{f', {page} says what is there' if page else ''}. The same command goes on. {error}".rstrip()
+            f"Stopped in experiment {experiment.name}; {len(done)} of {len(graph.stages)} stages are done"
+            f"{f', {page} says what is there' if page else ''}. The same command goes on."
         ) from error
     except InfraBlendError as error:
+        done = _finished(graph, setting)
         _write_quietly(experiment, graph, setting, done, out, f"{type(error).__name__}: {stage.id}")
         raise
     page, facts = write_results(experiment, graph, setting, done, out)
@@ -613,28 +658,58 @@ def run_experiment(
     )
 
 
+def _finished(graph: Graph, setting: Setting) -> dict[str, Made]:
+    """The stages that are there, by id."""
+    found = {s.id: stages.finished(setting.work, s, graph.keys[s.id]) for s in graph.stages}
+    return {i: made for i, made in found.items() if made is not None}
+
+
+def _require_adoptable(graph: Graph, setting: Setting, adopt: Mapping[str, Path]) -> None:
+    """What is to be taken over must be there, and so must be what it is checked against."""
+    by_id = {s.id: s for s in graph.stages}
+    if unknown := [i for i in adopt if i not in by_id]:
+        raise _no_stage("--adopt", unknown, by_id, by_id)
+    there = _finished(graph, setting)
+    problems = []
+    for i in adopt:
+        if by_id[i].kind not in stages.ADOPTABLE:
+            expected = f"a stage of {', '.join(stages.ADOPTABLE)}"
+            problems.append(Problem(f"--adopt {i}", "adopt-kind", f"a stage of {by_id[i].kind}", expected))
+            continue
+        if i in there:
+            continue
+        if not adopt[i].is_dir():
+            problems.append(Problem(f"--adopt {i}={adopt[i]}", "folder-missing", "no such folder", "what was made"))
+        for need in by_id[i].needs.values() if by_id[i].kind != "convert" else ():
+            given = by_id[need].kind == "source" and not by_id[need].needs
+            if not (given or need in there or need in adopt):
+                todo = f"make that first: --only {need}, or --adopt it, too"
+                problems.append(Problem(i, "adopt-early", f"{need} is not there", "what it is checked against", todo))
+    if problems:
+        raise DatasetError("cannot be taken over", problems)
+
+
 def _take_over(graph: Graph, setting: Setting, adopt: Mapping[str, Path], on_stage: OnStage | None) -> None:
-    """Make stages of what was made elsewhere; what they are checked against must be there."""
-    by_id = {s.id: (k, s) for k, s in enumerate(graph.stages, 1)}
-    unknown = [i for i in adopt if i not in by_id]
-    if unknown:
-        problem = Problem("--adopt", "stage-unknown", ", ".join(unknown), f"some of {', '.join(by_id)}")
-        raise DatasetError("no such stage", [problem])
+    """Make stages of what was made elsewhere."""
+    _require_adoptable(graph, setting, adopt)
+    by_id = {s.id: s for s in graph.stages}
     for k, stage in enumerate(graph.stages, 1):
-        if stage.id not in adopt or stages.finished(setting.work, stage, graph.keys[stage.id]) is not None:
+        if stage.id not in adopt:
+            continue
+        if (there := stages.finished(setting.work, stage, graph.keys[stage.id])) is not None:
+            log.warning(
+                "--adopt %s=%s: the stage is there already, nothing is taken over; delete %s to take it over",
+                stage.id, adopt[stage.id], there.folder,
+            )  # fmt: skip
             continue
         before = {}
         for need in stage.needs.values():
-            _, s = by_id[need]
+            s = by_id[need]
             found = stages.finished(setting.work, s, graph.keys[need])
             if found is None and s.kind == "source" and not s.needs:
                 found = stages.make(s, graph.keys[need], {}, setting)
             if found is not None:
                 before[need] = found
-            elif stage.kind != "convert":
-                problem = Problem(stage.id, "adopt-early", f"{need} is not there", "what it is checked against",
-                                  f"make that first: --only {need}, or --adopt it, too")  # fmt: skip
-                raise DatasetError("cannot be taken over yet", [problem])
         _tell(on_stage, stage.id, "taken over", k, len(graph.stages))
         stages.make(stage, graph.keys[stage.id], before, setting, adopt[stage.id])
 
@@ -656,8 +731,9 @@ def _write_quietly(
 def _require_ready(experiment: Experiment, graph: Graph, setting: Setting, wanted: set[str]) -> None:
     """What would stop the run hours later stops it now."""
     todo = [s for s in graph.stages if s.id in wanted and stages.finished(setting.work, s, graph.keys[s.id]) is None]
-    if any(s.kind in ("train", "evaluate") for s in todo):
+    if any(s.kind in _LEARNS for s in todo):
         setting.tools.require_training(setting.device)
+    _require_settings(setting, todo)
     needed, free = sum(_disk(s) for s in todo), _free(setting.work)
     if needed > free:
         found = f"{free / 2**30:.1f} GiB free"
@@ -669,6 +745,13 @@ def _require_ready(experiment: Experiment, graph: Graph, setting: Setting, wante
         setting.work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(setting.work, error) from error
+
+
+def _require_settings(setting: Setting, todo: Sequence[Stage]) -> None:
+    """A misspelled setting stops the run now, not when its training comes."""
+    for stage in todo:
+        if stage.kind == "train":
+            setting.tools.require_settings(setting.scale, {**stage.spec.settings, **setting.training})
 
 
 # The results.

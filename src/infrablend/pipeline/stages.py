@@ -42,6 +42,8 @@ from infrablend.pipeline.select import Selection, select
 from infrablend.training.presets import Preset
 
 RECORD = "stage.json"
+ADOPTABLE = ("train", "generate", "convert")
+"""Kinds that can be taken over from elsewhere."""
 # Raised where a kind comes to make something else of the same inputs: its old results are then not taken.
 VERSIONS = {"source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "train": 2, "evaluate": 2, "compare": 1}
 _PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
@@ -64,6 +66,8 @@ class Tools:
     """About how long a training takes: scale, settings, images, whether on a GPU."""
     require_training: Callable[[str], None]
     """Raises where training cannot begin on the device."""
+    require_settings: Callable[[str, Mapping[str, Any]], None]
+    """Raises where the trainer does not know a setting: scale, settings."""
 
 
 @dataclass(frozen=True)
@@ -478,9 +482,6 @@ def take_over(stage: Stage, out: Path, before: Mapping[str, Made], setting: Sett
     Raises:
         DatasetError: It is something else; all that differs.
     """
-    if stage.kind not in ("train", "generate", "convert"):
-        problem = Problem(stage.id, "adopt-kind", stage.kind, "a stage train, generate or convert")
-        raise DatasetError("nothing to take over", [problem])
     found = _adopted_training(stage, before, folder) if stage.kind == "train" else None
     if stage.kind == "generate":
         _require_run(stage, before, setting, folder)

@@ -1,6 +1,7 @@
 """Is this machine fit to run InfraBlend? Facts are gathered by `survey`, judged by `judge`; `diagnose` does both.
 
-Blender is asked in a process of its own, so that this module needs no bpy and a broken one cannot take us down.
+Blender is asked in a process of its own, so that this module needs no bpy and a broken one cannot take us down; so is
+torch.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
@@ -52,6 +54,16 @@ stdout.write(json.dumps({"version": list(bpy.app.version), "devices": devices}))
 stdout.flush()
 os._exit(0)
 """
+
+
+_ASK_TORCH = """
+import json, sys
+import torch
+there = torch.cuda.is_available()
+names = [torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count())] if there else []
+sys.stdout.write("\\n" + json.dumps({"devices": names}))
+"""
+_NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'
 
 
 @dataclass(frozen=True)
@@ -104,6 +116,23 @@ class Blender:
 
 
 @dataclass(frozen=True)
+class Trainer:
+    """What training and prediction need.
+
+    Attributes:
+        torch: Its version, or None if it is not installed.
+        ultralytics: Its version, or None.
+        devices: Names of the CUDA devices that torch sees.
+        trouble: Why torch did not answer, or empty.
+    """
+
+    torch: str | None = None
+    ultralytics: str | None = None
+    devices: tuple[str, ...] = ()
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
 class Machine:
     """Facts about this machine. Free space by folder in bytes, None where a folder cannot be written."""
 
@@ -118,14 +147,16 @@ class Machine:
     temp_folder: str
     free_temp_bytes: int | None
     free_shm_bytes: int | None
+    trainer: Trainer = Trainer()
 
 
-def survey(folder: Path | None = None, ask_blender_s: float = 120.0) -> Machine:
+def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s: float = 60.0) -> Machine:
     """Facts about this machine; takes a few seconds because Blender is started.
 
     Args:
         folder: Where output would go; the current folder by default. It need not exist.
         ask_blender_s: After this long Blender counts as hung.
+        ask_torch_s: After this long torch does.
     """
     folder = (folder or Path.cwd()).absolute()
     temp = tempfile.gettempdir()
@@ -141,6 +172,7 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0) -> Machine:
         temp_folder=temp,
         free_temp_bytes=_free_bytes(Path(temp)),
         free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
+        trainer=_ask_trainer(ask_torch_s),
     )
 
 
@@ -153,6 +185,8 @@ def judge(machine: Machine) -> Diagnosis:
             _check_libraries(machine),
             _check_blender(machine),
             _check_devices(machine),
+            _check_torch(machine),
+            _check_ultralytics(machine),
             _check_cores(machine),
             _check_memory(machine),
             *(_check_space("disk", name, free) for name, free in sorted(machine.free_bytes.items())),
@@ -223,6 +257,21 @@ def _check_devices(m: Machine) -> Check:
     return Check("Cycles devices", "ok", "cpu only")
 
 
+def _check_torch(m: Machine) -> Check:
+    """Training is an extra: without it all else works."""
+    t = m.trainer
+    if t.torch is None:
+        return Check("torch", "ok", _NOT_INSTALLED)
+    if t.trouble:
+        return Check("torch", "warning", f"{t.torch}, does not work: {t.trouble}", "install it anew: make train")
+    found = f"CUDA devices: {', '.join(t.devices)}" if t.devices else "no CUDA device"
+    return Check("torch", "ok", f"{t.torch}, {found}")
+
+
+def _check_ultralytics(m: Machine) -> Check:
+    return Check("Ultralytics", "ok", m.trainer.ultralytics or _NOT_INSTALLED)
+
+
 def _check_cores(m: Machine) -> Check:
     return Check("cores", "ok", f"{m.cores:g} usable")
 
@@ -286,6 +335,34 @@ def _ask_blender(limit_s: float) -> Blender:
         return Blender(installed=True, trouble=trouble, unresolved=_unresolved(module))
     devices = {kind: tuple(names) for kind, names in answer["devices"].items()}
     return Blender(installed=True, version=tuple(answer["version"]), devices=devices)
+
+
+def _ask_trainer(limit_s: float) -> Trainer:
+    torch, ultralytics = _version("torch"), _version("ultralytics")
+    if torch is None:
+        return Trainer(None, ultralytics)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", _ASK_TORCH], capture_output=True, timeout=limit_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Trainer(torch, ultralytics, trouble=f"no answer within {limit_s:g} s")
+    except OSError as error:
+        return Trainer(torch, ultralytics, trouble=str(error))
+    try:
+        answer = json.loads(done.stdout.splitlines()[-1])
+    except (ValueError, IndexError):
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        return Trainer(torch, ultralytics, trouble=lines[-1] if lines else f"it ended with code {done.returncode}")
+    return Trainer(torch, ultralytics, tuple(answer["devices"]))
+
+
+def _version(package: str) -> str | None:
+    """Of an installed package; it is not imported."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def _unresolved(module: Path | None) -> tuple[str, ...]:

@@ -366,7 +366,9 @@ def differences(facts: Mapping[str, Any]) -> list[str]:
             "Paper: YOLOv8s, learning rate 0.002, batch 64, 640 px, at most 1000 epochs, patience 100; optimizer and "
             "start weights are not stated."
         )
-    if facts["trainings"] and facts["scale"] != "paper":
+    if facts["trainings"] and facts["scale"] == "smoke":
+        lines.append("Scale `smoke`: a few steps, to see that everything runs; the detectors' figures mean nothing.")
+    elif facts["trainings"] and facts["scale"] != "paper":
         lines.append(f"Scale `{facts['scale']}`: figures are to be compared with each other, not with the paper's.")
     return lines
 
