@@ -13,7 +13,6 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,7 +29,6 @@ from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
 from infrablend.formats.writing import WriteSettings
-from infrablend.pipeline import train as train_stage
 from infrablend.pipeline import world
 from infrablend.pipeline.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.models import ready_model, run_once
@@ -39,7 +37,14 @@ from infrablend.pipeline.realism import RealismReport, Time, compare
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.select import Selection
-from infrablend.pipeline.train import TrainPlan, TrainReport, choose_preset, plan_training, train_dataset
+from infrablend.pipeline.train import (
+    TrainPlan,
+    TrainReport,
+    choose_preset,
+    plan_training,
+    require_settings,
+    train_dataset,
+)
 
 if TYPE_CHECKING:
     from infrablend.pipeline.evaluate import EvaluationReport
@@ -1053,6 +1058,4 @@ def _require_training(device: str) -> None:
 
 def _require_settings(scale: str, settings: Mapping[str, Any]) -> None:
     """What a training would refuse of its settings; without Ultralytics only what we know ourselves."""
-    preset = choose_preset(scale, settings)
-    if all(find_spec(name) is not None for name in ("ultralytics", "torch")):
-        train_stage._require_arguments(preset)
+    require_settings(choose_preset(scale, settings))

@@ -24,7 +24,8 @@ from PIL import Image
 from infrablend import api
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.pipeline import train as pipeline
-from infrablend.training import trainer, weights
+from infrablend.realism import nets
+from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
 from infrablend.training.presets import PRESETS
 from infrablend.training.trainer import Turns
@@ -562,3 +563,15 @@ def test_what_failed_is_told_with_the_log(tmp_path):
     assert "batch=8" in str(error)
     assert "train.log" in str(pipeline._failure(tmp_path, 1, {"code": "failed", "message": "x"}, PRESETS["small"]))
     assert issubclass(MissingDependencyError, ImportError)
+
+
+def test_the_stand_in_for_torchvision_can_be_asked_for(ultralytics, monkeypatch):
+    """Others look whether torchvision is there, too; Python raises for a module that does not say what it is."""
+    for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torchvision", None)  # an import of it fails
+    monkeypatch.setitem(sys.modules, "torchvision.ops", None)
+    environment._settle_torchvision()
+    assert sys.modules["torchvision"].ops.nms
+    assert nets.missing("torchvision") is None
+    assert "does not import" in nets.no_inception(1000)

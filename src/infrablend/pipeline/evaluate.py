@@ -10,7 +10,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -50,6 +49,7 @@ from infrablend.formats.capture import facts_from_name
 from infrablend.formats.pictures import read_size
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.report.groups import BYS, group_images
+from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
@@ -603,7 +603,7 @@ def _by_ultralytics(
     names: Sequence[str],
     task: Task,
 ) -> dict[str, Any] | None:
-    if find_spec("ultralytics") is None or find_spec("torch") is None:
+    if missing_packages():
         return None
     from infrablend.training.metrics import ultralytics_table
 

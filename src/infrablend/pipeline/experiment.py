@@ -101,15 +101,12 @@ def _no_stage(option: str, unknown: Sequence[str], ids: Iterable[str], words: It
     return DatasetError("no such stage", [problem])
 
 
-def demanded(experiment: Experiment, graph: Graph, work: Path, adopted: Collection[str] = ()) -> set[str]:
-    """Ids of the stages that the page rests on: what a finished stage was made of is not needed again.
-
-    Those `adopted` count as finished.
-    """
+def demanded(experiment: Experiment, graph: Graph, finished: Collection[str]) -> set[str]:
+    """Ids of the stages that the page rests on: what a `finished` stage was made of is not needed again."""
     of_facts = {d for f in experiment.facts for d in f.data}
     needed = {s.id for s in graph.stages if s.kind in ("source", "train", "evaluate", "compare") or s.name in of_facts}
     for s in reversed(graph.stages):
-        if s.id in needed and s.id not in adopted and stages.finished(work, s, graph.keys[s.id]) is None:
+        if s.id in needed and s.id not in finished:
             needed |= set(s.needs.values())
     return needed
 
@@ -371,8 +368,9 @@ class _Builder:
         spec = self.experiment.comparisons[name]
         if self.skipped(name, [*spec.a, *spec.b]):
             return
-        first, *others = (self.experiment.evaluations[e] for e in (*spec.a, *spec.b))
-        for e, other in zip((*spec.a[1:], *spec.b), others, strict=True):
+        first = self.experiment.evaluations[spec.a[0]]
+        for e in (*spec.a[1:], *spec.b):
+            other = self.experiment.evaluations[e]
             if (other.data, other.split, other.group) != (first.data, first.split, first.group):
                 found = f"{spec.a[0]} is on {first.data} {first.split}, {e} on {other.data} {other.split}"
                 self.problems.append(Problem(f"comparisons.{name}", "experiment-value", found, "the same images"))
@@ -456,7 +454,7 @@ def plan_experiment(
     adopted = set(adopt or {}) - finished
     chosen = graph.wanted(only, finished | adopted) | adopted
     chosen |= {n for s in graph.stages if s.id in adopted for n in s.needs.values() if n.startswith("source:")}
-    needed = demanded(experiment, graph, setting.work, adopted)
+    needed = demanded(experiment, graph, finished | adopted)
     todo = [s for s in graph.stages if s.id in chosen & needed - finished - adopted]
     if setting.device not in ("auto", "cpu") and any(s.kind in _LEARNS for s in todo):
         setting.tools.require_training(setting.device)
@@ -615,7 +613,8 @@ def run_experiment(
         InfraBlendError: Whatever a stage raises.
     """
     _take_over(graph, setting, adopt or {}, on_stage)
-    wanted = graph.wanted(only, _finished(graph, setting)) & demanded(experiment, graph, setting.work)
+    finished = _finished(graph, setting)
+    wanted = graph.wanted(only, finished) & demanded(experiment, graph, finished)
     _require_ready(experiment, graph, setting, wanted)
     done: dict[str, Made] = {}
     made, there = [], []
@@ -691,6 +690,8 @@ def _require_adoptable(graph: Graph, setting: Setting, adopt: Mapping[str, Path]
 
 def _take_over(graph: Graph, setting: Setting, adopt: Mapping[str, Path], on_stage: OnStage | None) -> None:
     """Make stages of what was made elsewhere."""
+    if not adopt:
+        return
     _require_adoptable(graph, setting, adopt)
     by_id = {s.id: s for s in graph.stages}
     for k, stage in enumerate(graph.stages, 1):
@@ -789,7 +790,7 @@ def gather(
         for n, c in experiment.comparisons.items()
         if (i := f"compare:{n}") in done
     }
-    needed = demanded(experiment, graph, setting.work)
+    needed = demanded(experiment, graph, _finished(graph, setting))
     missing = [s.id for s in graph.stages if s.id not in done and s.id in needed]
     records = [done[s.id].record for s in graph.stages if s.id in done]
     return {

@@ -24,7 +24,7 @@ from PIL import Image
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes
 from infrablend.core.cores import available_cores
-from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, output_error, part_path, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem, RenderError
@@ -146,8 +146,7 @@ def plan_training(
     published weights, which are not asked for.
     """
     chosen = _device(device, planning=True)
-    if find_spec("ultralytics") is not None and find_spec("torch") is not None:
-        _require_arguments(preset)
+    require_settings(preset)
     weights.require_known(start)
     if out is not None and out.is_dir():
         _earlier(out, resume, overwrite)
@@ -260,15 +259,16 @@ def _wanted(
     if not keep and not unknown:
         problems.append(Problem(str(dataset.root), "category-none", "no class", "at least one", "label something"))
     splits = Counter(i.split for i in wanted.images)
-    for split in ("train", "val") if preset.patience else ("train",):
+    why: dict[Split, str] = {"train": "nothing to train on", "val": "the preset stops when val gets no better"}
+    if not preset.patience:
+        why["val"] = "some, to watch the training by; nothing else depends on them"
+    for split in why:
         if not splits[split]:
-            why = "the preset stops when val gets no better" if split == "val" else "nothing to train on"
-            todo = "infrablend split makes splits"
-            problems.append(Problem(f"split {split}", "split-empty", "no pictures", why, todo))
-    if splits["train"] and not splits["val"] and not preset.patience:
-        todo = "infrablend split makes splits"
-        expected = "some, to watch the training by; nothing else depends on them"
-        problems.append(Problem("split val", "split-empty", "no pictures", expected, todo, severity="warning"))
+            problem = Problem(
+                f"split {split}", "split-empty", "no pictures", why[split], "infrablend split makes splits"
+            )
+            needed = split == "train" or preset.patience
+            problems.append(problem if needed else replace(problem, severity="warning"))
     found = Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
     for name in keep:
         if splits["train"] and not found[name]:
@@ -354,6 +354,12 @@ def _device(wanted: str, *, planning: bool = False) -> str:
     )
 
 
+def require_settings(preset: Preset) -> None:
+    """Raise OutputError for what the trainer would refuse of a preset; where Ultralytics is there to be asked."""
+    if not weights.missing_packages():
+        _require_arguments(preset)
+
+
 def _require_arguments(preset: Preset) -> None:
     """Ultralytics' arguments that somebody set, judged by it before anything is made (not the presets': it is slow)."""
     own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
@@ -420,7 +426,8 @@ def _require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]
     # What is trained on counts, not where it lies; records of earlier versions know only that.
     plain.pop("data" if "content" in record else "content")
     # A setting that one side alone has differs, too.
-    other = [k for k in {**plain, **_of_settings(record)} if record.get(k) != plain.get(k)]
+    more = [k for k in record if k.startswith("settings.") and k not in plain]
+    other = [k for k in [*plain, *more] if record.get(k) != plain.get(k)]
     if other:
         problems = [
             Problem(asked["data"], "resume-other",
@@ -436,14 +443,8 @@ def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
     """A record with its settings side by side: `settings.passes`, `settings.arguments.lr0`."""
     flat = dict(record)
     settings = dict(flat.pop("settings", {}))
-    arguments = dict(settings.pop("arguments", {}))
-    return flat | {
-        f"settings.{k}": v for k, v in (settings | {f"arguments.{k}": v for k, v in arguments.items()}).items()
-    }
-
-
-def _of_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in flat.items() if k.startswith("settings.")}
+    settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
+    return flat | {f"settings.{k}": v for k, v in settings.items()}
 
 
 def _require_space(out: Path, plan: TrainPlan) -> None:

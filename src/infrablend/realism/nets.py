@@ -26,14 +26,7 @@ _MEAN, _SD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 def missing(*modules: str) -> str | None:
     """`torch is not installed`, or None if all of them are."""
-
-    def there(name: str) -> bool:
-        try:
-            return importlib.util.find_spec(name) is not None
-        except ValueError:  # a module made in this process, as the stand-in of `training.environment`
-            return True
-
-    lost = [m for m in modules if not there(m)]
+    lost = [m for m in modules if importlib.util.find_spec(m) is None]
     return f"{' and '.join(lost)} {'is' if len(lost) == 1 else 'are'} not installed" if lost else None
 
 

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import psutil
 
@@ -57,11 +57,13 @@ os._exit(0)
 
 
 _ASK_TORCH = """
-import json, sys
+import json, os
+stdout = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
 import torch
 there = torch.cuda.is_available()
 names = [torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count())] if there else []
-sys.stdout.write("\\n" + json.dumps({"devices": names}))
+stdout.write(json.dumps({"devices": names}))
 """
 _NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'
 
@@ -316,22 +318,9 @@ def _ask_blender(limit_s: float) -> Blender:
     spec = importlib.util.find_spec("bpy")
     if spec is None:
         return Blender(installed=False)
-    module = Path(spec.origin) if spec.origin else None
-    try:
-        # A file of ours in the current folder must not be imported in place of the real thing: -P.
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", _ASK_BLENDER, *GPU_TYPES], capture_output=True, timeout=limit_s, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return Blender(installed=True, trouble=f"no answer within {limit_s:g} s")
-    except OSError as error:
-        return Blender(installed=True, trouble=str(error))
-    try:
-        # The answer counts, not the exit code: Blender may crash after giving it.
-        answer = json.loads(done.stdout)
-    except ValueError:
-        lines = done.stderr.decode(errors="replace").strip().splitlines()
-        trouble = lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
+    answer, trouble = _ask(_ASK_BLENDER, limit_s, *GPU_TYPES)
+    if answer is None:
+        module = Path(spec.origin) if spec.origin else None
         return Blender(installed=True, trouble=trouble, unresolved=_unresolved(module))
     devices = {kind: tuple(names) for kind, names in answer["devices"].items()}
     return Blender(installed=True, version=tuple(answer["version"]), devices=devices)
@@ -341,20 +330,28 @@ def _ask_trainer(limit_s: float) -> Trainer:
     torch, ultralytics = _version("torch"), _version("ultralytics")
     if torch is None:
         return Trainer(None, ultralytics)
+    answer, trouble = _ask(_ASK_TORCH, limit_s)
+    return Trainer(torch, ultralytics, tuple(answer["devices"]) if answer else (), trouble)
+
+
+def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | None, str]:
+    """The JSON that code says in a process of its own; if it says none, None and why."""
     try:
+        # A file of ours in the current folder must not be imported in place of the real thing: -P.
         done = subprocess.run(
-            [sys.executable, "-P", "-c", _ASK_TORCH], capture_output=True, timeout=limit_s, check=False
+            [sys.executable, "-P", "-c", code, *arguments], capture_output=True, timeout=limit_s, check=False
         )
     except subprocess.TimeoutExpired:
-        return Trainer(torch, ultralytics, trouble=f"no answer within {limit_s:g} s")
+        return None, f"no answer within {limit_s:g} s"
     except OSError as error:
-        return Trainer(torch, ultralytics, trouble=str(error))
+        return None, str(error)
     try:
-        answer = json.loads(done.stdout.splitlines()[-1])
-    except (ValueError, IndexError):
+        # The answer counts, not the exit code: Blender may crash after giving it.
+        answer: dict[str, Any] = json.loads(done.stdout)
+    except ValueError:
         lines = done.stderr.decode(errors="replace").strip().splitlines()
-        return Trainer(torch, ultralytics, trouble=lines[-1] if lines else f"it ended with code {done.returncode}")
-    return Trainer(torch, ultralytics, tuple(answer["devices"]))
+        return None, lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
+    return answer, ""
 
 
 def _version(package: str) -> str | None:

@@ -8,6 +8,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -77,6 +78,7 @@ def _settle_torchvision() -> None:
 
         stand_in, ops = ModuleType("torchvision"), ModuleType("torchvision.ops")
         stand_in.__doc__ = f"Stand-in: the real one does not import ({error})."
+        stand_in.__spec__ = ModuleSpec("torchvision", None)  # find_spec raises for a module without one
         ops.nms = TorchNMS.nms  # type: ignore[attr-defined]
         stand_in.ops = ops  # type: ignore[attr-defined]
         sys.modules |= {"torchvision": stand_in, "torchvision.ops": ops}

@@ -83,11 +83,16 @@ def require_known(wanted: str) -> None:
         )
 
 
-def require_ultralytics() -> None:
-    """Raise MissingDependencyError, saying what to install, where Ultralytics or torch is missing or too old."""
+def missing_packages() -> list[str]:
+    """Those of Ultralytics and torch that are not installed."""
     from importlib.util import find_spec
 
-    missing = [name for name in ("ultralytics", "torch") if find_spec(name) is None]
+    return [name for name in ("ultralytics", "torch") if find_spec(name) is None]
+
+
+def require_ultralytics() -> None:
+    """Raise MissingDependencyError, saying what to install, where Ultralytics or torch is missing or too old."""
+    missing = missing_packages()
     if missing:
         raise MissingDependencyError(
             f"{' and '.join(missing)} not installed, which training and prediction need; install with\n"
