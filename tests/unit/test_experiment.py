@@ -365,6 +365,40 @@ def test_data_that_a_finished_training_was_made_of_are_not_made_again(bench: Ben
 # Keys.
 
 
+def test_keys_and_folders_of_finished_stages_stay_valid(tmp_path: Path) -> None:
+    """Finished stages are found by these keys: a change would make every user repeat every training."""
+    chain = [
+        stages.Stage("world", "town", {"layout": "hit-uav", "images": 8, "seed": 0, "version": "0.1.0"}, {}),
+        stages.Stage("source", "town", {"limits": {"train": 4}}, {"of": "world:town"}),
+        stages.Stage(
+            "generate", "run", {"recipe": {"name": "x"}, "splits": ["train"], "seed": 0}, {"of": "source:town"}
+        ),
+        stages.Stage("convert", "part", {"only": "drone", "splits": ["train"], "seed": 0}, {"of": "generate:run"}),
+        stages.Stage("split", "dates", {"by": "date", "gap": None, "shares": [0.7, 0.1, 0.2]}, {"of": "source:town"}),
+        stages.Stage("train", "a", {"preset": {"epochs": 1}, "seed": 0, "weights": "auto"}, {"data": "convert:part"}),
+        stages.Stage(
+            "evaluate", "a", {"split": "test", "bootstrap": 9}, {"training": "train:a", "data": "split:dates"}
+        ),
+        stages.Stage("compare", "aa", {"bootstrap": 9, "seed": 0}, {"a": "evaluate:a", "b": "evaluate:a"}),
+    ]
+    keys = stages.keys_of(chain)
+    assert keys == PINNED_KEYS
+    assert stages.folder_of(tmp_path, chain[5], keys["train:a"]) == tmp_path / "train" / keys["train:a"]
+    assert stages.RECORD == "stage.json"
+
+
+PINNED_KEYS = {
+    "world:town": "81ff0957bf684635",
+    "source:town": "8e78b60f022cf6b1",
+    "generate:run": "930df668961ee733",
+    "convert:part": "d4220a5febd71675",
+    "split:dates": "11aad7823a427131",
+    "train:a": "3e99774b396f2601",
+    "evaluate:a": "a2bfb045b212b211",
+    "compare:aa": "4a8c3ac2009249d4",
+}
+
+
 def keys(name: str, data: Path, tmp_path: Path, **more: Any) -> dict[str, str]:
     plan = api.plan_experiment(name, data, tmp_path / "none", **{"scale": "smoke", "renderer": "fake", **more})
     return {s["stage"]: s["key"] for s in plan.facts["stages"]}

@@ -34,6 +34,7 @@ from infrablend.errors import DatasetError, InfraBlendError, Interrupted, Output
 from infrablend.fetching.fetch import require_source
 from infrablend.formats import detection
 from infrablend.pipeline import stages
+from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.stages import Made, Setting, Stage, plain
 from infrablend.report import results
 from infrablend.report.card import WORLD_FILE
@@ -299,7 +300,7 @@ class _Builder:
                 self.problems.append(
                     Problem(str(path), "split-empty", found, f"images in {', '.join(needed)}", "see `infrablend split`")
                 )
-            inputs = {"content": stages.content_of(dataset), "options": options, "limits": limits}
+            inputs = {"content": content_digest(dataset), "options": options, "limits": limits}
             self.add(Stage("source", name, inputs, {}, source, _limited(facts["images"], limits), path))
         self.item[name] = f"source:{name}"
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
-import platform
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
 from infrablend.compositing.local import measure_levels
 from infrablend.core.files import output_error
+from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RenderError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
@@ -325,7 +323,7 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
             machine["device"],
             device,
         )
-    versions, now = previous.get("packages", {}), _versions()
+    versions, now = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
     for name in sorted(n for n in now if versions.get(n, now[n]) != now[n]):
         log.warning("%s: begun with %s %s, goes on with %s", out, name, versions[name], now[name])
     was = previous.get("key", {})
@@ -375,21 +373,10 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
             "renderer": renderer,
             "device": device,
             "workers": workers,
-            "python": platform.python_version(),
-            "system": platform.system(),
-            "processor": platform.machine(),
-            "cores": os.cpu_count(),
+            **describe_machine(),
         },
-        "packages": _versions(),
+        "packages": installed_versions(RECORDED_PACKAGES),
     }
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in RECORDED_PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:

@@ -8,10 +8,8 @@ experiments is the same stage. A stage is done when its record says `complete`.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-import platform
 import shutil
 import subprocess
 import time
@@ -19,11 +17,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
-
-import psutil
 
 from infrablend import __version__
 from infrablend.assets.user_model import description_digest, is_description
@@ -32,11 +27,12 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, link_or_copy, write_json
+from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem, RenderError
+from infrablend.pipeline.content import json_digest
 from infrablend.pipeline.convert import convert_dataset
 from infrablend.pipeline.folder import RUN_FILE
-from infrablend.pipeline.plan import fingerprint, make_plan
-from infrablend.pipeline.record import sha256_of
+from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.select import Selection, select
 from infrablend.training.presets import Preset
@@ -145,18 +141,12 @@ class Made:
         return self.path if self.path is not None else self.folder / self.result["dataset"]
 
 
-def digest(value: Any) -> str:
-    """Sixteen hex digits of plain JSON values."""
-    text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def keys_of(stages: Sequence[Stage]) -> dict[str, str]:
     """The key of each stage; each comes after what it needs."""
     keys: dict[str, str] = {}
     for s in stages:
         needs = {part: keys[i] for part, i in s.needs.items()}
-        keys[s.id] = digest([s.kind, VERSIONS[s.kind], dict(s.inputs), needs])
+        keys[s.id] = json_digest([s.kind, VERSIONS[s.kind], dict(s.inputs), needs])
     return keys
 
 
@@ -213,8 +203,8 @@ def make(stage: Stage, key: str, before: Mapping[str, Made], setting: Setting, a
             "key": key,
             "inputs": dict(stage.inputs),
             "needs": {part: before[i].record["key"] for part, i in stage.needs.items() if i in before},
-            "machine": machine(),
-            "packages": packages(),
+            "machine": describe_machine(),
+            "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
             "commit": commit(),
         }
         write_json(folder / RECORD, {**head, "status": "running", "seconds": spent})
@@ -615,12 +605,6 @@ def facts_of(dataset: Dataset) -> dict[str, Any]:
     }
 
 
-def content_of(dataset: Dataset) -> str:
-    """Digest of labels and of every picture's bytes."""
-    pictures = [(i.split, i.name, sha256_of(i.path) if i.path.is_file() else None) for i in dataset.images]
-    return digest([fingerprint(dataset), pictures])
-
-
 def recipe_inputs(spec: Generate) -> dict[str, Any]:
     """What a recipe says, own models by content. A field that a later version adds leaves what was made of use."""
     recipe = load_recipe(spec.recipe, spec.settings)
@@ -641,37 +625,6 @@ def _said(recipe: Recipe) -> dict[str, Any]:
 
 
 # What figures depend on beside the inputs; for the page.
-
-
-@cache
-def machine() -> dict[str, Any]:
-    """The computer."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {
-        "processor": _processor(),
-        "cores": cores,
-        "memory_gib": round(psutil.virtual_memory().total / 2**30),
-        "system": platform.system(),
-        "python": platform.python_version(),
-    }
-
-
-def _processor() -> str:
-    with contextlib.suppress(OSError, IndexError):
-        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
-            if line.startswith("model name"):
-                return " ".join(line.split(":", 1)[1].split())
-    return platform.processor() or platform.machine()
-
-
-@cache
-def packages() -> dict[str, str]:
-    """Versions of what decides figures."""
-    found = {"infrablend": __version__}
-    for name in _PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 def checkout() -> Path | None:

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import logging
-import platform
 import shutil
 import subprocess
 import sys
@@ -26,12 +25,13 @@ from infrablend.annotation.classes import drop_classes
 from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, output_error, part_path, write_json
+from infrablend.core.machine import describe_machine
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem, RenderError
 from infrablend.execution.interrupt import Interruption
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
-from infrablend.pipeline.stages import content_of
+from infrablend.pipeline.content import content_digest
 from infrablend.training import environment, presets, tiles, trainer, weights
 from infrablend.training.presets import PRESETS, Preset
 
@@ -375,7 +375,7 @@ def _require_arguments(preset: Preset) -> None:
 
 def _content(wanted: Dataset, task: str) -> str:
     """Digest of the labels and pictures that are trained on, wherever they lie."""
-    found = content_of(wanted)
+    found = content_digest(wanted)
     if task != "segment":
         return found
     masks = [o.mask.to_coco() for i in wanted.images for o in i.instances if o.mask is not None]
@@ -628,15 +628,7 @@ def _failure(out: Path, code: int, said: Mapping[str, Any] | None, preset: Prese
 
 
 def _machine(device: str) -> dict[str, Any]:
-    name = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
-            if line.startswith("model name"):
-                name = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    found: dict[str, Any] = {"processor": name, "cores": available_cores(), "system": platform.system()}
+    found: dict[str, Any] = {k: describe_machine()[k] for k in ("processor", "cores", "system")}
     if device != "cpu":
         import torch
 

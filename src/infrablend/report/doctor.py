@@ -17,12 +17,10 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-import psutil
-
+from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.report.system_libraries import install_command, missing_packages
 
 Status = Literal["ok", "warning", "error"]
@@ -168,8 +166,8 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
         python=sys.version_info[:3],
         blender=_ask_blender(ask_blender_s),
         missing_packages=missing_packages(),
-        cores=_usable_cores(),
-        memory_bytes=_usable_memory(),
+        cores=usable_cores(),
+        memory_bytes=usable_memory_bytes(),
         free_bytes={str(folder): _free_bytes(folder)},
         temp_folder=temp,
         free_temp_bytes=_free_bytes(Path(temp)),
@@ -327,7 +325,7 @@ def _ask_blender(limit_s: float) -> Blender:
 
 
 def _ask_trainer(limit_s: float) -> Trainer:
-    torch, ultralytics = _version("torch"), _version("ultralytics")
+    torch, ultralytics = installed_version("torch"), installed_version("ultralytics")
     if torch is None:
         return Trainer(None, ultralytics)
     answer, trouble = _ask(_ASK_TORCH, limit_s)
@@ -354,14 +352,6 @@ def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | N
     return answer, ""
 
 
-def _version(package: str) -> str | None:
-    """Of an installed package; it is not imported."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
 def _unresolved(module: Path | None) -> tuple[str, ...]:
     """Shared objects that `ldd` does not find for the module; empty where there is no ldd."""
     if module is None or shutil.which("ldd") is None:
@@ -373,31 +363,6 @@ def _unresolved(module: Path | None) -> tuple[str, ...]:
 def parse_ldd(listing: str) -> tuple[str, ...]:
     """Names of the shared objects that an `ldd` listing calls not found, sorted, once each."""
     return tuple(sorted(set(re.findall(r"^\s*(\S+) => not found", listing, re.MULTILINE))))
-
-
-def _usable_cores() -> float:
-    """Cores this process may use: its affinity, cut by the container's quota."""
-    cores = float(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    words = _read(Path("/sys/fs/cgroup/cpu.max")).split()
-    if len(words) == 2 and words[0].isdigit():
-        cores = min(cores, int(words[0]) / int(words[1]))
-    return cores
-
-
-def _usable_memory() -> int:
-    """Bytes of memory this process may still take: the machine's, cut by the container's limit."""
-    available = int(psutil.virtual_memory().available)
-    limit, used = (_read(Path("/sys/fs/cgroup") / name).strip() for name in ("memory.max", "memory.current"))
-    if limit.isdigit() and used.isdigit():
-        available = min(available, int(limit) - int(used))
-    return max(available, 0)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text()
-    except OSError:
-        return ""
 
 
 def _free_bytes(folder: Path) -> int | None:

@@ -1,0 +1,75 @@
+"""Facts about the computer and the installed packages, for run records, result pages and `infrablend doctor`."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+from collections.abc import Iterable
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from infrablend.core.cores import available_cores
+
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+@cache
+def describe_machine() -> dict[str, Any]:
+    """Return processor, cores, memory, operating system and Python version as plain JSON values."""
+    return {
+        "processor": processor_name(),
+        "cores": available_cores(),
+        "memory_gib": round(psutil.virtual_memory().total / 2**30),
+        "system": platform.system(),
+        "python": platform.python_version(),
+    }
+
+
+@cache
+def processor_name() -> str:
+    """Return the model name of the processor, or its architecture where the system does not report a name."""
+    for line in _read(Path("/proc/cpuinfo")).splitlines():
+        if line.startswith("model name"):
+            return " ".join(line.partition(":")[2].split())
+    return platform.processor() or platform.machine()
+
+
+def installed_version(package: str) -> str | None:
+    """Return the version of an installed package without importing it, or None."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def installed_versions(packages: Iterable[str]) -> dict[str, str]:
+    """Return the versions of those packages that are installed, by name."""
+    return {name: version for name in packages if (version := installed_version(name)) is not None}
+
+
+def usable_cores() -> float:
+    """Return the cores this process may use: its affinity, limited by the quota of the container."""
+    cores = float(available_cores())
+    words = _read(_CGROUP / "cpu.max").split()
+    if len(words) == 2 and words[0].isdigit():
+        cores = min(cores, int(words[0]) / int(words[1]))
+    return cores
+
+
+def usable_memory_bytes() -> int:
+    """Return the memory this process may still take: what is available, limited by the container."""
+    available = int(psutil.virtual_memory().available)
+    limit, used = (_read(_CGROUP / name).strip() for name in ("memory.max", "memory.current"))
+    if limit.isdigit() and used.isdigit():
+        available = min(available, int(limit) - int(used))
+    return max(available, 0)
+
+
+def _read(path: Path) -> str:
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return path.read_text("utf-8")
+    return ""

@@ -1,0 +1,23 @@
+"""A digest of everything in a dataset that a result may depend on: labels, and the bytes of every picture."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from infrablend.core.dataset import Dataset
+from infrablend.pipeline.plan import fingerprint
+from infrablend.pipeline.record import sha256_of
+
+
+def json_digest(value: Any) -> str:
+    """Return sixteen hexadecimal digits that identify a plain JSON value."""
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def content_digest(dataset: Dataset) -> str:
+    """Return a digest of a dataset's labels and of the bytes of every picture, wherever its folder is."""
+    pictures = [(i.split, i.name, sha256_of(i.path) if i.path.is_file() else None) for i in dataset.images]
+    return json_digest([fingerprint(dataset), pictures])
