@@ -138,5 +138,5 @@ def test_torch_and_ultralytics_are_told(trainer: Trainer, status: str, torch: st
 )
 def test_torch_is_asked_in_a_process_of_its_own(code: str, found: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_ASK_TORCH", code)
-    monkeypatch.setattr(doctor, "_version", lambda package: "1.2")
+    monkeypatch.setattr(doctor, "installed_version", lambda package: "1.2")
     assert doctor._ask_trainer(5.0) == found
