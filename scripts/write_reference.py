@@ -181,16 +181,15 @@ def cli_page() -> str:
 
 def formats_page() -> str:
     """The page on what every format holds."""
+    from infrablend.core.format_table import FIELDS, FORMATS, NATIVE, WRITERS
     from infrablend.formats.base import LOSSES
-    from infrablend.formats.detection import FORMATS
-    from infrablend.formats.writing import FIELDS, NATIVE, WRITERS
+    from infrablend.formats.detection import reader_options
 
-    pages = {w.name: w.name if w.reader != "hit-uav" else "hit-uav" for w in WRITERS}
     lines = [
         "# Formats",
         "",
-        "Written from `src/infrablend/formats/` by `make reference`: change the code, not this page. A page for each:",
-        "[docs/formats](../formats/).",
+        "Written from `src/infrablend/core/format_table.py` by `make reference`: change the code, not this page. Every",
+        "format has a page of its own in [docs/formats](../formats/).",
         "",
         "## Read",
         "",
@@ -200,8 +199,8 @@ def formats_page() -> str:
         "|---|---|---|",
     ]
     for f in FORMATS:
-        options = ", ".join(f"`{k}`" for k in f.attribute("OPTIONS", {}))
-        lines.append(f"| [`{f.name}`](../formats/{f.name}.md) | {_cell(f.summary)} | {options} |")
+        options = ", ".join(f"`{k}`" for k in reader_options(f))
+        lines.append(f"| [`{f.name}`](../formats/{f.page}) | {_cell(f.title)} | {options} |")
     lines += [
         "",
         "## Written",
@@ -212,7 +211,7 @@ def formats_page() -> str:
         "",
         "| format | what |",
         "|---|---|",
-        *(f"| [`{w.name}`](../formats/{pages[w.name]}.md) | {_cell(w.summary)} |" for w in WRITERS),
+        *(f"| [`{w.name}`](../formats/{w.page}) | {_cell(w.title)} |" for w in WRITERS),
         "",
         "| | " + " | ".join(f"`{w.name}`" for w in WRITERS) + " |",
         "|---" * (len(WRITERS) + 1) + "|",

@@ -15,7 +15,7 @@ import pytest
 from infrablend import api
 from infrablend.core.boxes import box_of_points, polygon_area
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.formats import writing
+from infrablend.core.format_table import NATIVE, find_writer, written_names
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOLS_PYTHON = ROOT / ".venv-tools" / "bin" / "python"
@@ -28,7 +28,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> Path:
     """A run on the made-up dataset with the software renderer, in every format there is."""
     root = tmp_path_factory.mktemp("run")
     data = write_tiny_hit_uav(root / "data")
-    settings = {"labels.remove_covered": 1.0, "output.formats": [*writing.names(), writing.NATIVE]}
+    settings = {"labels.remove_covered": 1.0, "output.formats": [*written_names(), NATIVE]}
     report = api.generate("hit-uav-drone", data, root / "out", renderer="fake", in_process=True, settings=settings)
     assert report.ok, report.problems
     return report.out
@@ -201,7 +201,7 @@ def test_the_strict_parser_is_strict(text: str) -> None:
 
 
 def test_oriented_boxes_of_new_objects_stay_in_the_frame_in_every_format(run: Path) -> None:
-    for name in (*writing.names(), writing.NATIVE):
+    for name in (*written_names(), NATIVE):
         options = {"empty": "keep", "pitch_sign": "-1"} if name == "monet" else {}
         folder = run if name == "coco" else run / name
         again = api.read_dataset(
@@ -216,5 +216,5 @@ def test_oriented_boxes_of_new_objects_stay_in_the_frame_in_every_format(run: Pa
                 continue
             cut += bool((o.box_xyxy[:2] <= 0).any() or (o.box_xyxy[2:] >= [640, 512]).any())
             assert (corners >= -1e-6).all() and (corners <= np.array([640, 512]) + 1e-6).all(), name
-        holds = "obb" not in writing.find_writer("hit-uav" if name == writing.NATIVE else name).lacks
+        holds = "obb" not in find_writer("hit-uav" if name == NATIVE else name).lacks
         assert cut > 0 or not holds, name

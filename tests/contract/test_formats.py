@@ -15,6 +15,7 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.format_table import FORMATS
 from infrablend.core.masks import Mask
 from infrablend.formats import coco, detection, hit_uav, monet, voc, yolo
 from infrablend.formats.base import LOSSES, Written
@@ -191,7 +192,7 @@ def test_what_is_written_is_detected(case: Case, tmp_path: Path) -> None:
     case.write(tmp_path / "out", golden_images(tmp_path / "in"))
     found = detection.detect(tmp_path / "out")
     assert found.format == case.format
-    assert list(found.reasons) == [f.name for f in detection.FORMATS]
+    assert list(found.reasons) == [f.name for f in FORMATS]
     assert all(found.reasons.values())
 
 
@@ -298,5 +299,5 @@ def test_a_folder_nothing_fits_says_why(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(detection.UnknownFormatError) as caught:
         detection.read(tmp_path)
-    assert [p.where for p in caught.value.problems] == [f.name for f in detection.FORMATS]
+    assert [p.where for p in caught.value.problems] == [f.name for f in FORMATS]
     assert "no data.yaml" in str(caught.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from tests.samples import picture
 from infrablend.config.recipe import FORMATS, Output
 from infrablend.core.boxes import box_of_points, corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_format, written_names
+from infrablend.core.format_table import FORMATS as TABLE
 from infrablend.core.masks import Mask
 from infrablend.formats import detection, writing, yolo
 from infrablend.formats.base import LOSSES
 from infrablend.formats.pictures import read_size
-from infrablend.formats.writing import FIELDS, WRITERS, Writer, WriteSettings
+from infrablend.formats.writing import WriteSettings, load_writer
 
 ATOL_PX = 1e-6
 SIZE_WH = (64, 48)
@@ -207,18 +210,30 @@ def test_the_upright_box_of_every_oriented_one_is_hit_uavs_own(real_data: Path) 
 
 
 def test_the_recipe_knows_every_writer() -> None:
-    wanted = [*writing.names(), writing.NATIVE]
+    wanted = [*written_names(), NATIVE]
     assert sorted(Output(formats=tuple(wanted)).formats) == sorted(wanted)
     assert FORMATS == ("yolo", "yolo-obb", "yolo-seg", "coco", "native")
+
+
+def test_every_row_of_the_table_has_its_module_and_its_page() -> None:
+    """A page that no row names is as much an error as a row without a page."""
+    pages = {f.name for f in (Path(__file__).parents[2] / "docs" / "formats").glob("*.md")}
+    assert {f.page for f in TABLE} | {w.page for w in WRITERS} == pages
+    for f in TABLE:
+        module = import_module(f.module)
+        assert f.name == module.NAME
+        assert callable(module.read) and callable(module.detect)
+        assert bool(f.writers) == hasattr(module, "write")
+        assert not f.written_as or find_format(f.written_as).writers
+    assert len({f.name for f in TABLE}) == len(TABLE) and len({w.name for w in WRITERS}) == len(WRITERS)
 
 
 @every_writer
 def test_what_a_writer_declares_is_known(writer: Writer) -> None:
     assert writer.lacks <= set(FIELDS)
     assert {kind for _, kind in FIELDS.values()} <= set(LOSSES)
-    assert callable(writer.load())
-    assert writer.reader in {f.name for f in detection.FORMATS}
-    assert detection.find_format(writer.reader).writes
+    assert callable(load_writer(writer))
+    assert writer in find_format(writer.reader).writers
 
 
 @every_writer

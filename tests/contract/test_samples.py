@@ -11,13 +11,13 @@ import pytest
 from tests.samples import SAMPLES
 
 from infrablend import api
+from infrablend.core.format_table import FORMATS, WRITERS, Writer
 from infrablend.formats import detection, writing
 from infrablend.formats.pictures import read_size
-from infrablend.formats.writing import WRITERS, Writer
 
 
 def test_every_format_has_a_sample() -> None:
-    assert {name.partition(":")[0] for name in SAMPLES} == {f.name for f in detection.FORMATS}
+    assert {name.partition(":")[0] for name in SAMPLES} == {f.name for f in FORMATS}
 
 
 @pytest.mark.parametrize("name", sorted(SAMPLES))

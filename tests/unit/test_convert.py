@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
+from infrablend.core.format_table import written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
-from infrablend.formats import writing
 from infrablend.formats.base import LOSSES
 
 
@@ -25,7 +25,7 @@ def data(tmp_path: Path) -> Path:
     return SAMPLES["coco"](tmp_path / "data")
 
 
-@pytest.mark.parametrize("to", writing.names())
+@pytest.mark.parametrize("to", written_names())
 def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("-q", "convert", data, out, "--to", to)
@@ -164,7 +164,7 @@ def test_the_same_bytes_each_time(data: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "error", "text"),
     [
-        ({"to": "pascal"}, UnknownFormatError, "'pascal' cannot be written: expected one of yolo, yolo-obb"),
+        ({"to": "pascal"}, UnknownFormatError, "'pascal' cannot be written: expected one of hit-uav, hit-uav-xml"),
         ({"to": "yolo", "rename": {"car": "x"}}, DatasetError, r"--rename: car; expected classes of the dataset"),
         ({"to": "yolo", "rename": {"Car": ""}}, DatasetError, "--rename: new name ''; expected a name"),
         ({"to": "yolo", "rename": {"Car": "a\nb", "Person": " c"}}, DatasetError, r"new name 'a\\nb', ' c'; expected"),

@@ -291,9 +291,3 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
         detection.read(tmp_path / "absent")
     assert str(caught.value).count("absent") == 1
-
-
-def test_every_format_in_the_table_can_be_loaded() -> None:
-    for f in detection.FORMATS:
-        assert callable(f.load("read")) and callable(f.load("detect"))
-        assert f.writes is hasattr(__import__(f.module, fromlist=["x"]), "write")

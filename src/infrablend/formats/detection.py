@@ -1,53 +1,24 @@
-"""The table of formats, and the two functions that use it: which format is a folder, and read it."""
+"""Detect the format of a folder and read it, whatever its format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Dataset
+from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match, few
 from infrablend.formats.pictures import check_link
 
 
-@dataclass(frozen=True)
-class Format:
-    """One format: its name, the module with `detect`, `read` and perhaps `write`, and what it is in a line."""
-
-    name: str
-    module: str
-    writes: bool
-    summary: str
-
-    def load(self, function: str) -> Callable[..., Any]:
-        """A function of the format's module."""
-        found: Callable[..., Any] = getattr(import_module(self.module), function)
-        return found
-
-    def attribute(self, name: str, otherwise: Any) -> Any:
-        """A constant of the format's module, or `otherwise`."""
-        return getattr(import_module(self.module), name, otherwise)
-
-
-FORMATS: tuple[Format, ...] = (
-    Format("hit-uav", "infrablend.formats.hit_uav", True, "HIT-UAV in any of its four annotation forms"),
-    Format("masks", "infrablend.formats.masks", True, "instance masks as 16-bit PNG with tables, of InfraBlend's own"),
-    Format("birdsai", "infrablend.formats.birdsai", True, "BIRDSAI: a CSV of tracks for each sequence, or bare frames"),
-    Format("wisard", "infrablend.formats.wisard", False, "WiSARD: clips with YOLO text beside the frames"),
-    Format("wit-uas", "infrablend.formats.wit_uas", False, "WIT-UAS: runs with .label files beside the frames"),
-    Format("dut-anti-uav", "infrablend.formats.dut_anti_uav", False, "DUT-Anti-UAV: drones in visible light, VOC"),
-    Format("dota", "infrablend.formats.dota", True, "DOTA text files: four corners in pixels"),
-    Format("monet", "infrablend.formats.monet", True, "MONET: COCO JSON with the drone's telemetry in it"),
-    Format("coco", "infrablend.formats.coco", True, "COCO JSON, one file per split"),
-    Format("yolo", "infrablend.formats.yolo", True, "YOLO with a data.yaml: detect, OBB or seg"),
-    Format("voc", "infrablend.formats.voc", True, "Pascal VOC: an XML file for each picture"),
-    Format("folder", "infrablend.formats.folder", False, "a plain folder of pictures, labels optional"),
-)
-"""In the order of detection: the most particular first."""
+def reader_options(format: Format) -> Mapping[str, str]:
+    """Return the options of the format's reader and what each does; empty if it has none."""
+    options: Mapping[str, str] = getattr(import_module(format.module), "OPTIONS", {})
+    return options
 
 
 @dataclass(frozen=True)
@@ -63,21 +34,9 @@ class Detection:
         return {m.format: m.reason for m in self.matches}
 
 
-def find_format(name: str) -> Format:
-    """The format of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
-    for f in FORMATS:
-        if f.name == name:
-            return f
-    raise UnknownFormatError(f"format {name!r}: expected one of {', '.join(f.name for f in FORMATS)}")
-
-
 def detect(root: Path) -> Detection:
     """Ask every format whether the folder is its own; the first that says yes is taken."""
-    matches = tuple(f.load("detect")(root) for f in FORMATS)
+    matches = tuple(import_module(f.module).detect(root) for f in FORMATS)
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
@@ -117,21 +76,21 @@ def read(
     given: dict[str, Any] = dict(options or {})
     if form is not None:
         given["form"] = form
-    known: Mapping[str, str] = chosen.attribute("OPTIONS", {})
+    module = import_module(chosen.module)
+    known = reader_options(chosen)
     problems = [
         Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
         for name, value in sorted(given.items())
         if name not in known
     ]
-    if metadata is not None and not chosen.attribute("TAKES_TABLE", True):
+    if metadata is not None and not getattr(module, "TAKES_TABLE", True):
         says = f"{chosen.name} says pitch and altitude itself"
         problems.append(Problem(metadata.name, "table-unused", says, "no table", "leave it out"))
     if problems:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not take what was given", problems)
-    reader = chosen.load("read")
     if metadata is not None:
         given["metadata"] = metadata.resolve()  # the user's own file: it may be a link to anywhere
-    return _without_links(reader(root, splits=splits, **given))
+    return _without_links(module.read(root, splits=splits, **given))
 
 
 def _without_links(dataset: Dataset) -> Dataset:

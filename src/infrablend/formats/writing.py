@@ -1,4 +1,4 @@
-"""The table of writers: which formats can be written, what each cannot hold, and the one function that writes."""
+"""Write a dataset in any format of the table, and count what that format cannot hold."""
 
 from __future__ import annotations
 
@@ -6,135 +6,31 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from infrablend.core.boxes import box_of_points
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import write_text
-from infrablend.errors import Problem, UnknownFormatError
+from infrablend.core.format_table import (
+    FIELDS,
+    FORMATS,
+    NATIVE,
+    WRITERS,
+    Layout,
+    Writer,
+    find_format,
+    find_writer,
+    written_names,
+)
+from infrablend.errors import Problem
 from infrablend.formats.base import Written, sort_images
 from infrablend.formats.capture import Capture, facts_from_name
 from infrablend.formats.pictures import assign_ids
-
-NATIVE = "native"
-
-FIELDS: Mapping[str, tuple[str, str]] = {
-    "boxes": ("upright boxes beside oriented ones", "box_dropped"),
-    "obb": ("oriented boxes", "obb_dropped"),
-    "masks": ("masks", "mask_dropped"),
-    "ignore": ("regions to ignore", "ignore_dropped"),
-    "tracks": ("track ids", "tracks_dropped"),
-    "visibility": ("visible share", "visibility_dropped"),
-    "truncated": ("flag truncated", "truncated_dropped"),
-    "difficult": ("flag difficult", "difficult_dropped"),
-    "fractions": ("fractions of a pixel", "fraction_truncated"),
-    "telemetry": ("pitch, altitude, time of day", "telemetry_dropped"),
-    "sequence": ("sequence, date", "sequence_dropped"),
-}
-"""What a format may be unable to hold: in words, and the loss (see `base.LOSSES`) that counts it."""
-
-Layout = Literal["nested", "stems", "unique", "flat", "shared"]
-
-
-@dataclass(frozen=True)
-class Writer:
-    """One format to write.
-
-    Attributes:
-        name: As in `--to` and `output.formats`.
-        function: `module:function`, called with the folder, the images, the categories and what it `takes`.
-        reader: The format that reads it back.
-        summary: What it is, in a line.
-        lacks: What it cannot hold: keys of `FIELDS`.
-        fixed: Arguments that make the function write this format.
-        takes: Fields of `WriteSettings` the function knows, and `extra` (the source's own top-level fields).
-        layout: `nested`: pictures keep their folders and names; `stems`: the same, but two pictures of a split may not
-            differ in the suffix alone; `unique`: the same over all splits; `flat`: no folders below a split;
-            `shared`: one folder for all splits.
-        table: Where a picture lies, for formats whose reader takes a `metadata.csv`: telemetry is written there.
-    """
-
-    name: str
-    function: str
-    reader: str
-    summary: str
-    lacks: frozenset[str]
-    fixed: Mapping[str, Any] = field(default_factory=dict)
-    takes: frozenset[str] = frozenset()
-    layout: Layout = "nested"
-    table: str = ""
-
-    def load(self) -> Callable[..., Written]:
-        """The function."""
-        module, _, function = self.function.partition(":")
-        found: Callable[..., Written] = getattr(import_module(module), function)
-        return found
-
-
-_YOLO = "infrablend.formats.yolo:write"
-_YOLO_LACKS = frozenset(FIELDS) - {"boxes", "fractions", "telemetry"}
-_YOLO_TAKES = frozenset({"dont_care", "without_mask"})
-_HIT_UAV = "infrablend.formats.hit_uav:write"
-_PICTURE = "images/{split}/{name}"
-
-WRITERS: tuple[Writer, ...] = (
-    Writer(
-        "yolo", _YOLO, "yolo", "Ultralytics YOLO, axis-aligned boxes", _YOLO_LACKS,
-        {"task": "detect"}, _YOLO_TAKES, "stems", _PICTURE,
-    ),
-    Writer(
-        "yolo-obb", _YOLO, "yolo", "Ultralytics YOLO, oriented boxes", (_YOLO_LACKS | {"boxes"}) - {"obb"},
-        {"task": "obb"}, _YOLO_TAKES, "stems", _PICTURE,
-    ),
-    Writer(
-        "yolo-seg", _YOLO, "yolo", "Ultralytics YOLO, one polygon per object", (_YOLO_LACKS | {"boxes"}) - {"masks"},
-        {"task": "seg"}, _YOLO_TAKES, "stems", _PICTURE,
-    ),
-    Writer(
-        "coco", "infrablend.formats.coco:write", "coco", "COCO JSON per split, masks as run lengths", frozenset(),
-        takes=frozenset({"ids", "pictures"}),
-    ),
-    Writer(
-        "dota", "infrablend.formats.dota:write", "dota", "DOTA text, four corners in pixels",
-        frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence"}),
-        takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
-    ),
-    Writer(
-        "hit-uav", _HIT_UAV, "hit-uav", "HIT-UAV's normal_json and rotate_json",
-        frozenset({"masks", "tracks", "visibility", "truncated", "fractions", "sequence"}),
-        {"forms": ("normal_json", "rotate_json")}, frozenset({"ids", "extra", "pictures"}),
-        "unique",
-    ),
-    Writer(
-        "hit-uav-xml", _HIT_UAV, "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
-        frozenset({"masks", "tracks", "visibility", "fractions", "telemetry", "sequence"}),
-        {"forms": ("normal_xml", "rotate_xml")}, frozenset({"pictures"}), "shared",
-    ),
-    Writer(
-        "masks", "infrablend.formats.masks:write", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
-        frozenset(), takes=frozenset({"pictures"}), layout="stems",
-    ),
-    Writer(
-        "monet", "infrablend.formats.monet:write", "monet", "MONET's layout: COCO JSON per sequence with telemetry",
-        frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
-    ),
-    Writer(
-        "birdsai", "infrablend.formats.birdsai:write", "birdsai", "BIRDSAI: a CSV of tracks for each sequence",
-        frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult"}),
-        takes=frozenset({"dont_care", "pictures"}),
-    ),
-    Writer(
-        "voc", "infrablend.formats.voc:write", "voc", "Pascal VOC, one XML file per picture",
-        frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
-        takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
-    ),
-)  # fmt: skip
-"""In the order in which they are listed."""
 
 
 @dataclass(frozen=True)
@@ -156,21 +52,10 @@ class WriteSettings:
     pictures: bool = True
 
 
-def names() -> tuple[str, ...]:
-    """Names of the formats that can be written, without `native`."""
-    return tuple(w.name for w in WRITERS)
-
-
-def find_writer(name: str) -> Writer:
-    """The writer of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
-    for w in WRITERS:
-        if w.name == name:
-            return w
-    raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {', '.join((*names(), NATIVE))}")
+def load_writer(writer: Writer) -> Callable[..., Written]:
+    """Return the function `write` of the writer's format."""
+    found: Callable[..., Written] = import_module(find_format(writer.reader).module).write
+    return found
 
 
 def native_writer(source: Dataset) -> Writer | None:
@@ -179,12 +64,12 @@ def native_writer(source: Dataset) -> Writer | None:
     WiSARD's labels are YOLO's and those of DUT-Anti-UAV VOC's: the layout is then that of YOLO or VOC.
     """
     kind = source.notes.get("labels") if source.format == "folder" else source.format
+    kind = next((f.written_as for f in FORMATS if f.name == kind and f.written_as), kind)
     if kind == "hit-uav":
         forms = source.notes.get("forms") or ("normal_json",)
         return find_writer("hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml")
-    if kind in ("yolo", "wisard"):
+    if kind == "yolo":
         return find_writer(_yolo_kind(source))
-    kind = "voc" if kind == "dut-anti-uav" else kind
     return next((w for w in WRITERS if w.name == kind), None)
 
 
@@ -236,7 +121,7 @@ def write(
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
-    written = writer.load()(out, ordered, categories, **arguments)
+    written = load_writer(writer)(out, ordered, categories, **arguments)
     parts = [written, _write_table(out, ordered, writer), Written(losses=_further_losses(ordered, writer))]
     if renamed:
         parts.append(Written(losses={"name_changed": renamed}))
@@ -246,7 +131,9 @@ def write(
 def _no_native(source: Dataset) -> Written:
     found = f"{source.format} is read but not written; native was left out"
     todo = "ask for another format"
-    return Written(problems=(Problem("native", "format-none", found, f"one of {', '.join(names())}", todo, "warning"),))
+    return Written(
+        problems=(Problem("native", "format-none", found, f"one of {', '.join(written_names())}", todo, "warning"),)
+    )
 
 
 def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:

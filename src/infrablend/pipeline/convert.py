@@ -19,6 +19,7 @@ from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import output_error, write_json
+from infrablend.core.format_table import NATIVE, find_writer, written_names
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
@@ -82,7 +83,7 @@ def convert_dataset(
 
     Args:
         dataset: As read.
-        to: A name in `writing.names()`, or `native`.
+        to: A name in `written_names()`, or `native`.
         out: Folder; new or empty, or with `overwrite` one that an earlier call wrote.
         rename: Other names for classes; several may become one.
         drop: Classes to leave out, by the name after renaming.
@@ -99,7 +100,7 @@ def convert_dataset(
         OutputError: The folder cannot be used or written.
     """
     settings = settings or WriteSettings()
-    writer = writing.native_writer(dataset) if to == writing.NATIVE else writing.find_writer(to)
+    writer = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if writer is None:
         problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
@@ -229,7 +230,7 @@ def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> l
 
 
 def _choice() -> str:
-    return ", ".join(writing.names())
+    return ", ".join(written_names())
 
 
 def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str], option: str) -> None:

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import claimed_folder, write_json
+from infrablend.core.format_table import NATIVE, written_names
 from infrablend.errors import OutputError
-from infrablend.formats import writing
 from infrablend.report.card import CARD_FILE, is_own
 
 # What `--overwrite` may delete: these names and nothing else.
-OWN_FOLDERS = ("images", *writing.names(), writing.NATIVE, "scenes", "realism", "log")
+OWN_FOLDERS = ("images", *written_names(), NATIVE, "scenes", "realism", "log")
 RUN_FILE = "run.json"
 
 

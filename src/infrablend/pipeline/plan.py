@@ -16,9 +16,10 @@ from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
-from infrablend.formats.writing import NATIVE, WriteSettings, unwritable
+from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 

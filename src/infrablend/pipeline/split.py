@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_json, write_text
+from infrablend.core.format_table import NATIVE, find_writer
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
@@ -98,7 +99,7 @@ def split_dataset(
     gap: int = NEAR,
     shares: Sequence[float] = SHARES,
     seed: int = 0,
-    to: str = writing.NATIVE,
+    to: str = NATIVE,
     lists: bool = False,
 ) -> SplitReport:
     """Deal whole groups of images out to train, val and test and write the dataset so.
@@ -126,7 +127,7 @@ def split_dataset(
         raise DatasetError(f"gap: found {gap}, expected a number of frames above 0")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise OutputError(f"{out}: is there and not empty; give a new folder")
-    native = writing.native_writer(dataset) if to == writing.NATIVE else writing.find_writer(to)
+    native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if native is None and not lists:
         found = f"{dataset.format} without labels has no writer"
         problem = Problem(str(dataset.root), "format-unwritable", found, "a format to write", "give --to, or --list")

@@ -18,6 +18,7 @@ import yaml
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import LOSSES, read_json
 from infrablend.formats.sources import (
@@ -31,7 +32,6 @@ from infrablend.formats.sources import (
     Licence,
     find_source,
 )
-from infrablend.formats.writing import FIELDS, NATIVE, find_writer
 
 CARD_FILE = "README.md"
 SOURCE_FILE = "SOURCE.json"
@@ -388,7 +388,7 @@ def _formats(card: Card) -> list[str]:
         else:
             writer = find_writer(name)
             lacks = ", ".join(words for key, (words, _) in FIELDS.items() if key in writer.lacks)
-            text = writer.summary + (f"; it cannot hold {lacks}" if lacks else "")
+            text = writer.title + (f"; it cannot hold {lacks}" if lacks else "")
         lines.append(f"`{name}`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost here."))
     return [_bullets(lines)] if lines else []
 

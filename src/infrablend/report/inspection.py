@@ -6,6 +6,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes
+from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import detection
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
 from infrablend.report.groups import Leakage, leakage
@@ -245,8 +246,8 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
 def _remarks(dataset: Dataset) -> tuple[str, ...]:
     """What the modules of formats know of the datasets that come in them."""
     found: list[str] = []
-    for known in detection.FORMATS:
-        remarks = known.attribute("remarks", None)
+    for known in FORMATS:
+        remarks = getattr(import_module(known.module), "remarks", None)
         if remarks is not None:
             found += remarks(dataset)
     return tuple(found)

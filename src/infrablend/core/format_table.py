@@ -1,0 +1,251 @@
+"""The one table of dataset formats: names, titles, what each can hold, where its code and its page are.
+
+Recipes, the command line, readers, writers, the reference page and the tests take the formats from here. To add a
+format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py` with its
+tests, and describe it in `docs/formats/<page>.md`.
+
+Only names and facts are here, no code of any format: modules are given as dotted paths and loaded by
+`formats.detection` and `formats.writing`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+from infrablend.errors import UnknownFormatError
+
+NATIVE = "native"
+"""Written in place of a format's name: the format of the input."""
+
+Layout = Literal["nested", "stems", "unique", "flat", "shared"]
+LabelTask = Literal["detect", "obb", "segment"]
+
+FIELDS: Mapping[str, tuple[str, str]] = {
+    "boxes": ("axis-aligned boxes beside oriented ones", "box_dropped"),
+    "obb": ("oriented boxes", "obb_dropped"),
+    "masks": ("masks", "mask_dropped"),
+    "ignore": ("regions to ignore", "ignore_dropped"),
+    "tracks": ("track ids", "tracks_dropped"),
+    "visibility": ("visible share", "visibility_dropped"),
+    "truncated": ("flag `truncated`", "truncated_dropped"),
+    "difficult": ("flag `difficult`", "difficult_dropped"),
+    "fractions": ("fractions of a pixel", "fraction_truncated"),
+    "telemetry": ("pitch, altitude, time of day", "telemetry_dropped"),
+    "sequence": ("sequence, date", "sequence_dropped"),
+}
+"""What a format may be unable to hold: in words, and the loss (a key of `formats.losses.LOSSES`) that counts it."""
+
+
+@dataclass(frozen=True)
+class Writer:
+    """One way to write a format.
+
+    Attributes:
+        name: Name in `--to`, `--format` and `output.formats`.
+        reader: Name of the format that reads the result back; the row in which this writer stands.
+        title: One line that describes what is written.
+        lacks: What cannot be held: keys of `FIELDS`.
+        fixed: Arguments of the module's `write` that select this variant.
+        takes: Fields of `WriteSettings` that the function accepts, and `extra` (the source's own top-level fields).
+        layout: Where pictures may lie. `nested`: they keep their folders and names; `stems`: the same, but no two
+            pictures of a split may differ in the suffix alone; `unique`: the same over all splits; `flat`: no folders
+            below a split; `shared`: one folder for all splits.
+        table: Path of a picture in `metadata.csv`, for formats whose reader takes such a table; empty for the others.
+        trains: Task for which Ultralytics trains on this format, if any.
+        page: Name of the page in `docs/formats`.
+    """
+
+    name: str
+    reader: str
+    title: str
+    lacks: frozenset[str]
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    takes: frozenset[str] = frozenset()
+    layout: Layout = "nested"
+    table: str = ""
+    trains: LabelTask | None = None
+    own_page: str = ""
+
+    @property
+    def page(self) -> str:
+        """Name of the page in `docs/formats`."""
+        return self.own_page or f"{self.reader}.md"
+
+
+@dataclass(frozen=True)
+class Format:
+    """One dataset format that can be read.
+
+    Attributes:
+        name: Name in `--from-format`, in reports and in run records.
+        module: Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`.
+        title: One line that describes the format.
+        writers: Ways to write it; none if it is only read.
+        written_as: Name of the format that `native` writes instead, for formats that are only read but share the
+            labels of another.
+    """
+
+    name: str
+    module: str
+    title: str
+    writers: tuple[Writer, ...] = ()
+    written_as: str = ""
+
+    @property
+    def page(self) -> str:
+        """Name of the page in `docs/formats`."""
+        return f"{self.name}.md"
+
+
+_ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry"}
+_YOLO_TAKES = frozenset({"dont_care", "without_mask"})
+_YOLO_TABLE = "images/{split}/{name}"
+
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "hit-uav", "infrablend.formats.hit_uav", "HIT-UAV in any of its four annotation forms",
+        (
+            Writer(
+                "hit-uav", "hit-uav", "HIT-UAV's normal_json and rotate_json",
+                lacks=frozenset({"masks", "tracks", "visibility", "truncated", "fractions", "sequence"}),
+                fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
+                layout="unique",
+            ),
+            Writer(
+                "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
+                lacks=frozenset({"masks", "tracks", "visibility", "fractions", "telemetry", "sequence"}),
+                fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
+            ),
+        ),
+    ),
+    Format(
+        "masks", "infrablend.formats.masks", "InfraBlend's own instance masks: 16-bit PNG files with tables",
+        (
+            Writer(
+                "masks", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
+                lacks=frozenset(), takes=frozenset({"pictures"}), layout="stems",
+            ),
+        ),
+    ),
+    Format(
+        "birdsai", "infrablend.formats.birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames",
+        (
+            Writer(
+                "birdsai", "birdsai", "BIRDSAI: one CSV of tracks per sequence",
+                lacks=frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult"}),
+                takes=frozenset({"dont_care", "pictures"}),
+            ),
+        ),
+    ),
+    Format(
+        "wisard", "infrablend.formats.wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"
+    ),
+    Format("wit-uas", "infrablend.formats.wit_uas", "WIT-UAS: runs with `.label` files beside the frames"),
+    Format(
+        "dut-anti-uav", "infrablend.formats.dut_anti_uav", "DUT-Anti-UAV: drones in visible light, VOC labels",
+        written_as="voc",
+    ),
+    Format(
+        "dota", "infrablend.formats.dota", "DOTA text files: four corners in pixels",
+        (
+            Writer(
+                "dota", "dota", "DOTA text files: four corners in pixels",
+                lacks=frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence"}),
+                takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
+            ),
+        ),
+    ),
+    Format(
+        "monet", "infrablend.formats.monet", "MONET: COCO JSON that contains the drone's telemetry",
+        (
+            Writer(
+                "monet", "monet", "MONET's layout: one COCO JSON per sequence, with telemetry",
+                lacks=frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
+            ),
+        ),
+    ),
+    Format(
+        "coco", "infrablend.formats.coco", "COCO JSON, one file per split",
+        (
+            Writer(
+                "coco", "coco", "COCO JSON per split, masks as run lengths",
+                lacks=frozenset(), takes=frozenset({"ids", "pictures"}),
+            ),
+        ),
+    ),
+    Format(
+        "yolo", "infrablend.formats.yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment",
+        (
+            Writer(
+                "yolo", "yolo", "Ultralytics YOLO, axis-aligned boxes", _ALL_BUT_BOXES,
+                {"task": "detect"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "detect",
+            ),
+            Writer(
+                "yolo-obb", "yolo", "Ultralytics YOLO, oriented boxes", (_ALL_BUT_BOXES | {"boxes"}) - {"obb"},
+                {"task": "obb"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "obb", "yolo-obb.md",
+            ),
+            Writer(
+                "yolo-seg", "yolo", "Ultralytics YOLO, one polygon per object",
+                (_ALL_BUT_BOXES | {"boxes"}) - {"masks"},
+                {"task": "seg"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "segment", "yolo-seg.md",
+            ),
+        ),
+    ),
+    Format(
+        "voc", "infrablend.formats.voc", "Pascal VOC: one XML file per picture",
+        (
+            Writer(
+                "voc", "voc", "Pascal VOC: one XML file per picture",
+                lacks=frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
+                takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
+            ),
+        ),
+    ),
+    Format("folder", "infrablend.formats.folder", "a plain folder of pictures, with or without labels"),
+)  # fmt: skip
+"""All formats, in the order in which detection tries them: the most specific first."""
+
+WRITERS: tuple[Writer, ...] = tuple(w for f in FORMATS for w in f.writers)
+"""All writers, in the order of the table."""
+
+if TYPE_CHECKING:
+    WrittenName = str
+else:  # pydantic checks a recipe against the names, and the reference page lists them
+    WrittenName = Literal[(*(w.name for w in WRITERS), NATIVE)]
+
+
+def written_names() -> tuple[str, ...]:
+    """Return the names of the formats that can be written, without `native`."""
+    return tuple(w.name for w in WRITERS)
+
+
+def find_format(name: str) -> Format:
+    """Return the format of that name.
+
+    Raises:
+        UnknownFormatError: There is none.
+    """
+    for f in FORMATS:
+        if f.name == name:
+            return f
+    raise UnknownFormatError(f"format {name!r}: expected one of {', '.join(f.name for f in FORMATS)}")
+
+
+def find_writer(name: str) -> Writer:
+    """Return the writer of that name.
+
+    Raises:
+        UnknownFormatError: There is none.
+    """
+    for w in WRITERS:
+        if w.name == name:
+            return w
+    expected = ", ".join((*written_names(), NATIVE))
+    raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {expected}")
+
+
+def writer_for_task(task: LabelTask) -> Writer:
+    """Return the writer of the format on which a detector for `task` is trained."""
+    return next(w for w in WRITERS if w.trains == task)
