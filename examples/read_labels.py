@@ -1,4 +1,4 @@
-"""Print where each inserted object of a run is: image, class, box, visible share, number of mask pixels."""
+"""Print image, class, box, visibility and mask area of each inserted object in a run."""
 
 import json
 import sys
