@@ -21,7 +21,6 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.core.folders import cache_folder
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict import Strict, range_of
 from infrablend.core.wording import field_problems
@@ -158,14 +158,6 @@ def description_digest(path: Path) -> str:
     """Digest of all that makes a user's model: its YAML and its 3D file."""
     _, file = read_description(path)
     return hashlib.sha256(path.read_bytes() + geometry_file(file).stem.encode()).hexdigest()
-
-
-def cache_folder() -> Path:
-    """Where imported geometry is kept: $INFRABLEND_CACHE, else the user's cache folder."""
-    own = os.environ.get("INFRABLEND_CACHE")
-    if own:
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infrablend"
 
 
 def geometry_file(file: Path) -> Path:

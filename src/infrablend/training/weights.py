@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import io
 import logging
-import os
 import re
 import urllib.request
 import zipfile
@@ -14,6 +13,7 @@ from importlib import metadata
 from pathlib import Path
 
 from infrablend.core.files import write_bytes
+from infrablend.core.folders import weights_folder
 from infrablend.errors import FetchError, MissingDependencyError
 from infrablend.training.presets import SUFFIX, Preset
 
@@ -52,7 +52,7 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
             can be had, else from scratch.
         preset: Names the network.
         task: One of `presets.TASKS`.
-        cache: Folder for what is downloaded; `$XDG_CACHE_HOME/infrablend/weights` by default.
+        cache: Folder for downloaded weights; `core.folders.weights_folder()` by default.
 
     Raises:
         FetchError: No such file, and no such published weights within reach.
@@ -68,7 +68,7 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
     if not _NAME.fullmatch(name):
         return Start(f"{own}.yaml", "scratch", f"{name} is no name of published weights")
     try:
-        return Start(str(_published(name, cache or _cache())), "published", name)
+        return Start(str(_published(name, cache or weights_folder())), "published", name)
     except FetchError as error:
         if wanted != AUTO:
             raise
@@ -107,10 +107,6 @@ def require_ultralytics() -> None:
             f"ultralytics {found} is installed; expected {'.'.join(map(str, ULTRALYTICS))} or later; upgrade with\n"
             '  pip install --upgrade "infrablend[train]"\n(in a checkout: make train)'
         )
-
-
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infrablend" / "weights"
 
 
 def _published(name: str, folder: Path) -> Path:
