@@ -25,6 +25,7 @@ import numpy as np
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.errors import InfraBlendError
 from infrablend.formats import detection
+from infrablend.formats.reading import Reading
 from infrablend.report.checking import check_dataset, unreadable
 from infrablend.report.inspection import inspect_dataset
 
@@ -323,7 +324,7 @@ def exercise(root: Path, name: str) -> None:
     """
     for format in (None, name):
         try:
-            dataset = detection.read(root, format=format)
+            dataset = detection.read(root, Reading(format=format))
         except InfraBlendError as error:
             json.dumps([p.to_json() for p in error.problems])
             str(error).encode("utf-8", "backslashreplace")

@@ -9,40 +9,43 @@ api.preview("runs/first", "runs/first/preview.png")
 
 from __future__ import annotations
 
-import logging
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import psutil
-
 from infrablend.assets import catalogue
 from infrablend.config import loading
-from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset
-from infrablend.core.files import write_json
-from infrablend.core.tasks import OnProgress, Progress
-from infrablend.errors import DatasetError, OutputError, UnknownFormatError
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.errors import DatasetError, OutputError
 from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
+from infrablend.formats.reading import Reading
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline import world
 from infrablend.pipeline.convert import ConvertReport, convert_dataset
+from infrablend.pipeline.experiment_inputs import (
+    default_results,
+    training_seconds,
+)
+from infrablend.pipeline.experiment_inputs import preset_facts as _preset
+from infrablend.pipeline.experiment_inputs import require_training as _require_training
+from infrablend.pipeline.experiment_inputs import require_training_settings as _require_settings
+from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.models import ready_model, run_once
-from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.realism import RealismReport, Time, compare
+from infrablend.pipeline.request import Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
-from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.select import Selection
 from infrablend.pipeline.train import (
     TrainPlan,
     TrainReport,
     choose_preset,
     plan_training,
-    require_settings,
     train_dataset,
 )
 
@@ -93,12 +96,6 @@ __all__ = [
     "train",
     "write_infrared_effect",
 ]
-
-log = logging.getLogger(__name__)
-
-WORKER_BYTES = 500 * 2**20  # of a rendering worker, measured, rounded up
-
-Settings = Sequence[str] | Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -158,18 +155,17 @@ def generate(
     Raises:
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, options, settings)
-    return run_plan(
-        prepared,
-        Path(out),
-        workers=_affordable_workers(workers),
-        device=device,
-        renderer=renderer,
-        resume=resume,
-        overwrite=overwrite,
-        in_process=in_process,
-        on_progress=on_progress,
+    request = _run_request(
+        recipe, data, out, limit, seed, formats, settings, _reading(splits, None, form, metadata, options)
     )
+    if resume and overwrite:
+        raise OutputError("--resume and --overwrite exclude each other: go on with the run, or begin it anew")
+    request = replace(
+        request,
+        execution=Execution(workers, device, renderer, in_process),
+        existing="resume" if resume else "overwrite" if overwrite else "refuse",
+    )
+    return generate_run(request, on_progress)
 
 
 def plan(
@@ -189,27 +185,22 @@ def plan(
     settings: Settings = (),
 ) -> PlanReport:
     """What `generate` with the same arguments would do: frames, disk, estimated time. Writes nothing."""
-    prepared = _prepare(recipe, data, out, limit, splits, seed, formats, form, metadata, options, settings)
-    facts = prepared.estimate(workers or default_workers())
-    facts["device"] = device
-    facts["categories"] = [c.name for c in prepared.categories]
-    facts["new_categories"] = list(prepared.new_categories)
-    return PlanReport(facts)
+    request = _run_request(
+        recipe, data, out, limit, seed, formats, settings, _reading(splits, None, form, metadata, options)
+    )
+    return PlanReport(describe_run(replace(request, execution=Execution(workers, device))))
 
 
-def _prepare(
+def _run_request(
     recipe: str | Path,
     data: str | Path,
     out: str | Path | None,
     limit: int | None,
-    splits: Sequence[str] | None,
     seed: int,
     formats: Sequence[str] | None,
-    form: str | None,
-    metadata: str | Path | None,
-    options: Mapping[str, str] | None,
     settings: Settings,
-) -> RunPlan:
+    reading: Reading,
+) -> RunRequest:
     pairs: Settings = settings
     if formats is not None:
         wanted = list(formats)
@@ -218,29 +209,17 @@ def _prepare(
             if isinstance(settings, Mapping)
             else [*settings, f"output.formats=[{', '.join(wanted)}]"]
         )
-    loaded = loading.load_recipe(recipe, pairs)
-    root = Path(data)
-    for option, path in (("--data", root), ("--out", Path(out or ""))):
-        if not is_text(str(path)) or "\0" in str(path):
-            raise OutputError(
-                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected one that the run record (JSON) "
-                "can hold. Rename the folder, or give a link to it"
-            )
-    if out is not None:
-        _require_apart(root, Path(out))
-    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, options=options)
-    return make_plan(loaded, dataset, seed, splits=splits, limit=limit)
+    return RunRequest(recipe, Path(data), None if out is None else Path(out), limit, seed, pairs, reading)
 
 
-def _require_apart(data: Path, out: Path) -> None:
-    a, b = data.resolve(), out.resolve()
-    if a == b or b in a.parents:
-        raise OutputError(f"--out {out}: is or holds the data folder {data}; choose a folder of its own")
-    if a in b.parents:
-        raise OutputError(
-            f"--out {out}: lies inside the data folder {data}, which is never written to (and a later run would "
-            "take its pictures for backgrounds); choose a folder outside it"
-        )
+def _reading(
+    splits: Sequence[str] | None,
+    format: str | None,
+    form: str | None,
+    metadata: str | Path | None,
+    options: Mapping[str, str] | None,
+) -> Reading:
+    return Reading(splits, format, form, metadata, options or {})
 
 
 def read_dataset(
@@ -266,8 +245,7 @@ def read_dataset(
         UnknownFormatError: With the reason for each format that does not match.
         DatasetError: If it cannot be read.
     """
-    table = None if metadata is None else Path(metadata)
-    return detection.read(Path(data), format=format, form=form, splits=splits, metadata=table, options=options)
+    return detection.read(Path(data), _reading(splits, format, form, metadata, options))
 
 
 def fetch(
@@ -351,18 +329,10 @@ def inspect(
         DatasetError: It cannot be read.
         OutputError: `out` cannot be written.
     """
-    from infrablend.report.inspection import inspect_dataset, write_charts
+    from infrablend.pipeline.examine import inspect_folder
 
-    root = Path(data)
-    if out is not None:
-        _require_apart(root, Path(out))
-    dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, format=format, options=options)
-    reason = "as asked for" if format else detection.detect(root).reasons[dataset.format]
-    facts = inspect_dataset(dataset, reason, decode=decode)
-    if out is not None:
-        write_json(Path(out) / "inspect.json", facts.to_json())
-        write_charts(facts, Path(out) / "inspect.png")
-    return facts
+    reading = _reading(splits, format, form, metadata, options)
+    return inspect_folder(Path(data), None if out is None else Path(out), reading=reading, decode=decode)
 
 
 def check(
@@ -394,35 +364,10 @@ def check(
         UnknownFormatError: No format fits.
         DatasetError: There is no such folder, or an option that the format does not have.
     """
-    from infrablend.report.checking import check_dataset, unreadable
+    from infrablend.pipeline.examine import check_folder
 
-    root = Path(data)
-    try:
-        dataset = read_dataset(root, splits=splits, form=form, metadata=metadata, format=format, options=options)
-    except UnknownFormatError:
-        raise
-    except DatasetError as error:
-        if not error.problems or any(p.code in _USAGE for p in error.problems):
-            raise
-        return unreadable(root, error)
-    return check_dataset(dataset, decode=decode, on_image=_paced(on_progress))
-
-
-# Problems of the command, not of the data.
-_USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
-
-
-def _paced(on_progress: OnProgress | None) -> Callable[[int, int], None] | None:
-    """`on_progress` for a plain loop that knows how many of how many are done."""
-    if on_progress is None:
-        return None
-    started = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        rate = done / max(time.monotonic() - started, 1e-9)
-        on_progress(Progress(done, total, rate, (total - done) / rate))
-
-    return tell
+    reading = _reading(splits, format, form, metadata, options)
+    return check_folder(Path(data), reading=reading, decode=decode, on_progress=on_progress)
 
 
 def split(
@@ -464,7 +409,7 @@ def split(
     from infrablend.report.groups import BYS, NEAR
 
     root, target = Path(data), Path(out)
-    _require_apart(root, target)
+    require_apart(root, target)
     kind = next((b for b in BYS if b == by), None)
     if kind is None:
         raise DatasetError(f"by: found {by!r}, expected one of {', '.join(BYS)}")
@@ -533,7 +478,7 @@ def convert(
     Raises:
         UnknownFormatError, DatasetError, OutputError: See `infrablend.errors`.
     """
-    _require_apart(Path(source), Path(out))
+    require_apart(Path(source), Path(out))
     dataset = read_dataset(source, splits=splits, form=form, metadata=metadata, format=format, options=options)
     settings = WriteSettings(ids, category_ids, dont_care, without_mask)
     return convert_dataset(
@@ -589,7 +534,7 @@ def train(
     Raises:
         InfraBlendError: Of many kinds, see `pipeline.train.train_dataset`.
     """
-    _require_apart(Path(dataset), Path(out))
+    require_apart(Path(dataset), Path(out))
     chosen = choose_preset(preset, settings or {})
     found = read_dataset(dataset, format=format, options=options)
     return train_dataset(
@@ -630,22 +575,6 @@ def plan_train(
         found, chosen, task=task, classes=classes, device=device, seed=seed, start=weights,
         out=None if out is None else Path(out), resume=resume, overwrite=overwrite,
     )  # fmt: skip
-
-
-def default_workers() -> int:
-    """One per processor core this process may use."""
-    return available_cores()
-
-
-def _affordable_workers(wanted: int | None) -> int:
-    """The number asked for, less what memory cannot hold: a machine that swaps to death finishes no run."""
-    cores = default_workers()
-    if wanted is None or wanted <= cores:
-        return wanted or cores
-    most = max(cores, int(psutil.virtual_memory().available // WORKER_BYTES))
-    if wanted > most:
-        log.warning("--workers %d: memory is free for some %d on %d cores; %d are used", wanted, most, cores, most)
-    return min(wanted, most)
 
 
 def list_models() -> dict[str, str]:
@@ -715,7 +644,7 @@ def profile(
     """
     from infrablend.pipeline.profile import profile_dataset
 
-    _require_apart(Path(data), Path(out))
+    require_apart(Path(data), Path(out))
     dataset = read_dataset(data, splits=splits, options=options)
     if time is not None:
         chosen = tuple(i for i in dataset.images if i.time_of_day == time)
@@ -769,7 +698,7 @@ def realism(
         categories=categories,
         time_of_day=time_of_day,
         most_pairs=pairs,
-        workers=_affordable_workers(workers),
+        workers=Execution(workers).worker_count(),
         in_process=in_process,
         on_progress=on_progress,
     )
@@ -831,12 +760,12 @@ def evaluate(
     from infrablend.pipeline.evaluate import evaluate_detector
 
     root, target = Path(dataset), Path(out)
-    _require_apart(root, target)
+    require_apart(root, target)
     data = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
     return evaluate_detector(
         Path(weights), data, target, split=split, task=task, device=device, classes=classes, image_size=image_size,
         ignore_regions=ignore_regions, bootstrap=bootstrap, group=group, seed=seed,
-        against=None if against is None else Path(against), overwrite=overwrite, on_image=_paced(on_progress),
+        against=None if against is None else Path(against), overwrite=overwrite, on_image=paced(on_progress),
     )  # fmt: skip
 
 
@@ -883,7 +812,7 @@ def make_world(
     `layout` is that of HIT-UAV (640x512, a town) or of MONET (800x600, airfields and dirt roads, telemetry in the
     JSON, some of it lost). It always renders on the CPU; `device` is taken for the sake of a like command line.
     """
-    world.make_world(Path(out), count, seed, workers or default_workers(), on_progress, layout)
+    world.make_world(Path(out), count, seed, Execution(workers).worker_count(), on_progress, layout)
     return Path(out)
 
 
@@ -986,17 +915,8 @@ def _results_folder(data: Iterable[Path], setting: Setting, out: str | Path | No
     """Where the page goes, apart from the data."""
     target = default_results(setting.work, setting.scale) if out is None else Path(out)
     for folder in data:
-        _require_apart(folder, target)
+        require_apart(folder, target)
     return target
-
-
-def default_results(work: Path, scale: str) -> Path:
-    """Where pages go: `docs/results` of the checkout one stands in, else `results`; smoke ones into the work folder."""
-    if scale == "smoke":
-        return work / "results"
-    here = Path.cwd()
-    in_checkout = (here / "pyproject.toml").is_file() and (here / "src" / "infrablend").is_dir()
-    return here / "docs" / "results" if in_checkout else here / "results"
 
 
 def _experiment(
@@ -1022,40 +942,11 @@ def _experiment(
         raise DatasetError(f"scale: found {scale!r}, expected one of {', '.join(SCALES)}")
     folders = [Path(data)] if isinstance(data, str | Path) else [Path(d) for d in data]
     for folder in folders:
-        _require_apart(folder, Path(work))
+        require_apart(folder, Path(work))
     given = experiments.assign(loaded, folders)
     tools = Tools(
-        read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, _training_seconds,
+        read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, training_seconds,
         _require_training, _require_settings,
     )  # fmt: skip
     setting = Setting(Path(work), known, seed, device, tools, dict(training or {}), renderer, workers, on_progress)
     return loaded, experiments.build(loaded, given, setting), setting
-
-
-def _preset(scale: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides a training, plain JSON."""
-    return {k: v for k, v in asdict(choose_preset(scale, settings)).items() if k != "summary"}
-
-
-def _training_seconds(scale: str, settings: Mapping[str, Any], images: int, gpu: bool) -> float:
-    from infrablend.training.presets import estimate_seconds, tiles_expected
-
-    preset = choose_preset(scale, settings)
-    shown = tiles_expected(images, 5 * images) if preset.tile else images
-    shown = min(shown, preset.tiles) if preset.tiles else shown
-    return estimate_seconds(preset, shown, gpu=gpu, cores=available_cores())
-
-
-def _require_training(device: str) -> None:
-    """Ultralytics and the device, before anything is made."""
-    from infrablend.training.weights import require_ultralytics
-
-    require_ultralytics()
-    from infrablend.training.predict import pick_device
-
-    pick_device(device)
-
-
-def _require_settings(scale: str, settings: Mapping[str, Any]) -> None:
-    """What a training would refuse of its settings; without Ultralytics only what we know ourselves."""
-    require_settings(choose_preset(scale, settings))

@@ -20,6 +20,7 @@ from infrablend.core.masks import Mask
 from infrablend.formats import detection, writing, yolo
 from infrablend.formats.base import LOSSES
 from infrablend.formats.pictures import read_size
+from infrablend.formats.reading import Reading
 from infrablend.formats.writing import WriteSettings, load_writer
 
 ATOL_PX = 1e-6
@@ -71,7 +72,7 @@ def round_trip(
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
     # What looks like MONET is told by its telemetry, which is not always there, and needed unless it is waived.
     options = {"empty": "keep", "pitch_sign": "-1"} if writer.name == "monet" else {}
-    again = detection.read(out, format="monet" if options else None, options=options)
+    again = detection.read(out, Reading(format="monet" if options else None, options=options))
     if writer.name == "yolo-seg":
         again = yolo.read(out, task="seg")  # a polygon of four corners may be either
     assert again.format == writer.reader
@@ -142,7 +143,7 @@ REAL = {
 @pytest.mark.parametrize("name", sorted(REAL))
 def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_path: Path) -> None:
     folder, images_there, objects_there = REAL[name]
-    source = detection.read(real_data.joinpath(*folder), splits=["val"] if name == "hit-uav" else None)
+    source = detection.read(real_data.joinpath(*folder), Reading(splits=["val"] if name == "hit-uav" else None))
     given = [i if i.size_wh else replace(i, size_wh=read_size(i.path, i.name)[0]) for i in source.images]
     counted = (len(given), sum(len(i.instances) for i in given))
     assert counted == (images_there, objects_there)
@@ -198,8 +199,8 @@ def apart_px(writer: Writer, a: Instance, b: Instance, size_wh: tuple[int, int])
 
 def test_the_upright_box_of_every_oriented_one_is_hit_uavs_own(real_data: Path) -> None:
     """Corners' bounds, truncated toward zero, are HIT-UAV's integers for each of its shared annotations."""
-    oriented = detection.read(real_data / "hit-uav", form="rotate_json")
-    upright = detection.read(real_data / "hit-uav", form="normal_json")
+    oriented = detection.read(real_data / "hit-uav", Reading(form="rotate_json"))
+    upright = detection.read(real_data / "hit-uav", Reading(form="normal_json"))
     compared = 0
     for a, b in zip(oriented.images, upright.images, strict=True):
         for x, y in zip(a.instances, b.instances, strict=True):

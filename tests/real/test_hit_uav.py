@@ -11,6 +11,7 @@ import pytest
 
 from infrablend.core.dataset import Dataset
 from infrablend.formats import detection, hit_uav, yolo
+from infrablend.formats.reading import Reading
 
 COUNTS = {"train": (1000, 8706), "val": (290, 2460), "test": (579, 4811)}
 
@@ -43,7 +44,7 @@ def test_all_forms_agree_on_every_object_and_are_read_quickly(real_data: Path) -
 
 
 def test_normal_json_boxes_are_unchanged(real_data: Path) -> None:
-    d = detection.read(real_data / "hit-uav", splits=["test"])
+    d = detection.read(real_data / "hit-uav", Reading(splits=["test"]))
     top = json.loads((real_data / "hit-uav/normal_json/annotations/test.json").read_text())
     boxes = {a["id"]: a["bbox"] for a in top["annotation"]}
     assert len(boxes) == 4811
@@ -82,7 +83,7 @@ def test_truncating_oriented_boxes_gives_the_normal_ones(real_data: Path) -> Non
 
 
 def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: Path) -> None:
-    d = detection.read(real_data / "hit-uav", splits=["val"])
+    d = detection.read(real_data / "hit-uav", Reading(splits=["val"]))
     written = yolo.write(tmp_path, d.images, d.categories)
     assert written.losses["ignore_dropped"] == 7
     again = detection.read(tmp_path)

@@ -15,6 +15,7 @@ from tests.samples import picture
 from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import birdsai, detection, yolo
+from infrablend.formats.reading import Reading
 
 SEQ = "0000000067_0000000025"
 
@@ -62,7 +63,7 @@ def test_tracks_species_and_flags(tmp_path: Path) -> None:
 
 def test_classes_instead_of_species_and_noise_dropped(tmp_path: Path) -> None:
     frames(tmp_path, [0, 1, 2], ROWS)
-    d = detection.read(tmp_path, options={"category": "class", "noise": "drop", "unlabelled": "drop"})
+    d = detection.read(tmp_path, Reading(options={"category": "class", "noise": "drop", "unlabelled": "drop"}))
     assert [(c.id, c.name) for c in d.categories] == [(0, "animal"), (1, "human")]
     assert [[o.category for o in i.instances] for i in d.images] == [["animal", "human"], ["animal", "human"]]
     assert codes(d, "warning") == ["label-missing", "noise-dropped"] and d.notes["rows"]["noise_dropped"] == 1
@@ -71,7 +72,7 @@ def test_classes_instead_of_species_and_noise_dropped(tmp_path: Path) -> None:
 @pytest.mark.parametrize("options", [{"category": "kind"}, {"noise": "1"}, {"frames": "x"}, {"frame_offset": "1.5"}])
 def test_unknown_values_of_options_are_refused(tmp_path: Path, options: dict[str, str]) -> None:
     with pytest.raises(DatasetError) as caught:
-        detection.read(frames(tmp_path, [0], ROWS), options=options)
+        detection.read(frames(tmp_path, [0], ROWS), Reading(options=options))
     assert caught.value.problems[0].code == "option-value" and next(iter(options)) in caught.value.problems[0].where
 
 
@@ -82,9 +83,9 @@ def test_rows_and_frames_that_do_not_match_are_counted_and_an_offset_is_offered(
     assert codes(d, "warning") == ["row-without-picture", "label-missing", "frame-offset"]
     assert "frame_offset=1" in next(p.todo for p in d.problems if p.code == "frame-offset")
     assert d.notes["rows"]["without_picture"] == 1
-    d = detection.read(tmp_path, options={"frame_offset": "1"})
+    d = detection.read(tmp_path, Reading(options={"frame_offset": "1"}))
     assert d.problems == () and [len(i.instances) for i in d.images] == [1] * 5 and d.notes["frames"] == "number+1"
-    ordered = detection.read(tmp_path, options={"frames": "order"})
+    ordered = detection.read(tmp_path, Reading(options={"frames": "order"}))
     assert ordered.problems == () and ordered.images[0].instances[0].extra["species"] == 1
 
 
@@ -124,7 +125,7 @@ def test_folders_as_they_come(tmp_path: Path) -> None:
     assert [i.split for i in d.images] == ["train", "test"] and "simulation-excluded" in codes(d, "warning")
     assert len({i.id for i in d.images}) == 2
     assert [i.split for i in detection.read(tmp_path / "a" / "TestReal").images] == ["test"]
-    assert [i.split for i in detection.read(tmp_path / "a", splits=["test"]).images] == ["test"]
+    assert [i.split for i in detection.read(tmp_path / "a", Reading(splits=["test"])).images] == ["test"]
     frames(tmp_path / "b", [0], ROWS, "Real")
     assert detection.read(tmp_path / "b").format == "birdsai"
 

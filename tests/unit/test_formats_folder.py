@@ -15,6 +15,7 @@ from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, yolo
 from infrablend.formats.capture import Capture, Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
+from infrablend.formats.reading import Reading
 
 
 def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
@@ -189,7 +190,7 @@ def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:
     assert all(len(i.instances) == 1 for i in d.images)
     assert sorted(codes(d)) == ["image-missing", "name-climbs"]
     assert codes(d, "warning")[0] == "split-twice"
-    (only,) = detection.read(tmp_path, splits=["val"]).images
+    (only,) = detection.read(tmp_path, Reading(splits=["val"])).images
     assert only.name == "2.png"
     # A folder beside a list: the list counts.
     (tmp_path / "data.yaml").write_text("train: images\nval: val.txt\nnames: [Person]\n")
@@ -250,7 +251,7 @@ def annotation(**changes: Any) -> list[dict[str, Any]]:
     ],
 )
 def test_bad_coco_annotations(tmp_path: Path, changes: dict[str, Any], code: str, left: int) -> None:
-    d = detection.read(write_coco(tmp_path, annotations=annotation(**changes)), format="coco")
+    d = detection.read(write_coco(tmp_path, annotations=annotation(**changes)), Reading(format="coco"))
     assert [p.code for p in d.problems] == [code]
     assert (d.problems[0].severity == "error") == (left == 1)
     assert len(d.images[0].instances) == left
@@ -283,11 +284,11 @@ def test_broken_coco_files(tmp_path: Path) -> None:
 def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     with pytest.raises(DatasetError, match="folder has none"):
-        detection.read(tmp_path, form="normal_json")
+        detection.read(tmp_path, Reading(form="normal_json"))
     with pytest.raises(DatasetError, match="form"):
-        detection.read(tmp_path, form="normal")
+        detection.read(tmp_path, Reading(form="normal"))
     with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
-        detection.read(tmp_path, format="no-such-format")
+        detection.read(tmp_path, Reading(format="no-such-format"))
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
         detection.read(tmp_path / "absent")
     assert str(caught.value).count("absent") == 1

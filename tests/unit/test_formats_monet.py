@@ -20,6 +20,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, monet, writing
+from infrablend.formats.reading import Reading
 
 CATEGORIES = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
 
@@ -82,7 +83,7 @@ def codes(dataset: Dataset, severity: str = "warning") -> list[str]:
 )
 def test_telemetry_is_found(tmp_path: Path, nest: str | None, telemetry: Any, options: dict[str, str]) -> None:
     sequence(tmp_path, "runway_04", [telemetry], nest=nest)
-    d = detection.read(tmp_path, options=options)
+    d = detection.read(tmp_path, Reading(options=options))
     (image,) = d.images
     assert d.format == "monet"
     assert (image.altitude_m, image.sequence, image.split, image.id) == (
@@ -111,8 +112,8 @@ def test_another_key_is_told_by_what_is_there(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:
         detection.read(tmp_path)
     assert "metadata.gimbalPitch, metadata.speed.x.m_s" in str(caught.value) and "pitch_key=KEY" in str(caught.value)
-    assert detection.read(tmp_path, options={"pitch_key": "gimbalPitch"}).images[0].pitch_deg == 35
-    d = detection.read(tmp_path, options={"empty": "keep"})
+    assert detection.read(tmp_path, Reading(options={"pitch_key": "gimbalPitch"})).images[0].pitch_deg == 35
+    d = detection.read(tmp_path, Reading(options={"empty": "keep"}))
     assert [i.pitch_deg for i in d.images] == [None] and d.notes["frames_without_pitch"] == {"train/runway_04": 1}
 
 
@@ -137,11 +138,11 @@ def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="cannot be told"):
         detection.read(tmp_path)
     for sign, pitches in (("-1", [35, -40]), ("+1", [-35, 40])):
-        d = detection.read(tmp_path, options={"pitch_sign": sign})
+        d = detection.read(tmp_path, Reading(options={"pitch_sign": sign}))
         assert [i.pitch_deg for i in d.images] == pitches and codes(d) == []
     sequence(tmp_path, "runway_05", down(-35, -40))
     with pytest.raises(DatasetError, match="more than half of the pitches are negative"):
-        detection.read(tmp_path, options={"pitch_sign": "1"})
+        detection.read(tmp_path, Reading(options={"pitch_sign": "1"}))
 
 
 def test_a_file_that_looks_up_against_the_others_stops_the_read(tmp_path: Path) -> None:
@@ -151,13 +152,13 @@ def test_a_file_that_looks_up_against_the_others_stops_the_read(tmp_path: Path) 
         detection.read(tmp_path)
     assert [p.where for p in caught.value.problems] == ["train/runway_05.json"]
     assert "2 of 3 cameras look up" in str(caught.value)
-    assert len(detection.read(tmp_path, options={"pitch_sign": "-1"}).images) == 7
+    assert len(detection.read(tmp_path, Reading(options={"pitch_sign": "-1"})).images) == 7
 
 
 def test_small_numbers_are_suspected_to_be_radians(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(*(-0.1 * k for k in range(1, 12))))
     assert "pitch-unit" in codes(detection.read(tmp_path))
-    d = detection.read(tmp_path, options={"angle_unit": "rad"})
+    d = detection.read(tmp_path, Reading(options={"angle_unit": "rad"}))
     assert "pitch-unit" not in codes(d) and d.images[0].pitch_deg == pytest.approx(5.7296, abs=1e-4)
 
 
@@ -174,19 +175,19 @@ def test_empty_sequences_are_left_out_and_counted(tmp_path: Path) -> None:
     assert d.notes["gimbal_pitch"]["missing"] == 3
     assert d.notes["pitch"] == "annotation (2 of 3), none (1 of 3)"
     assert codes(d) == ["pitch-sign", "sequence-excluded"]
-    kept = detection.read(tmp_path, options={"empty": "keep"})
+    kept = detection.read(tmp_path, Reading(options={"empty": "keep"}))
     assert len(kept.images) == 5 and codes(kept) == ["pitch-sign"]
 
 
 def test_sequences_are_left_out_by_name(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_01", down(-35))
     sequence(tmp_path, "runway_04", down(-35, -36))
-    d = detection.read(tmp_path, options={"exclude": "runway_01, dirtroad_01"})
+    d = detection.read(tmp_path, Reading(options={"exclude": "runway_01, dirtroad_01"}))
     assert {i.sequence for i in d.images} == {"runway_04"}
     assert d.notes["excluded"]["train/runway_01"]["images"] == 1
     assert codes(d) == ["option-value", "pitch-sign", "sequence-excluded"]
     with pytest.raises(DatasetError, match="nothing to read"):
-        detection.read(tmp_path, options={"exclude": "runway_01,runway_04"})
+        detection.read(tmp_path, Reading(options={"exclude": "runway_01,runway_04"}))
 
 
 def test_a_table_counts_more_and_fills_an_empty_sequence(tmp_path: Path) -> None:
@@ -267,14 +268,14 @@ def test_names_that_fit_several_folders_are_not_guessed(tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as caught:
         detection.read(tmp_path)
     assert "train/runway_04/lwir, train/runway_05/lwir" in str(caught.value)
-    d = detection.read(tmp_path, options={"pictures": "train/runway_05/lwir"})
+    d = detection.read(tmp_path, Reading(options={"pictures": "train/runway_05/lwir"}))
     assert [i.sequence for i in d.images] == ["runway_05"]
 
 
 def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35), split="a", file="all.json", names="runway_04/lwir/image{k:05d}.png")
     assert [i.split for i in detection.read(tmp_path).images] == ["train"]
-    assert [i.split for i in detection.read(tmp_path, options={"split": "val"}).images] == ["val"]
+    assert [i.split for i in detection.read(tmp_path, Reading(options={"split": "val"})).images] == ["val"]
     (tmp_path / "a").rename(tmp_path / "monet_test")
     assert [i.split for i in detection.read(tmp_path).images] == ["test"]
     # Given alone, the folder's own name tells.
@@ -284,7 +285,7 @@ def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
 
 def test_one_sequence_alone_is_named_by_its_folder(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"p": -35}], file="train/runway_04/labels.json")
-    d = detection.read(tmp_path / "train" / "runway_04", options={"pitch_key": "p"})
+    d = detection.read(tmp_path / "train" / "runway_04", Reading(options={"pitch_key": "p"}))
     assert [(i.sequence, i.split, i.name) for i in d.images] == [("runway_04", "train", "lwir/image00000.png")]
 
 
@@ -309,9 +310,9 @@ def test_sizes_that_are_missing_come_from_the_pictures(tmp_path: Path) -> None:
 def test_splits_are_read_one_by_one(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     sequence(tmp_path, "runway_05", down(-36), split="val")
-    assert [i.split for i in detection.read(tmp_path, splits=["val"]).images] == ["val"]
+    assert [i.split for i in detection.read(tmp_path, Reading(splits=["val"])).images] == ["val"]
     with pytest.raises(DatasetError, match="nothing to read in the splits test"):
-        detection.read(tmp_path, splits=["test"])
+        detection.read(tmp_path, Reading(splits=["test"]))
 
 
 def test_regions_to_ignore_are_told_by_their_name(tmp_path: Path) -> None:
@@ -366,11 +367,11 @@ def test_options_are_checked_together(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     bad = {"pitch_sign": "2", "angle_unit": "grad", "time_of_day": "dusk", "split": "dev", "pitch_key": "a..b"}
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, options=bad)
+        detection.read(tmp_path, Reading(options=bad))
     assert {p.where for p in caught.value.problems} == {f"option {k}" for k in bad}
     with pytest.raises(DatasetError, match="annotations=PATTERN"):
-        detection.read(tmp_path, options={"annotations": "labels/*.json"})
-    assert detection.read(tmp_path, options={"time_of_day": "night"}).images[0].time_of_day == "night"
+        detection.read(tmp_path, Reading(options={"annotations": "labels/*.json"}))
+    assert detection.read(tmp_path, Reading(options={"time_of_day": "night"})).images[0].time_of_day == "night"
 
 
 JSON = st.recursive(
@@ -485,7 +486,7 @@ def test_without_any_pitch_the_files_are_still_known_for_what_they_are(tmp_path:
     # Never a folder of bare pictures, whose labels nobody would miss.
     with pytest.raises(DatasetError, match="empty=keep"):
         detection.read(tmp_path / "out")
-    (again,) = detection.read(tmp_path / "out", options={"empty": "keep"}).images
+    (again,) = detection.read(tmp_path / "out", Reading(options={"empty": "keep"})).images
     assert again.instances[0].box_xyxy.tolist() == [3.0, 4.0, 20.0, 30.0]
     known = replace(image, pitch_deg=40.0)
     assert not monet.write(tmp_path / "known", [known], [Category(0, "deer")]).problems

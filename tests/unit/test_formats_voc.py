@@ -15,6 +15,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, voc
+from infrablend.formats.reading import Reading
 
 SIZE = "<size><width>100</width><height>80</height><depth>1</depth></size>"
 
@@ -88,11 +89,11 @@ def test_what_a_box_means_is_an_option(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     xml(tmp_path / "a.xml", f"<name>fox</name>{box(1, 1, 100, 80)}", f"<name>fox</name>{box(0, 5, 8, 9)}")
     assert boxes(voc.read(tmp_path))["a"] == [[1, 1, 100, 80], [0, 5, 8, 9]]
-    d = detection.read(tmp_path, options={"origin": "1"})
+    d = detection.read(tmp_path, Reading(options={"origin": "1"}))
     assert boxes(d)["a"] == [[0, 0, 100, 80], [0, 4, 8, 9]]  # there is no pixel 0, so that one is clipped
     assert codes(d, "warning") == ["box-clipped"] and d.notes["origin"] == 1
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, options={"origin": "2", "unlabelled": "maybe"})
+        detection.read(tmp_path, Reading(options={"origin": "2", "unlabelled": "maybe"}))
     assert [p.where for p in caught.value.problems] == ["option origin", "option unlabelled"]
 
 

@@ -13,6 +13,7 @@ from tests.samples import picture
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
 from infrablend.formats import coco, detection, wisard, yolo
+from infrablend.formats.reading import Reading
 
 IR, FLIR, VIS = (
     "210529_Carnation_Enterprise_IR_0024",
@@ -63,7 +64,7 @@ def test_visible_clips_are_left_out_and_counted(tmp_path: Path) -> None:
     d = detection.read(tmp_path)
     assert [i.sequence for i in d.images] == [IR] and codes(d, "warning") == ["modality-excluded"]
     assert "1 clip(s) with 1 pictures" in d.problems[0].found
-    vis = detection.read(tmp_path, options={"modality": "vis"})
+    vis = detection.read(tmp_path, Reading(options={"modality": "vis"}))
     assert [i.extra["modality"] for i in vis.images] == ["visible"]
     assert len(wisard.read(tmp_path, modality="all").images) == 2
 
@@ -77,10 +78,10 @@ def test_the_logo_of_flir_clips_is_a_region_to_ignore(tmp_path: Path) -> None:
     assert by_clip[FLIR].instances[1].box_xyxy.tolist() == [0, 448, 128, 512]
     assert by_clip[IR].instances == () and d.category("Logo").ignore
     assert codes(d, "warning") == ["logo-assumed"] and d.notes["rows"]["read"] == 1
-    d = detection.read(tmp_path, options={"logo": "0,470,90,512"})
+    d = detection.read(tmp_path, Reading(options={"logo": "0,470,90,512"}))
     assert {i.sequence: i for i in d.images}[FLIR].instances[1].box_xyxy.tolist() == [0, 470, 90, 512]
     assert codes(d, "warning") == [] and d.notes["logo"] == "0,470,90,512"
-    d = detection.read(tmp_path, options={"logo": "none"})
+    d = detection.read(tmp_path, Reading(options={"logo": "none"}))
     assert [c.name for c in d.categories] == ["human"] and d.problems == ()
 
 
@@ -89,16 +90,16 @@ def test_the_logo_of_flir_clips_is_a_region_to_ignore(tmp_path: Path) -> None:
 def test_unknown_values_of_options_are_refused(tmp_path: Path, options: dict[str, str]) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, options=options)
+        detection.read(tmp_path, Reading(options=options))
     (problem,) = caught.value.problems
     assert problem.code == "option-value" and next(iter(options)) in problem.where and problem.expected
 
 
 def test_the_split_is_an_option(tmp_path: Path) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
-    assert detection.read(tmp_path, options={"split": "test"}, splits=["test"]).images[0].split == "test"
+    assert detection.read(tmp_path, Reading(options={"split": "test"}, splits=["test"])).images[0].split == "test"
     with pytest.raises(DatasetError, match="no picture"):
-        detection.read(tmp_path, splits=["val"])
+        detection.read(tmp_path, Reading(splits=["val"]))
 
 
 LINES = (

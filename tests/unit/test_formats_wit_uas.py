@@ -12,6 +12,7 @@ from tests.samples import SAMPLES, picture
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, wit_uas, yolo
 from infrablend.formats.images import load_background
+from infrablend.formats.reading import Reading
 
 RUN = "2022-05-11_FIRE-SGL-111-Confluence_M600/2022-04-27-10-00-00"
 
@@ -35,18 +36,18 @@ def test_runs_cameras_and_splits(tmp_path: Path) -> None:
     assert {(i.sequence, i.captured) for i in d.images} == {("2022-04-27-10-00-00", "2022-05-11")}
     assert d.images[0].file_name == f"{RUN}_flir/time_0001.00.png"
     assert d.images[2].extra["labelled"] is False
-    flir = detection.read(tmp_path, options={"camera": "flir", "unlabelled": "drop"})
+    flir = detection.read(tmp_path, Reading(options={"camera": "flir", "unlabelled": "drop"}))
     assert [i.extra["sensor"] for i in flir.images] == ["flir"]
     assert flir.notes["rows"]["other_camera"] == 1
     assert [p.code for p in flir.problems] == ["label-missing", "camera-excluded"]
     with pytest.raises(DatasetError, match="both, flir, seek"):
-        detection.read(tmp_path, options={"camera": "rgb"})
+        detection.read(tmp_path, Reading(options={"camera": "rgb"}))
 
 
 def test_a_run_alone_and_a_table_by_run(tmp_path: Path) -> None:
     frame(tmp_path, f"{RUN}_seek", "0001.00", "")
     (tmp_path / "t.csv").write_text("sequence,pitch_deg,altitude_m\n2022-04-27-10-00-00,45,60\n")
-    d = detection.read(tmp_path / f"{RUN}_seek", metadata=tmp_path / "t.csv")
+    d = detection.read(tmp_path / f"{RUN}_seek", Reading(metadata=tmp_path / "t.csv"))
     (image,) = d.images
     assert (image.pitch_deg, image.altitude_m, image.split, image.captured) == (45, 60, "train", "2022-05-11")
     assert d.notes["pitch"] == "table t.csv per sequence" and d.problems == ()

@@ -18,8 +18,9 @@ from infrablend.config.loading import load_recipe, parse_recipe
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import process_pool
-from infrablend.pipeline import run
+from infrablend.pipeline import request, run
 from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.request import Execution
 
 
 @pytest.fixture
@@ -159,7 +160,7 @@ def test_overwrite_keeps_its_hands_off_another_programs_folder(tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "precious.jpg").write_bytes(b"1")
     with pytest.raises(OutputError, match="not a run record"):
-        RunFolder(tmp_path).prepare(resume=False, overwrite=True)
+        RunFolder(tmp_path).prepare("overwrite")
     assert (tmp_path / "images" / "precious.jpg").is_file()
 
 
@@ -262,8 +263,8 @@ def test_a_file_name_that_is_not_utf8_is_skipped_and_counted(tmp_path, data):
 
 
 def test_more_workers_than_memory_holds_are_not_started(monkeypatch, caplog):
-    monkeypatch.setattr(api, "default_workers", lambda: 2)
-    assert api._affordable_workers(None) == 2
-    assert api._affordable_workers(1) == 1
-    assert api._affordable_workers(10**9) < 10**6
+    monkeypatch.setattr(request, "available_cores", lambda: 2)
+    assert Execution(None).worker_count() == 2
+    assert Execution(1).worker_count() == 1
+    assert Execution(10**9).worker_count() < 10**6
     assert "--workers 1000000000" in caplog.text

@@ -6,6 +6,7 @@ worker by a factory, which is given by its dotted name so that the parent need n
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
@@ -138,3 +139,16 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
+
+
+def paced(on_progress: OnProgress | None) -> Callable[[int, int], None] | None:
+    """Return a callback `(done, total)` for a plain loop that calls `on_progress` with rate and remaining time."""
+    if on_progress is None:
+        return None
+    started = time.monotonic()
+
+    def report(done: int, total: int) -> None:
+        rate = done / max(time.monotonic() - started, 1e-9)
+        on_progress(Progress(done, total, rate, (total - done) / rate))
+
+    return report

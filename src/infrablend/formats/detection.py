@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +13,7 @@ from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match, few
 from infrablend.formats.pictures import check_link
+from infrablend.formats.reading import READ_ALL, Reading
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
@@ -40,32 +41,21 @@ def detect(root: Path) -> Detection:
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
-def read(
-    root: Path,
-    *,
-    format: str | None = None,
-    form: str | None = None,
-    splits: Iterable[str] | None = None,
-    metadata: Path | None = None,
-    options: Mapping[str, str] | None = None,
-) -> Dataset:
-    """Read a folder as a background data set, whatever its format.
+def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
+    """Read a dataset folder of any format.
 
     Args:
-        root: The folder.
-        format: A name in `FORMATS`; None detects it.
-        form: HIT-UAV only: read this annotation form alone.
-        splits: The splits wanted; None reads all.
-        metadata: Table of pitch and altitude, for formats whose files do not hold them (not HIT-UAV).
-        options: Further options of the format's reader, as text; those it has are its module's `OPTIONS`.
+        root: Folder of the dataset.
+        reading: Format, splits and reader options; by default the format is detected and every split is read.
 
     Raises:
-        UnknownFormatError: No format fits; `problems` gives each one's reason.
-        DatasetError: The folder cannot be read, or an option does not belong to its format.
+        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        DatasetError: The folder cannot be read, or the format does not have one of the options.
     """
     if not root.is_dir():
         problem = Problem(str(root), "folder-missing", "no such folder", "a data set's folder", "check the path")
         raise DatasetError("no dataset to read", [problem])
+    format = reading.format
     if format is None:
         found = detect(root)
         if found.format is None:
@@ -73,9 +63,10 @@ def read(
             raise UnknownFormatError(f"{root}: no format fits", problems)
         format = found.format
     chosen = find_format(format)
-    given: dict[str, Any] = dict(options or {})
-    if form is not None:
-        given["form"] = form
+    given: dict[str, Any] = dict(reading.options)
+    if reading.form is not None:
+        given["form"] = reading.form
+    table = None if reading.metadata is None else Path(reading.metadata)
     module = import_module(chosen.module)
     known = reader_options(chosen)
     problems = [
@@ -83,14 +74,14 @@ def read(
         for name, value in sorted(given.items())
         if name not in known
     ]
-    if metadata is not None and not getattr(module, "TAKES_TABLE", True):
+    if table is not None and not getattr(module, "TAKES_TABLE", True):
         says = f"{chosen.name} says pitch and altitude itself"
-        problems.append(Problem(metadata.name, "table-unused", says, "no table", "leave it out"))
+        problems.append(Problem(table.name, "table-unused", says, "no table", "leave it out"))
     if problems:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not take what was given", problems)
-    if metadata is not None:
-        given["metadata"] = metadata.resolve()  # the user's own file: it may be a link to anywhere
-    return _without_links(module.read(root, splits=splits, **given))
+    if table is not None:
+        given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
+    return _without_links(module.read(root, splits=reading.splits, **given))
 
 
 def _without_links(dataset: Dataset) -> Dataset:

@@ -13,6 +13,7 @@ from typing import Any
 
 from infrablend.core.files import claimed_folder, write_json
 from infrablend.core.format_table import NATIVE, written_names
+from infrablend.core.output import Existing
 from infrablend.errors import OutputError
 from infrablend.report.card import CARD_FILE, is_own
 
@@ -88,21 +89,19 @@ class RunFolder:
         shutil.rmtree(self.log_folder, ignore_errors=True)
         self.run_file.unlink(missing_ok=True)
 
-    def prepare(self, *, resume: bool, overwrite: bool) -> dict[str, Any] | None:
-        """Make the folder ready; returns the record of the run to go on with, or None for a new one.
+    def prepare(self, existing: Existing) -> dict[str, Any] | None:
+        """Make the folder ready; return the record of the run to resume, or None for a new run.
 
         Raises:
-            OutputError: If the folder is not empty and neither `resume` nor `overwrite` is given, if it holds
-                something that is no run, or if it cannot be written.
+            OutputError: The folder contains a run and `existing` is `refuse`, it contains something else, or it
+                cannot be written.
         """
-        if resume and overwrite:
-            raise OutputError("--resume and --overwrite exclude each other: go on with the run, or begin it anew")
         if self.root.exists() and not self.root.is_dir():
             raise OutputError(f"{self.root}: is a file; expected a folder, or a name that does not exist yet")
         if self.root.is_dir() and not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):
             raise OutputError(f"{self.root}: cannot be written; expected a folder you may write to")
         entries = sorted(p.name for p in self.root.iterdir()) if self.root.is_dir() else []
-        if entries and not (resume or overwrite):
+        if entries and existing == "refuse":
             raise OutputError(
                 f"{self.root}: not empty (found {', '.join(entries[:4])}{' ...' if len(entries) > 4 else ''}); "
                 "expected an empty or new folder. Use --resume to go on with an interrupted run, "
@@ -115,7 +114,7 @@ class RunFolder:
             )
         if entries:
             record = self.read_run()  # a run.json may be another program's
-            if resume:
+            if existing == "resume":
                 self._sweep()
                 return record
         try:

@@ -15,6 +15,7 @@ from infrablend import __version__
 from infrablend.compositing.local import measure_levels
 from infrablend.core.files import output_error
 from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.output import Existing
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RenderError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
@@ -25,6 +26,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameDone, FrameSettings
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
+from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 
 log = logging.getLogger(__name__)
 
@@ -84,38 +86,31 @@ class _State:
 def run_plan(
     plan: RunPlan,
     out: Path,
-    *,
-    workers: int = 1,
-    device: str = "cpu",
-    renderer: str = "blender",
-    resume: bool = False,
-    overwrite: bool = False,
-    in_process: bool = False,
+    execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
-    """Make every frame of the plan and the label files.
+    """Make every frame of the plan, then the label files.
 
     Args:
-        plan: What to make.
+        plan: Frames to make.
         out: Folder of the run.
-        workers: Worker processes.
-        device: Where Cycles computes.
-        renderer: `blender`, or `fake` (software, no Blender).
-        resume: Go on with an interrupted run: frames that are there are kept.
-        overwrite: Delete an earlier run in that folder first.
-        in_process: No worker processes; for tests with the fake renderer.
+        execution: Workers, device and renderer.
+        existing: What to do if `out` already contains a run; `resume` keeps its finished frames.
         on_progress: Called after each frame.
 
     Raises:
-        OutputError: The folder cannot be used, another run is in it, or the disk is full.
-        Interrupted: The user stopped the run; `resume` goes on.
+        OutputError: The folder cannot be used, another run is writing to it, or the disk is full.
+        Interrupted: The user stopped the run; `resume` continues it.
         RenderError: The renderer cannot start.
     """
+    workers, device, renderer = execution.worker_count(), execution.device, execution.renderer
+    in_process = execution.in_process
     started = time.monotonic()
     folder = RunFolder(out)
     with contextlib.ExitStack() as stack:
         stack.enter_context(folder.claimed())  # no other run may write to it meanwhile
-        previous = folder.prepare(resume=resume, overwrite=overwrite)
+        previous = folder.prepare(existing)
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))

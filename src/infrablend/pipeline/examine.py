@@ -1,0 +1,57 @@
+"""A dataset folder read, described and checked, without writing to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from infrablend.core.files import write_json
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.errors import DatasetError, UnknownFormatError
+from infrablend.formats import detection
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.report.checking import CheckReport, check_dataset, unreadable
+from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
+
+# Faults of the command, not of the data.
+_USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
+
+
+def inspect_folder(
+    root: Path, out: Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
+) -> Inspection:
+    """Return what a dataset contains; with `out`, also write `inspect.json` and the charts `inspect.png`.
+
+    Raises:
+        DatasetError: The dataset cannot be read.
+        OutputError: `out` cannot be written.
+    """
+    if out is not None:
+        require_apart(root, out)
+    dataset = detection.read(root, reading)
+    reason = "as asked for" if reading.format else detection.detect(root).reasons[dataset.format]
+    facts = inspect_dataset(dataset, reason, decode=decode)
+    if out is not None:
+        write_json(out / "inspect.json", facts.to_json())
+        write_charts(facts, out / "inspect.png")
+    return facts
+
+
+def check_folder(
+    root: Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
+) -> CheckReport:
+    """Return every problem of labels and pictures. A dataset that its reader gives up on is a report with errors.
+
+    Raises:
+        UnknownFormatError: No format fits.
+        DatasetError: The folder does not exist, or the format does not have one of the options.
+    """
+    try:
+        dataset = detection.read(root, reading)
+    except UnknownFormatError:
+        raise
+    except DatasetError as error:
+        if not error.problems or any(p.code in _USAGE for p in error.problems):
+            raise
+        return unreadable(root, error)
+    return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

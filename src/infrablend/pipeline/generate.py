@@ -1,0 +1,56 @@
+"""A run from request to report: load the recipe, read the backgrounds, plan the frames, make them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.loading import load_recipe
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress
+from infrablend.errors import OutputError
+from infrablend.formats import detection
+from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
+from infrablend.pipeline.request import RunRequest
+from infrablend.pipeline.run import RunReport, run_plan
+
+
+def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
+    """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+
+    Raises:
+        RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
+    """
+    if request.out is None:
+        raise OutputError("no output folder given; a run needs one")
+    return run_plan(prepare_run(request), request.out, request.execution, request.existing, on_progress)
+
+
+def describe_run(request: RunRequest) -> dict[str, Any]:
+    """Return frames, disk space, time and categories of the run, without writing anything."""
+    plan = prepare_run(request)
+    return {
+        **plan.estimate(request.execution.worker_count()),
+        "device": request.execution.device,
+        "categories": [c.name for c in plan.categories],
+        "new_categories": list(plan.new_categories),
+    }
+
+
+def prepare_run(request: RunRequest) -> RunPlan:
+    """Load the recipe, read the backgrounds, and plan the frames.
+
+    Raises:
+        RecipeError, DatasetError, ModelError, OutputError: See `infrablend.errors`.
+    """
+    recipe = load_recipe(request.recipe, request.settings)
+    for option, path in (("--data", request.data), ("--out", request.out or Path())):
+        if not is_text(str(path)) or "\0" in str(path):
+            raise OutputError(
+                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected one that the run record (JSON) "
+                "can hold. Rename the folder, or give a link to it"
+            )
+    if request.out is not None:
+        require_apart(request.data, request.out)
+    dataset = detection.read(request.data, request.reading)
+    return make_plan(recipe, dataset, request.seed, splits=request.reading.splits, limit=request.limit)

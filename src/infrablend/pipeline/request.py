@@ -1,0 +1,85 @@
+"""What a run is asked to do: made once by the command line or the caller, and handed on whole."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from infrablend.core.cores import available_cores
+from infrablend.core.output import Existing
+from infrablend.formats.reading import READ_ALL, Reading
+
+log = logging.getLogger(__name__)
+
+WORKER_BYTES = 500 * 2**20  # memory of one rendering worker, measured and rounded up
+
+Settings = Sequence[str] | Mapping[str, Any]
+"""Recipe fields to set: `["output.image=png"]` or `{"output.image": "png"}`."""
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How frames are computed. Labels do not depend on it; pixels depend on the device in the last grey level only.
+
+    Attributes:
+        workers: Worker processes; None for one per processor core.
+        device: Device that Cycles renders on: auto, cpu, cuda, optix, hip, metal or oneapi.
+        renderer: `blender`, or `fake`, which draws flat shapes without Blender.
+        in_process: Compute all frames in the calling process; only with the fake renderer.
+    """
+
+    workers: int | None = None
+    device: str = "auto"
+    renderer: str = "blender"
+    in_process: bool = False
+
+    def worker_count(self) -> int:
+        """Return the number of workers to start: those asked for, but no more than memory and cores can take.
+
+        A run that exhausts the memory of the machine swaps until somebody ends it.
+        """
+        cores = available_cores()
+        if self.workers is None or self.workers <= cores:
+            return self.workers or cores
+        most = max(cores, int(psutil.virtual_memory().available // WORKER_BYTES))
+        if self.workers > most:
+            log.warning(
+                "--workers %d: free memory is enough for about %d on %d cores; using %d",
+                self.workers, most, cores, most,
+            )  # fmt: skip
+        return min(self.workers, most)
+
+
+DEFAULT_EXECUTION = Execution()
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A run of the generator.
+
+    Attributes:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        data: Folder of the background dataset.
+        out: Folder to write; None only for a plan.
+        limit: Number of backgrounds to use, the first ones in sorted order; None for all.
+        seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
+        settings: Recipe fields to set.
+        reading: How to read `data`.
+        execution: How to compute the frames.
+        existing: What to do if `out` already contains a run.
+    """
+
+    recipe: str | Path
+    data: Path
+    out: Path | None = None
+    limit: int | None = None
+    seed: int = 0
+    settings: Settings = ()
+    reading: Reading = READ_ALL
+    execution: Execution = DEFAULT_EXECUTION
+    existing: Existing = "refuse"
