@@ -423,8 +423,8 @@ def test_a_run_is_compared(crowd, tmp_path):
     assert {p.name for p in (tmp_path / "a").iterdir()} == {
         "realism.json",
         "realism.html",
-        "person_told.png",
-        "person_passed.png",
+        "person_most_obvious.png",
+        "person_least_obvious.png",
         "person_random.png",
     }
     api.realism(run, data, tmp_path / "b", in_process=True)

@@ -120,11 +120,12 @@ def evaluate(
 
 def _blocks(report: EvaluationReport) -> list[str]:
     from infrablend.cli.results import grid
-    from infrablend.report.evaluation import HEAD, show, span, table_rows
+    from infrablend.report.evaluation import HEAD, class_interval, table_rows
+    from infrablend.report.figures import decimals, interval
 
     metrics: Any = report.metrics
     classes = metrics["classes"]
-    rows = [[*row, span(classes[row[0]]["ci"], "map50_95")] for row in table_rows(classes)]
+    rows = [[*row, class_interval(classes[row[0]]["ci"], "map50_95")] for row in table_rows(classes)]
     blocks = [grid([*HEAD, "interval"], rows)]
     if metrics["ultralytics"]:
         blocks.append("by Ultralytics' own code:\n" + grid(HEAD, table_rows(metrics["ultralytics"])))
@@ -133,8 +134,8 @@ def _blocks(report: EvaluationReport) -> list[str]:
         for name, of in metrics["paired"]["classes"].items():
             d = of["map50_95"]
             if d is not None:
-                ends = "-" if d["ci"] is None else f"{d['ci'][0]:+.3f} to {d['ci'][1]:+.3f}"
-                lines.append([name, show(d["ours"]), show(d["theirs"]), f"{d['difference']:+.3f}", ends])
+                ends = interval(d["ci"], signed=True)
+                lines.append([name, decimals(d["ours"]), decimals(d["theirs"]), f"{d['difference']:+.3f}", ends])
         head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
     return [*blocks, str(report.out / "evaluation.html")]

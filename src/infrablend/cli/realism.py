@@ -69,15 +69,15 @@ def realism(
 
 
 def _lines(facts: dict[str, Any]) -> dict[str, str]:
-    def show(key: str) -> str:
-        value = facts.get(key)
-        return "-" if value is None else f"{value:.3f}"
+    from infrablend.report.figures import decimals, interval
 
-    interval = facts["ci"]
-    span = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
+    def show(key: str) -> str:
+        return decimals(facts.get(key))
+
+    ends = "" if facts["ci"] is None else f" ({interval(facts['ci'])})"
     return {
         "  pairs": str(facts["n"]),
-        "  AUC, logistic": show("auc_logistic") + span,
+        "  AUC, logistic": show("auc_logistic") + ends,
         "  AUC, boosting": show("auc_boosting"),
         "  floor, logistic": show("floor_logistic"),
         "  floor, boosting": show("floor_boosting"),

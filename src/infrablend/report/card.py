@@ -32,6 +32,7 @@ from infrablend.formats.sources import (
     Licence,
     find_source,
 )
+from infrablend.report.figures import markdown_table
 
 CARD_FILE = "README.md"
 SOURCE_FILE = "SOURCE.json"
@@ -346,26 +347,21 @@ def _bullets(items: Sequence[str]) -> str:
     return "\n".join(f"* {i}" for i in items)
 
 
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
-
-
 def _table(card: Card) -> str:
-    """Rows: pictures, then classes; columns: splits, their sum, and how many of it were inserted."""
+    """Return the counts: a row for the images and each class, a column for each split, the sum and the inserted."""
     splits = [s for s in SPLITS if s in card.images_per_split]
     head = ["", *splits, "all", *(["inserted"] if card.inserted else [])]
     rows = [["pictures", *(str(card.images_per_split[s]) for s in splits), str(sum(card.images_per_split.values()))]]
     labels = card.labels_per_split
     for c in card.categories:
         counts = [labels.get(s, {}).get(c.name, 0) for s in splits]
-        name = _cell(c.name) + (" (regions to ignore)" if c.ignore else "")
+        name = " ".join(c.name.split()) + (" (regions to ignore)" if c.ignore else "")
         rows.append([name, *map(str, counts), str(sum(counts))])
         if card.inserted:
             rows[-1].append(str(card.inserted.get(c.name, 0)))
     if card.inserted:
         rows[0].append("")
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join("| " + " | ".join(row) + " |" for row in lines)
+    return markdown_table(head, rows, ["---", *["---:"] * (len(head) - 1)])
 
 
 def _tree(card: Card) -> str:

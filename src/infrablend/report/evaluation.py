@@ -1,14 +1,15 @@
-"""An evaluation for people: plots of precision, confusion and strata, and an HTML page that stands alone."""
+"""The report of an evaluation: plots of precision, confusion and strata, and a self-contained HTML page."""
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from infrablend.report.figures import decimals, interval
+from infrablend.report.page import render_page
 
 COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
 HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
@@ -22,26 +23,20 @@ STRATA = {
 
 
 def table_rows(classes: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
-    """The paper's table as text: class, images, instances, P, R, mAP50, mAP50-95."""
-    return [[name, *(show(row[c]) for c in COLUMNS)] for name, row in classes.items()]
+    """Return the paper's table as text: class, images, instances, P, R, mAP50, mAP50-95."""
+    return [[name, *(decimals(row[c]) for c in COLUMNS)] for name, row in classes.items()]
 
 
-def show(value: float | None) -> str:
-    """Three decimals, as the paper prints; whole numbers as such; `-` for what is not known."""
-    return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.3f}"
-
-
-def span(ci: Mapping[str, Sequence[float] | None] | None, measure: str) -> str:
-    """`0.871 to 0.912`, or `-`."""
-    ends = None if ci is None else ci[measure]
-    return "-" if ends is None else f"{ends[0]:.3f} to {ends[1]:.3f}"
+def class_interval(ci: Mapping[str, Sequence[float] | None] | None, measure: str) -> str:
+    """Return a measure's interval as text, or `-` where a class has none."""
+    return interval(None if ci is None else ci[measure])
 
 
 # -- plots
 
 
 def draw_plots(facts: Mapping[str, Any]) -> dict[str, bytes]:
-    """PNG files by name; the same facts give the same bytes."""
+    """Return PNG files by name; the same facts give the same bytes."""
     plots = {"pr.png": _pr(facts), "confusion.png": _confusion(facts)}
     for kind, title in STRATA.items():
         if len(facts["strata"].get(kind, {})) > 1:
@@ -72,7 +67,7 @@ def _pr(facts: Mapping[str, Any]) -> bytes:
         ap = facts["classes"][name]["map50"]
         axis.plot(
             facts["curves"]["recall"], precision, color=_COLOURS[(k + 1) % len(_COLOURS)], lw=1.8,
-            label=f"{name} {show(ap)}",
+            label=f"{name} {decimals(ap)}",
         )  # fmt: skip
         point = facts["classes"][name]
         if point["p"] is not None:
@@ -128,88 +123,54 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
 
 
 def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str:
-    """The page, with what `draw_plots` gave; the same facts give the same bytes."""
-    data, settings, detector = facts["dataset"], facts["settings"], facts["detector"]
-    parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Evaluation</title><style>",
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1d2026}",
-        "table{border-collapse:collapse;margin:1em 0}",
-        "td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #ddd}",
-        "td:first-child,th:first-child{text-align:left}img{max-width:100%}</style>",
-        f"<h1>{_e(detector.get('weights', 'Detections'))} on {_e(data['name'])}, {_e(data['split'])}</h1>",
-        f"<p>{data['images']} images, task {_e(facts['task'])}. P and R at confidence {facts['confidence']:.3f}, where",
-        " the mean F1 of the classes is best. mAP by pycocotools, at most 300 findings an image. Intervals:",
-        f" {100 * settings['level']:.0f} % of {settings['bootstrap']} draws of {settings['groups']} groups",
-        f" ({_e(settings['group'])}).</p>",
-        _table(
-            [*HEAD, "mAP50, interval", "mAP50-95, interval"],
-            [
-                [*row, span(facts["classes"][row[0]]["ci"], "map50"), span(facts["classes"][row[0]]["ci"], "map50_95")]
-                for row in table_rows(facts["classes"])
-            ],
-        ),
-    ]
-    if facts["ultralytics"]:
-        parts += [
-            "<h2>The same findings, judged by Ultralytics' code</h2>",
-            _table(HEAD, table_rows(facts["ultralytics"])),
-        ]
-    else:
-        parts.append("<p>Ultralytics is not installed here: its own figures are missing.</p>")
-    if facts["paired"]:
-        parts += _paired(facts["paired"])
-    parts += ["<h2>Curves</h2>", _image(plots["pr.png"], "precision by recall")]
-    parts += ["<h2>What is taken for what</h2>", _image(plots["confusion.png"], "confusion matrix")]
-    for kind, title in STRATA.items():
-        strata = facts["strata"].get(kind, {})
-        if strata:
-            parts += [f"<h2>By {_e(title)}</h2>", _stratum_table(strata, facts["classes"])]
-        if f"{kind}.png" in plots:
-            parts.append(_image(plots[f"{kind}.png"], title))
-    # What could not be read, an error each, is in one warning together.
-    notes = [p["found"] for p in facts["problems"] if p["severity"] == "warning"]
-    if notes:
-        parts += ["<h2>To know</h2><ul>", *(f"<li>{_e(n)}</li>" for n in notes), "</ul>"]
-    told = {k: v for k, v in detector.items() if k != "classes"}
-    parts += ["<h2>How it was made</h2>", _table(["", ""], [[k, v] for k, v in {**told, **settings}.items()])]
-    return "\n".join(parts) + "\n</html>\n"
+    """Return the HTML page with the plots of `draw_plots`; the same facts give the same bytes."""
+    detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
+    settings = facts["settings"]
+    classes = facts["classes"]
+    return render_page(
+        "evaluation",
+        title="Evaluation",
+        detector=detector,
+        dataset=facts["dataset"],
+        task=facts["task"],
+        confidence=facts["confidence"],
+        settings=settings,
+        head=list(HEAD),
+        rows=[
+            [*row, class_interval(classes[row[0]]["ci"], "map50"), class_interval(classes[row[0]]["ci"], "map50_95")]
+            for row in table_rows(classes)
+        ],
+        ultralytics_rows=table_rows(facts["ultralytics"]) if facts["ultralytics"] else [],
+        paired=facts["paired"],
+        paired_rows=_paired_rows(facts["paired"]["classes"]) if facts["paired"] else [],
+        strata=[
+            (kind, title, _stratum_rows(facts["strata"][kind], classes) if facts["strata"].get(kind) else None)
+            for kind, title in STRATA.items()
+        ],
+        plots=plots,
+        # Files that could not be read are errors, one each; a single warning counts them.
+        warnings=[p["found"] for p in facts["problems"] if p["severity"] == "warning"],
+        setting_rows=list((detector | settings).items()),
+    )
 
 
-def _paired(facts: Mapping[str, Any]) -> list[str]:
+def _paired_rows(classes: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     rows = []
-    for name, of in facts["classes"].items():
+    for name, of in classes.items():
         for measure, title in (("map50", "mAP50"), ("map50_95", "mAP50-95")):
             d = of[measure]
             if d is not None:
-                ends = "-" if d["ci"] is None else f"{d['ci'][0]:+.3f} to {d['ci'][1]:+.3f}"
-                rows.append([name, title, show(d["ours"]), show(d["theirs"]), f"{d['difference']:+.3f}", ends,
-                             show(d["same_sign"])])  # fmt: skip
-    return [
-        f"<h2>Against {_e(facts['against']['name'])}, on the same images</h2>",
-        _table(["class", "", "this", "other", "difference", "interval", "same sign"], rows),
-    ]
+                rows.append([name, title, decimals(d["ours"]), decimals(d["theirs"]), f"{d['difference']:+.3f}",
+                             interval(d["ci"], signed=True), decimals(d["same_sign"])])  # fmt: skip
+    return rows
 
 
-def _stratum_table(strata: Mapping[str, Any], classes: Mapping[str, Any]) -> str:
+def _stratum_rows(strata: Mapping[str, Any], classes: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for name, stratum in strata.items():
         for c in classes:
             row = stratum["classes"][c]
             if row["instances"]:
-                rows.append([name, c, row["images"], row["instances"], show(row["map50"]), show(row["map50_95"]),
-                             span(row["ci"], "map50_95")])  # fmt: skip
-    return _table(["", "class", "images", "instances", "mAP50", "mAP50-95", "interval"], rows)
-
-
-def _image(png: bytes, title: str) -> str:
-    return f'<img alt="{_e(title)}" src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}">'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    lines = ["<table><tr>" + "".join(f"<th>{_e(h)}</th>" for h in head) + "</tr>"]
-    lines += ["<tr>" + "".join(f"<td>{_e(c)}</td>" for c in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table>"])
-
-
-def _e(value: Any) -> str:
-    return html.escape(str(value))
+                rows.append([name, c, decimals(row["images"]), decimals(row["instances"]), decimals(row["map50"]),
+                             decimals(row["map50_95"]), class_interval(row["ci"], "map50_95")])  # fmt: skip
+    return rows

@@ -1,9 +1,7 @@
-"""A comparison of inserted and real objects, for people: sheets of crops, plots, an HTML page that stands alone."""
+"""The report of a realism test: sheets of crops, plots and a self-contained HTML page."""
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from infrablend.core.rng import stream
 from infrablend.realism.features import FEATURES, MEASURES, Measured
 from infrablend.realism.verdict import ClassVerdict
+from infrablend.report.figures import compact, interval
+from infrablend.report.page import render_page
 from infrablend.report.preview import FAINT, INK, PAPER
 
 ZOOM = 4
@@ -28,7 +28,13 @@ _REAL, _INSERTED = "#3b6ea5", "#d1495b"
 
 @dataclass(frozen=True)
 class CropSheet:
-    """A picture of pairs of crops: file name without suffix, what it shows, the PNG."""
+    """A sheet of pairs of crops.
+
+    Attributes:
+        name: File name without suffix.
+        title: Class and choice of the objects.
+        png: The sheet as a PNG file.
+    """
 
     name: str
     title: str
@@ -36,9 +42,9 @@ class CropSheet:
 
 
 def sheets_of(verdict: ClassVerdict) -> list[CropSheet]:
-    """Inserted objects, each beside the real one most like it: those told most easily, least easily, and at random.
+    """Draw inserted objects, each beside the most similar real one: the most obvious, the least obvious, and random.
 
-    Every crop is 48 px of the picture (a larger object is scaled down), each pixel four times enlarged.
+    Every crop shows 48 px of the image, enlarged four times; larger objects are scaled down first.
     """
     if verdict.logistic is None:
         return []
@@ -50,9 +56,9 @@ def sheets_of(verdict: ClassVerdict) -> list[CropSheet]:
     name = verdict.category.lower()
     sheets = []
     for what, title, chosen in (
-        ("told", "told most easily", order),
-        ("passed", "told least easily", order[::-1]),
-        ("random", "drawn at random", drawn),
+        ("most_obvious", "most obvious", order),
+        ("least_obvious", "least obvious", order[::-1]),
+        ("random", "random", drawn),
     ):
         rows = [(real[nearest[k]], inserted[k], float(scores[k])) for k in chosen[:ON_A_SHEET]]
         sheets.append(CropSheet(f"{name}_{what}", f"{verdict.category}: {title}", _sheet(rows)))
@@ -89,100 +95,61 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
 
 
 def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassVerdict], sheets: Sequence[CropSheet]) -> str:
-    """The page; the same facts give the same bytes."""
-    parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Realism</title><style>",
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1d2026}",
-        "table{border-collapse:collapse;margin:1em 0}",
-        "td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #ddd}",
-        "td:first-child,th:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020}.good{color:#1b7f3b}",
-        "details{margin:.6em 0}</style><h1>Inserted and real objects compared</h1>",
-        f"<p>Recipe {_e(facts['run']['recipe'])}, seed {facts['run']['seed']},",
-        f" time of day: {_e(facts['time_of_day'])}.",
-        " 0.5 means that a classifier cannot tell inserted objects from real ones, 1 that it always can. The floor is",
-        " what it reaches on real objects pasted elsewhere, the hard paste what it reaches on flat silhouettes.</p>",
-        _table(
-            ["class", "pairs", "logistic", "95 %", "boosting", "floor", "floor, boosting", "hard paste", "chain off"],
+    """Return the HTML page; the same facts give the same bytes."""
+    return render_page(
+        "realism",
+        title="Realism",
+        recipe=facts["run"]["recipe"],
+        seed=facts["run"]["seed"],
+        time_of_day=facts["time_of_day"],
+        rows=[
             [
-                [
-                    c,
-                    f["n"],
-                    _n(f["auc_logistic"]),
-                    _span(f["ci"]),
-                    _n(f["auc_boosting"]),
-                    _n(f["floor_logistic"]),
-                    _n(f["floor_boosting"]),
-                    _n(f["hard_paste_logistic"]),
-                    _n(f.get("chain_off_logistic")),
-                ]
-                for c, f in facts["classes"].items()
-            ],
-        ),
-    ]
-    for v in verdicts:
-        parts += _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")])
-    return "\n".join(parts) + "\n</html>\n"
-
-
-def _class_section(v: ClassVerdict, sheets: Sequence[CropSheet]) -> list[str]:
-    f = v.facts
-    parts = [f"<h2>{_e(v.category)}</h2>"]
-    if f["valid"]:
-        parts.append("<p class=good>The figures count: both controls behave as they must.</p>")
-    else:
-        parts.append(f"<p class=bad>The figures do not count: {_e('; '.join(f['invalid_because']))}.</p>")
-    left = "; ".join(
-        f"{name} {_e(', '.join(f'{k} {n}' for k, n in reasons.items()) or 'none')}"
-        for name, reasons in f["left_out"].items()
+                category,
+                f["n"],
+                compact(f["auc_logistic"]),
+                interval(f["ci"]),
+                compact(f["auc_boosting"]),
+                compact(f["floor_logistic"]),
+                compact(f["floor_boosting"]),
+                compact(f["hard_paste_logistic"]),
+                compact(f.get("chain_off_logistic")),
+            ]
+            for category, f in facts["classes"].items()
+        ],
+        sections=[
+            _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")]) for v in verdicts
+        ],
     )
-    parts.append(f"<p>{f['n_real']} real and {f['n_inserted']} inserted objects measured. Left out: {left}.</p>")
-    parts += ["<h3>On the crops themselves</h3>", _table(["", "inserted", "floor"], _crop_rows(f))]
-    if f["tells"]:
-        parts += [
-            "<h3>What gives the inserted ones away</h3>",
-            _table(
-                ["feature", "alone", "inserted is", "real 25/50/75 %", "inserted 25/50/75 %", "weight"],
-                [
-                    [
-                        t["feature"],
-                        _n(t["auc"]),
-                        t["inserted_is"],
-                        _three(t["real"]),
-                        _three(t["inserted"]),
-                        t["weight"],
-                    ]
-                    for t in f["tells"]
-                ],
-            ),
-        ]
-    if v.ablation:
-        parts += [
-            "<h3>Steps of the sensor chain</h3>",
-            _table(
-                ["up to", "pairs", "logistic", "95 %", "boosting"],
-                [
-                    [step, a["n"], _n(a["auc_logistic"]), _span(a["ci"]), _n(a["auc_boosting"])]
-                    for step, a in v.ablation.items()
-                ],
-            ),
-        ]
+
+
+def _class_section(v: ClassVerdict, sheets: Sequence[CropSheet]) -> dict[str, Any]:
+    f = v.facts
     populations = {**f["medians"], **{s: a["medians"] for s, a in v.ablation.items()}}
-    parts += [
-        "<h3>Medians</h3>",
-        _table(
-            ["", *populations],
-            [[name, *(_n(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)],
+    return {
+        "category": v.category,
+        "facts": f,
+        "left_out": "; ".join(
+            f"{name} {', '.join(f'{reason} {n}' for reason, n in reasons.items()) or 'none'}"
+            for name, reasons in f["left_out"].items()
         ),
-        "<h3>Distributions</h3>",
-        _image(_plots(v), f"{v.category}: distributions"),
-        "<h3>Side by side</h3><p>Left the real object that is most alike, right the inserted one.</p>",
-    ]
-    parts += [f"<details><summary>{_e(s.title)}</summary>{_image(s.png, s.title)}</details>" for s in sheets]
-    return parts
+        "crop_rows": _crop_rows(f),
+        "cue_rows": [
+            [t["feature"], compact(t["auc"]), t["inserted_is"], _three(t["real"]), _three(t["inserted"]), t["weight"]]
+            for t in f["tells"]
+        ],
+        "ablation_rows": [
+            [step, a["n"], compact(a["auc_logistic"]), interval(a["ci"]), compact(a["auc_boosting"])]
+            for step, a in v.ablation.items()
+        ],
+        "median_head": ["", *populations],
+        "median_rows": [[name, *(compact(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)],
+        "plots": _plots(v),
+        "sheets": sheets,
+    }
 
 
 def _crop_rows(f: Mapping[str, Any]) -> list[list[str]]:
-    """Network and distances; where one was skipped, why."""
+    """Return a row for the network and each distance, or the reason why it was skipped."""
     rows = []
     for key, name, inserted, floor in (
         ("cnn", "small network, AUC", "auc", "floor"),
@@ -198,7 +165,7 @@ def _crop_rows(f: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _mean_sd(value: Any) -> str:
-    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else _n(value)
+    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else compact(value)
 
 
 def _plots(v: ClassVerdict) -> bytes:
@@ -246,27 +213,5 @@ def _plots(v: ClassVerdict) -> bytes:
     return data.getvalue()
 
 
-def _image(png: bytes, title: str) -> str:
-    return f'<img alt="{_e(title)}" src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}">'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    lines = ["<table><tr>" + "".join(f"<th>{_e(h)}</th>" for h in head) + "</tr>"]
-    lines += ["<tr>" + "".join(f"<td>{_e(c)}</td>" for c in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table>"])
-
-
-def _e(value: Any) -> str:
-    return html.escape(str(value))
-
-
-def _n(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if abs(value) >= 100 else f"{value:.3f}".rstrip("0").rstrip(".")
-
-
-def _span(interval: Sequence[float] | None) -> str:
-    return "-" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
-
-
 def _three(values: Sequence[float]) -> str:
-    return " / ".join(_n(v) for v in values)
+    return " / ".join(compact(v) for v in values)

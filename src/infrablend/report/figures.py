@@ -1,0 +1,29 @@
+"""Numbers and tables as text: the same form in pages, cards and on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def decimals(value: float | None) -> str:
+    """Return a number with three decimals, a whole number as it is, and `-` for an unknown one."""
+    return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.3f}"
+
+
+def compact(value: float | None) -> str:
+    """Return a number with three decimals at most, three digits from 100 on, and `-` for an unknown one."""
+    return "-" if value is None else f"{value:.3g}" if abs(value) >= 100 else f"{value:.3f}".rstrip("0").rstrip(".")
+
+
+def interval(ends: Sequence[float] | None, *, signed: bool = False) -> str:
+    """Return `0.871 to 0.912`, or `-` for an unknown interval."""
+    if ends is None:
+        return "-"
+    form = "+.3f" if signed else ".3f"
+    return f"{ends[0]:{form}} to {ends[1]:{form}}"
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]], align: Sequence[str] | None = None) -> str:
+    """Return a Markdown table; `align` holds a column's rule, such as `---:`."""
+    lines = [head, align or ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)

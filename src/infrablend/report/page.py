@@ -1,0 +1,37 @@
+"""HTML pages that need no other file: templates, styles and pictures are all inside the page."""
+
+from __future__ import annotations
+
+import base64
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from infrablend.report.figures import compact, decimals, interval
+
+
+def render_page(name: str, **content: Any) -> str:
+    """Return the page `templates/NAME.html.jinja`, filled with the content; all text is escaped.
+
+    The same content gives the same bytes.
+    """
+    return _environment().get_template(f"{name}.html.jinja").render(**content)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("infrablend.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"compact": compact, "data_uri": _data_uri, "decimals": decimals, "interval": interval}
+    return environment
+
+
+def _data_uri(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
