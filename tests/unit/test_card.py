@@ -88,7 +88,7 @@ def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
     ]
     assert sum(int(r["all"]) for n, r in rows.items() if n != "pictures") == sum(counts["labels"].values())
     assert "DontCare (regions to ignore)" in rows
-    assert f"{counts['images']} pictures were made from 4 backgrounds; 8 rendered objects" in text
+    assert f"{counts['images']} pictures were made from 4 backgrounds; they contain 8 rendered objects" in text
     for format_name in record["formats"]:
         assert f"* `{format_name}`: " in text
     for path in (f["path"] for c in found["configs"] for f in c["data_files"]):
@@ -97,7 +97,7 @@ def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
     assert PAPER_BIBTEX in text
     assert "10.1038/s41597-023-02066-6" in text
     assert "525 of its 579" in text
-    assert "Taken to be hit-uav because its files are laid out so" in text
+    assert "Identified as hit-uav by the layout of its files" in text
     assert "seed: 0" in text
 
 
@@ -176,7 +176,7 @@ def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licenc
     made = bare(folder, "folder")
     written = card_text(made)
     assert front_matter(written)["license"] == licence
-    assert "The source of the pictures is not known here" in written
+    assert "The source of the pictures is not known" in written
     write_card(tmp_path, made)
     assert (tmp_path / "LICENSE-source.txt").read_text("utf-8") == text
 
@@ -184,14 +184,14 @@ def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licenc
 def test_an_unknown_source_must_be_filled_in(tmp_path):
     made = card_text(bare(tmp_path, "folder"))
     assert front_matter(made)["license"] == "unknown"
-    assert "Before you publish, find it out" in made
+    assert "Before you publish, find out the licence" in made
 
 
 def test_a_licence_that_contradicts_the_known_one_is_told(data):
     (data / "LICENSE").write_text("MIT License\n")
     source = find_provenance(api.read_dataset(data))
     assert source.licence.id == "mit"
-    assert "says MIT License, the dataset's page CC BY 4.0" in source.licence_note
+    assert "says MIT License, but the dataset's page says CC BY 4.0" in source.licence_note
     (data / "LICENSE").write_text("All rights reserved")
     source = find_provenance(api.read_dataset(data))
     assert source.licence.id == "cc-by-4.0"
@@ -216,7 +216,7 @@ def test_what_infrablend_wrote_is_not_taken_for_the_original(tmp_path):
     )
     assert find_provenance(ours).title == ""
     real = Dataset(tmp_path, "hit-uav", (), (), extra={"info": {"description": "PegasusDrone"}})
-    assert find_provenance(real).how == "Known by its annotation files."
+    assert find_provenance(real).how == "Identified by its annotation files."
     (tmp_path / "world.json").write_text("{}")
     world = find_provenance(ours)
     assert world.own
@@ -229,11 +229,54 @@ def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
     generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=twice"])
     text = card(tmp_path / "second")
     assert front_matter(text)["license"] == "cc-by-4.0"
-    assert "The source had itself been changed before" in text
+    assert "Earlier changes to the source" in text
     assert "8 pictures were made from 4 backgrounds" in text
     assert "16 pictures were made from 8 backgrounds" in text
     assert (tmp_path / "second" / "LICENSE-source.txt").read_text() == "Attribution 4.0 International\n"
     assert len(json.loads((tmp_path / "second" / "SOURCE.json").read_text())["changes"]) > 3
+
+
+@pytest.mark.parametrize("folder", ["coco", "native", "yolo"])
+def test_a_converted_run_names_its_inserted_objects(data, tmp_path, folder):
+    generate(data, tmp_path / "run", settings=["output.image=png", "name=with-drones"])
+    api.convert(tmp_path / "run" / folder, tmp_path / "voc", "voc")
+    api.convert(tmp_path / "voc", tmp_path / "coco", "coco")
+    api.split(tmp_path / "coco", tmp_path / "split", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+    original = card(tmp_path / "run")
+    limits = original.partition("## Known limits")[2].partition("<!--")[0]
+    recipe = re.findall(r"^```yaml\n.*?^```", original, re.MULTILINE | re.DOTALL)
+    assert len(recipe) == 1 and "Inserted objects are rendered" in limits
+    for name in ("voc", "coco", "split"):
+        text = card(tmp_path / name)
+        assert "synthetic" in front_matter(text)["tags"], name
+        assert "with rendered objects in its pictures" in text
+        assert "no object was inserted" not in text
+        assert "by the recipe `with-drones` with seed 0, 8 labels (8 drone)" in text
+        assert recipe[0] in text
+        assert PAPER_BIBTEX in text
+        for limit in limits.strip().splitlines():
+            assert limit in text, name
+
+
+def test_the_card_counts_the_labels_that_are_marked_as_inserted(data, tmp_path):
+    generate(data, tmp_path / "run")
+    shutil.copytree(tmp_path / "run" / "coco", tmp_path / "alone" / "coco")
+    shutil.copytree(tmp_path / "run" / "images", tmp_path / "alone" / "images")
+    for source in (tmp_path / "run" / "coco", tmp_path / "alone" / "coco"):  # the mark alone is enough
+        api.convert(source, tmp_path / "again", "yolo", overwrite=True)
+        text = card(tmp_path / "again")
+        assert "synthetic" in front_matter(text)["tags"]
+        assert table(text)["drone"]["inserted"] == "8"
+        assert "Inserted objects are rendered" in text
+    assert "recipe `" not in text
+
+
+def test_a_run_on_a_run_names_both_recipes(data, tmp_path):
+    generate(data, tmp_path / "first", settings=["output.image=png", "name=one"])
+    generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=two"])
+    api.convert(tmp_path / "second" / "coco", tmp_path / "third", "coco")
+    for name in ("second", "third"):
+        assert re.findall(r"by the recipe `(\w+)`", card(tmp_path / name)) == ["one", "two"]
 
 
 def test_a_source_file_by_hand(tmp_path):
@@ -270,7 +313,7 @@ def test_broken_source_files_do_no_harm(tmp_path, text):
 def test_on_real_hit_uav(real_data, tmp_path):
     generate(real_data / "hit-uav", tmp_path / "run", limit=3)
     text = card(tmp_path / "run")
-    assert "Known by its annotation files." in text
+    assert "Identified by its annotation files." in text
     assert "The licence's text is in `LICENSE-source.txt`" in text
     assert (tmp_path / "run" / "LICENSE-source.txt").read_bytes() == (real_data / "hit-uav" / "LICENSE").read_bytes()
     assert front_matter(text)["license"] == "cc-by-4.0"
@@ -286,6 +329,8 @@ def test_converted_and_split_datasets_have_cards(data, tmp_path):
     assert "Classes were renamed: OtherVehicle to Truck." in text
     assert "1 labels of left-out classes (Bicycle 1) are not in it." in text
     assert PAPER_BIBTEX not in text  # nothing was inserted
+    assert "no object was inserted" in text
+    assert "synthetic" not in front_matter(text)["tags"]
     assert len(api.read_dataset(tmp_path / "coco").images) == 4
     api.split(data, tmp_path / "split", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
     text = card(tmp_path / "split")

@@ -1,6 +1,6 @@
-"""Dataset cards: the README.md of a dataset that was made here, as the Hugging Face hub reads it.
+"""Dataset cards: the README.md of a generated dataset, in the form that the Hugging Face hub reads.
 
-The same dataset gives the same bytes: no date, no path of a machine. A card that somebody has edited is left alone.
+The same dataset gives the same bytes: a card contains no date and no local path. An edited card is never overwritten.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,26 +58,62 @@ _HUB_LICENCES = frozenset(
         *("cdla-permissive-1.0", "cdla-permissive-2.0", "cdla-sharing-1.0", "unlicense", "unknown", "other"),
     }
 )
-_TEXT_CHARACTERS = 4000  # of a field of SOURCE.json
+_TEXT_CHARACTERS = 4000  # at most, per field of SOURCE.json
+INSERT_LIMITS = (
+    "Inserted objects are rendered: scores on them show how well a detector finds such renders. Test on real pictures "
+    "of that class before you conclude more.",
+    "Several pictures may show the same background. They are all in the background's split; keep them together if you "
+    "split the dataset again.",
+)
+
+
+@dataclass(frozen=True)
+class Inserts:
+    """Rendered objects that one run inserted into a dataset.
+
+    Every dataset made from that run carries this on: its pictures still show the objects.
+
+    Attributes:
+        recipe: Name of the recipe.
+        seed: Seed of the run, or None if it is not known.
+        settings: YAML of the settings that the recipe changes, or empty.
+        labels: Number of labels of inserted objects in the run, by category.
+        limits: Known limits of the inserted objects, a sentence each.
+    """
+
+    recipe: str
+    seed: int | None = None
+    settings: str = ""
+    labels: Mapping[str, int] = field(default_factory=dict)
+    limits: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return asdict(self) | {"labels": dict(self.labels), "limits": list(self.limits)}
+
+
+# Labels that are marked as inserted, without any record of the run.
+_MARKED_ONLY = Inserts("", limits=INSERT_LIMITS)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the pictures came from.
+    """Origin of the pictures.
 
     Attributes:
-        name: Of the source dataset in InfraBlend's table, or empty.
-        title: As its authors write it; empty if it is not known.
-        page: Its address, or empty.
-        licence: `UNKNOWN` if nobody says.
-        licence_note: What to know about it.
-        attribution: Whom to name, or empty.
-        citation: BibTeX, or empty.
-        how: How this is known, a sentence.
-        licence_text: The licence file that lies beside the data, if any.
-        changes: What was done to it before, if it is itself a made dataset.
-        limits: What users of the source must know.
-        own: True for pictures that the user made, so that there is nobody to ask.
+        name: Name of the source dataset in InfraBlend's table, or empty.
+        title: Title that its authors use; empty if it is not known.
+        page: Web address of the dataset, or empty.
+        licence: Licence of the source; `UNKNOWN` if none is stated.
+        licence_note: Remark about the licence, or empty.
+        attribution: Authors to name, or empty.
+        citation: BibTeX entry, or empty.
+        how: Sentence that says how the origin is known.
+        licence_text: Content of the licence file beside the data, if any.
+        changes: Earlier changes, a sentence each, if the source was itself generated.
+        limits: Known limits of the source, a sentence each.
+        own: True for pictures that the user made, whose licence is the user's to choose.
+        inserts: Rendered objects that earlier runs inserted, first run first.
     """
 
     name: str = ""
@@ -92,29 +128,30 @@ class Provenance:
     changes: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
     own: bool = False
+    inserts: tuple[Inserts, ...] = ()
 
 
 @dataclass(frozen=True)
 class Card:
-    """All that a card says.
+    """Content of a dataset card.
 
     Attributes:
-        name: Of the dataset.
-        summary: What it is, in a sentence or two.
-        source: Where its pictures came from.
-        changes: What was done to them, a sentence each.
-        categories: In the order of their ids.
-        images_per_split: Pictures.
-        labels_per_split: Split -> category -> labels.
-        inserted: Category -> labels of inserted objects.
-        formats: Formats that were written, by their writers' names.
-        losses: What they could not hold, `<format>.<kind>` -> count.
-        layout: (path, what) of the folder.
-        images: Folder of the pictures, one folder per split in it; empty if there is none such.
-        made: How it was made, (what, value).
-        recipe: The recipe as YAML, or empty.
+        name: Name of the dataset.
+        summary: Description in a sentence or two.
+        source: Origin of the pictures.
+        changes: Changes to pictures and labels, a sentence each.
+        categories: Categories in the order of their ids.
+        images_per_split: Number of pictures per split.
+        labels_per_split: Number of labels per split and category.
+        inserted: Number of labels that are marked as inserted, by category.
+        formats: Names of the formats that were written.
+        losses: Number of items that a format could not hold, by `<format>.<kind>`.
+        layout: Paths in the folder, each with a description.
+        images: Folder with the pictures, one subfolder per split; empty if there is none.
+        made: Facts about the run, (name, value).
+        inserts: Rendered objects in the pictures, of this run and of earlier ones.
         masks: True if some labels have masks.
-        limits: What users must know.
+        limits: Known limits beside those of the source and of the inserted objects, a sentence each.
     """
 
     name: str
@@ -130,7 +167,7 @@ class Card:
     layout: tuple[tuple[str, str], ...] = ()
     images: str = "images"
     made: tuple[tuple[str, str], ...] = ()
-    recipe: str = ""
+    inserts: tuple[Inserts, ...] = ()
     masks: bool = False
     limits: tuple[str, ...] = ()
 
@@ -139,25 +176,30 @@ class Card:
 
 
 def find_provenance(dataset: Dataset) -> Provenance:
-    """What is known of a dataset's source: from `SOURCE.json`, a licence file, its own files, or its layout."""
+    """Return a dataset's origin, as far as `SOURCE.json`, a licence file, its own files or its layout show it."""
     text = _licence_file(dataset.root)
-    told = _told(dataset)
+    stated = _stated_provenance(dataset)
+    if not stated.inserts and any(i.inserted for image in dataset.images for i in image.instances):
+        stated = replace(stated, inserts=(_MARKED_ONLY,))
     if text is None:
-        return told
+        return stated
     name, data = text
     read = data.decode("utf-8", "replace")
     licence = next((known for pattern, known in _LICENCE_TEXTS if re.search(pattern, read, re.IGNORECASE)), None)
-    if licence is None and told.licence != UNKNOWN:
-        note = f"{told.licence_note} The data folder holds a {name} of another text: see {LICENCE_COPY}.".strip()
-        return replace(told, licence_text=data, licence_note=note)
+    if licence is None and stated.licence != UNKNOWN:
+        note = f"{stated.licence_note} The data folder contains a {name} with another text: see {LICENCE_COPY}.".strip()
+        return replace(stated, licence_text=data, licence_note=note)
     if licence is None:
         own = Licence("other", "that of the source", LICENCE_COPY)
-        return replace(told, licence=own, licence_text=data)
-    if told.licence in {UNKNOWN, licence}:
-        note = told.licence_note if told.licence == licence else ""
-        return replace(told, licence=licence, licence_text=data, licence_note=note)
-    note = f"The {name} beside the data says {licence.name}, the dataset's page {told.licence.name}: ask its authors."
-    return replace(told, licence=licence, licence_text=data, licence_note=note)
+        return replace(stated, licence=own, licence_text=data)
+    if stated.licence in {UNKNOWN, licence}:
+        note = stated.licence_note if stated.licence == licence else ""
+        return replace(stated, licence=licence, licence_text=data, licence_note=note)
+    note = (
+        f"The {name} beside the data says {licence.name}, but the dataset's page says {stated.licence.name}: "
+        "ask its authors."
+    )
+    return replace(stated, licence=licence, licence_text=data, licence_note=note)
 
 
 def _licence_file(root: Path) -> tuple[str, bytes] | None:
@@ -171,25 +213,25 @@ def _licence_file(root: Path) -> tuple[str, bytes] | None:
     return None
 
 
-def _told(dataset: Dataset) -> Provenance:
+def _stated_provenance(dataset: Dataset) -> Provenance:
     root = dataset.root.resolve()
-    for folder in (root, root.parent):  # the data may be a folder of what was fetched or made, e.g. RUN/native
+    for folder in (root, root.parent):  # the data may be a folder of a download or of a run, such as RUN/native
         if (found := read_source(folder / SOURCE_FILE)) is not None:
             return found
     if (root / WORLD_FILE).is_file():
         return Provenance(
             title="A virtual thermal world",
-            how="Rendered by `infrablend world`; no picture of anybody else is in it.",
+            how="Rendered by `infrablend world`; it contains no picture from another source.",
             own=True,
         )
     info = dataset.extra.get("info")
     described = str(info.get("description", "")) if isinstance(info, Mapping) else ""
     source = None if "InfraBlend" in described else find_source(dataset.format)
     if source is None:
-        return Provenance(how="Neither the files nor their layout say where the pictures come from.")
-    how = f"Taken to be {source.name} because its files are laid out so. Correct this if they come from elsewhere."
+        return Provenance(how="Neither the files nor their layout show where the pictures come from.")
+    how = f"Identified as {source.name} by the layout of its files. Correct this if they come from elsewhere."
     if source.name == "hit-uav" and described == "PegasusDrone":
-        how = "Known by its annotation files."
+        how = "Identified by its annotation files."
     return Provenance(
         source.name,
         source.title,
@@ -204,7 +246,10 @@ def _told(dataset: Dataset) -> Provenance:
 
 
 def read_source(path: Path) -> Provenance | None:
-    """What a `SOURCE.json` says, of `infrablend fetch`, of a run, or written by hand; None if it is none."""
+    """Return the content of a `SOURCE.json`, or None if the file is missing or is not one.
+
+    `infrablend fetch`, runs and conversions write such files; they may also be written by hand.
+    """
     if not path.is_file():
         return None
     try:
@@ -228,7 +273,28 @@ def read_source(path: Path) -> Provenance | None:
         changes=tuple(" ".join(c.split()) for c in changes if isinstance(c, str)) if isinstance(changes, list) else (),
         limits=known.limits if known else (),
         own=data.get("own") is True,
+        inserts=_read_inserts(data.get("inserts")),
     )
+
+
+def _read_inserts(entries: Any) -> tuple[Inserts, ...]:
+    if not isinstance(entries, list):
+        return ()
+    found = []
+    for entry in entries:
+        if not isinstance(entry, dict):
+            continue
+        labels, limits, seed = entry.get("labels"), entry.get("limits"), entry.get("seed")
+        found.append(
+            Inserts(
+                _text(entry, "recipe"),
+                seed if type(seed) is int else None,
+                _text(entry, "settings", lines=True),
+                {k: n for k, n in labels.items() if type(n) is int} if isinstance(labels, dict) else {},
+                tuple(" ".join(x.split()) for x in limits if isinstance(x, str)) if isinstance(limits, list) else (),
+            )
+        )
+    return tuple(found)
 
 
 def _licence(identifier: str, name: str, url: str) -> Licence:
@@ -257,7 +323,7 @@ def _commit(data: Mapping[str, Any]) -> str:
 
 
 def card_text(card: Card) -> str:
-    """The card: front matter and Markdown."""
+    """Return the card: front matter and Markdown."""
     parts = [
         f"---\n{yaml.safe_dump(front_matter(card), sort_keys=False, allow_unicode=True, width=1000)}---",
         f"# {card.name}",
@@ -268,24 +334,44 @@ def card_text(card: Card) -> str:
         _bullets(card.changes),
         "## Classes and counts",
         _table(card),
-        "Before what single formats leave out; see the next section.",
+        "These counts are before the losses of single formats; see the next section.",
         "## Files",
         _tree(card),
         *_formats(card),
         "## How it was made",
         "\n".join(f"* {what}: {value}" for what, value in (*card.made, ("InfraBlend", __version__))),
-        *(["The recipe's own settings; all else is as this version has it by default:"] if card.recipe else []),
-        *([f"```yaml\n{card.recipe.strip()}\n```"] if card.recipe else []),
+        *_recipes(card.inserts),
         "## How to cite",
         *_citations(card),
-        *(["## Known limits", _bullets(limits)] if (limits := (*card.limits, *card.source.limits)) else []),
+        *(["## Known limits", _bullets(limits)] if (limits := _limits(card)) else []),
     ]
     text = "\n\n".join(p for p in parts if p) + "\n"
     return f"{text}\n{_OWN.format(digest=_digest(text))}\n"
 
 
+def _recipes(inserts: Sequence[Inserts]) -> list[str]:
+    """Return the recipe of each run that inserted objects."""
+    texts = []
+    for one in inserts:
+        if not one.recipe:
+            continue
+        seed = "" if one.seed is None else f" with seed {one.seed}"
+        counts = ", ".join(f"{n} {name}" for name, n in one.labels.items())
+        labels = f", {sum(one.labels.values())} labels ({counts})" if counts else ""
+        texts.append(f"Objects were inserted by the recipe `{one.recipe}`{seed}{labels}.")
+        if one.settings:
+            texts[-1] += " The settings that it changes; all others have their default values:"
+            texts.append(f"```yaml\n{one.settings.strip()}\n```")
+    return texts
+
+
+def _limits(card: Card) -> tuple[str, ...]:
+    of_inserts = (limit for one in card.inserts for limit in one.limits)
+    return tuple(dict.fromkeys((*of_inserts, *card.limits, *card.source.limits)))
+
+
 def front_matter(card: Card) -> dict[str, Any]:
-    """What stands above the text, in the hub's terms."""
+    """Return the card's front matter, in the hub's terms."""
     images = sum(card.images_per_split.values())
     licence = card.source.licence
     return {
@@ -297,7 +383,7 @@ def front_matter(card: Card) -> dict[str, Any]:
             else {}
         ),
         "task_categories": ["object-detection", *(["image-segmentation"] if card.masks else [])],
-        "tags": ["thermal", "infrared", "aerial", "uav", *(["synthetic"] if card.inserted else []), "infrablend"],
+        "tags": ["thermal", "infrared", "aerial", "uav", *(["synthetic"] if card.inserts else []), "infrablend"],
         "size_categories": [next((name for most, name in _SIZES if images < most), "n>10M")],
         **_configs(card),
     }
@@ -308,7 +394,7 @@ def _slug(name: str) -> str:
 
 
 def _configs(card: Card) -> dict[str, Any]:
-    """The hub's viewer shall take each picture once, not again from every format."""
+    """Return the hub's viewer settings: each picture once, not again from every format."""
     splits = [s for s in SPLITS if card.images_per_split.get(s)]
     if not card.images or not splits:
         return {}
@@ -321,25 +407,25 @@ def _source(card: Card) -> list[str]:
     if s.title:
         head = f"The pictures come from **{s.title}**" + (f" (<{s.page}>)" if s.page else "") + "."
     else:
-        head = "**The source of the pictures is not known here.**"
+        head = "**The source of the pictures is not known.**"
     texts = [" ".join(t for t in (head, f"By {s.attribution}." if s.attribution else "", s.how) if t)]
     if s.own and s.licence == UNKNOWN:
-        texts.append("**Licence: not chosen yet.** The pictures are yours: choose one, and fill in `license` above.")
+        texts.append("**Licence: not chosen yet.** The pictures are yours: choose one and enter it as `license` above.")
     elif s.licence.id == UNKNOWN.id:
         texts.append(
             " ".join(t for t in ("**Licence: unknown.**", s.licence_note) if t)
-            + " Before you publish, find it out and fill in this section and `license` above, or put a "
-            f"`{SOURCE_FILE}` or a LICENSE file into the data folder and make the dataset again."
+            + " Before you publish, find out the licence and complete this section and `license` above, or put a "
+            f"`{SOURCE_FILE}` or a LICENSE file into the data folder and generate the dataset again."
         )
     else:
         link = f"[{s.licence.name}]({s.licence.url})" if s.licence.url else s.licence.name
         texts.append(
             f"Licence of the source: {link}. {s.licence_note}".strip()
-            + " This dataset is passed on under the same licence; what was changed is listed below."
+            + " This dataset is distributed under the same licence; the changes are listed below."
             + (f" The licence's text is in `{LICENCE_COPY}`." if s.licence_text is not None else "")
         )
     if s.changes:
-        texts.append("The source had itself been changed before:\n\n" + _bullets(s.changes))
+        texts.append("Earlier changes to the source:\n\n" + _bullets(s.changes))
     return texts
 
 
@@ -366,12 +452,12 @@ def _table(card: Card) -> str:
 
 def _tree(card: Card) -> str:
     copies = [(LICENCE_COPY, "the licence of the source")] if card.source.licence_text is not None else []
-    rows = [*card.layout, (SOURCE_FILE, "where the pictures come from, for programs"), *copies]
+    rows = [*card.layout, (SOURCE_FILE, "origin of the pictures, for programs"), *copies]
     return "```text\n" + "\n".join(f"{path:<23} {what}" for path, what in rows) + "\n```"
 
 
 def _formats(card: Card) -> list[str]:
-    """What each format is, cannot hold, and has lost here."""
+    """Return a line per format: what it is, what it cannot hold, and what was lost here."""
     lines = []
     for name in card.formats:
         lost = {tuple(k.split(".")[1:]): n for k, n in sorted(card.losses.items()) if k.split(".")[0] == name and n}
@@ -385,18 +471,18 @@ def _formats(card: Card) -> list[str]:
             writer = find_writer(name)
             lacks = ", ".join(words for key, (words, _) in FIELDS.items() if key in writer.lacks)
             text = writer.title + (f"; it cannot hold {lacks}" if lacks else "")
-        lines.append(f"`{name}`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost here."))
+        lines.append(f"`{name}`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost."))
     return [_bullets(lines)] if lines else []
 
 
 def _citations(card: Card) -> list[str]:
     texts = []
-    if card.inserted:
+    if card.inserts:
         texts += ["The method that inserted the objects:", f"```bibtex\n{PAPER_BIBTEX}\n```"]
     if card.source.citation:
-        texts += ["The dataset the pictures come from:", f"```bibtex\n{card.source.citation}\n```"]
+        texts += ["The dataset that the pictures come from:", f"```bibtex\n{card.source.citation}\n```"]
     elif not card.source.own:
-        texts.append("Cite the dataset the pictures come from as its authors ask.")
+        texts.append("Cite the dataset that the pictures come from as its authors ask.")
     return texts
 
 
@@ -408,7 +494,7 @@ def _digest(text: str) -> str:
 
 
 def is_own(path: Path) -> bool:
-    """True for a card that is as InfraBlend wrote it."""
+    """Return True for a card that nobody has edited since InfraBlend wrote it."""
     try:
         text = path.read_text("utf-8")
     except (OSError, ValueError):
@@ -421,26 +507,26 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
     """Write `README.md`, `SOURCE.json` and a copy of the source's licence into a dataset's folder.
 
     Returns:
-        A warning if there is a README.md that somebody has written or edited: it is left alone.
+        A warning if the folder has a README.md that InfraBlend did not write or that was edited: it is kept.
 
     Raises:
-        OutputError: The disk.
+        OutputError: A file cannot be written.
     """
     problems = []
     path = folder / CARD_FILE
     if path.exists() and not is_own(path):
-        found, todo = "was edited, so no new card was written", "delete it to get a new one"
+        found, todo = "an edited card, so no new one was written", "delete it to get a new one"
         problems.append(Problem(CARD_FILE, "card-kept", found, "", todo, "warning"))
     else:
         write_text(path, card_text(card))
     s = card.source
     if s.licence_text is not None:
         write_bytes(folder / LICENCE_COPY, s.licence_text)
-    # What is made from this dataset finds its origin here.
+    # Datasets made from this one find their origin here.
     licence = {"id": s.licence.id, "name": s.licence.name, "url": s.licence.url}
     facts: dict[str, Any] = {"title": s.title, "page": s.page, "licence": licence, "licence_note": s.licence_note}
     facts |= {"attribution": s.attribution, "citation": s.citation, "changes": [*s.changes, *card.changes]}
-    facts |= {"name": s.name, "own": s.own}
+    facts |= {"name": s.name, "own": s.own, "inserts": [one.to_json() for one in card.inserts]}
     write_json(folder / SOURCE_FILE, facts, indent=2)
     return problems
 
@@ -454,15 +540,17 @@ def dataset_card(
     to: str = "",
     losses: Mapping[str, int] | None = None,
 ) -> Card:
-    """The card of a dataset that was read and written anew without new objects: converted, split.
+    """Return the card of a dataset that was converted or split.
+
+    Objects that an earlier run inserted stay in its pictures: the card names them, with their recipe and its limits.
 
     Args:
-        source: As read.
-        images: What was written.
-        categories: Their classes.
-        changes: What was done, a sentence each.
-        to: The writer's name.
-        losses: What that format could not hold, by kind.
+        source: Dataset as read.
+        images: Images that were written.
+        categories: Their categories.
+        changes: Changes, a sentence each.
+        to: Name of the format written, or empty.
+        losses: Number of items that the format could not hold, by kind.
     """
     per_split = Counter(str(i.split) for i in images)
     labels: dict[str, Counter[str]] = {s: Counter() for s in per_split}
@@ -470,16 +558,19 @@ def dataset_card(
         labels[image.split].update(i.category for i in image.instances)
     origin = find_provenance(source)
     short = origin.title.partition(":")[0] or "A dataset"
+    what = "with rendered objects in its pictures" if origin.inserts else "no object was inserted"
     return Card(
         f"{short} as {to}" if to else short,
-        f"{origin.title or 'A dataset'}, written anew; no object was added.",
+        f"{origin.title or 'A dataset'}, {f'converted to `{to}`' if to else 'split again'}; {what}.",
         origin,
         tuple(changes),
         tuple(categories),
         dict(per_split),
         labels,
+        inserted=Counter(i.category for image in images for i in image.instances if i.inserted),
         formats=(to,) if to else (),
         losses={f"{to}.{kind}": n for kind, n in (losses or {}).items()},
         images="",
+        inserts=origin.inserts,
         masks=any(i.mask is not None for image in images for i in image.instances),
     )
