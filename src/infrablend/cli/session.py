@@ -1,4 +1,4 @@
-"""What all commands of one call share: where the log goes, how much is said, and whether to people or to programs."""
+"""State that all commands of one call share: the console, the log file, the form of the output."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from infrablend.core.folders import state_folder
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-LOG_SIZE_BYTES = 5_000_000  # a longer log is put aside and begun anew
+LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one begun
 
 logger = logging.getLogger(__name__)
 
@@ -25,10 +27,10 @@ class Session:
     """One call of the program.
 
     Attributes:
-        console: On stderr.
-        log_path: The log file, or None if none could be opened.
-        quiet: No progress on stderr.
-        json: Results, and errors too, go to stdout as JSON.
+        console: Console on stderr.
+        log_path: Log file, or None if none could be opened.
+        quiet: True to show no progress.
+        json: True to write results and errors to stdout as JSON.
     """
 
     console: Console
@@ -38,7 +40,7 @@ class Session:
 
 
 class _ConsoleHandler(logging.Handler):
-    """Log lines through the console that may hold a live progress bar, so that they do not tear it."""
+    """Writes log lines through the console, so that they do not break its live progress bar."""
 
     def __init__(self, console: Console) -> None:
         super().__init__()
@@ -53,7 +55,7 @@ class _ConsoleHandler(logging.Handler):
 
 @contextlib.contextmanager
 def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Session]:
-    """The session, with logging set up while it lasts: INFO and above to the file, warnings to stderr."""
+    """Open the session and log while it lasts: INFO and above to the file, warnings to stderr."""
     from rich.console import Console
 
     console = Console(stderr=True, highlight=False)
@@ -84,15 +86,13 @@ def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Sessi
 
 
 def default_log_path() -> Path:
-    """`$INFRABLEND_LOG`, or `infrablend/infrablend.log` in the user's state folder."""
-    if given := os.environ.get("INFRABLEND_LOG"):
-        return Path(given)
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "infrablend" / "infrablend.log"
+    """Return `$INFRABLEND_LOG`, or `infrablend.log` in the user's state folder."""
+    given = os.environ.get("INFRABLEND_LOG")
+    return Path(given) if given else state_folder() / "infrablend.log"
 
 
 def _usable(path: Path) -> Path | None:
-    """The path once it can be written to, else a file in the temporary folder, else None."""
+    """Return the path if it can be written, else a file in the temporary folder, else None."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab") as f:

@@ -13,7 +13,7 @@ import yaml
 from infrablend.annotation.merge import RemovalReason
 from infrablend.assets.user_model import is_description
 from infrablend.core.dataset import ImageRecord
-from infrablend.pipeline.folder import RUN_FILE
+from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
 from infrablend.pipeline.plan import RunPlan
 from infrablend.report.card import INSERT_LIMITS, Card, Inserts, find_provenance
 
@@ -118,9 +118,13 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
 
 def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
     groups = "".join(f"<{g}>/" for g in plan.recipe.output.group_by)
-    rows = [(f"images/<split>/{groups}", "pictures")]
+    rows = [(f"{IMAGES}/<split>/{groups}", "pictures")]
     rows += [(f"{name}/", "labels") for name in plan.recipe.output.formats]
-    return (*rows, ("scenes/<split>/", "scene and labels, one JSON file per picture"), (RUN_FILE, "record of the run"))
+    return (
+        *rows,
+        (f"{SCENES}/<split>/", "scene and labels, one JSON file per picture"),
+        (RUN_FILE, "record of the run"),
+    )
 
 
 def _recipe_yaml(plan: RunPlan) -> str:

@@ -1,4 +1,4 @@
-"""Where everything of a run lies. The layout is documented in docs/reference/run_folder.md."""
+"""The folder of a run: claimed, prepared, resumed."""
 
 from __future__ import annotations
 
@@ -8,43 +8,22 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import claimed_folder, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.output import Existing
+from infrablend.core.run_layout import IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError
 from infrablend.report.card import CARD_FILE, is_own
 
 # What `--overwrite` may delete: these names and nothing else.
-OWN_FOLDERS = ("images", *written_names(), NATIVE, "scenes", "realism", "log")
-RUN_FILE = "run.json"
+OWN_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES, "realism", LOGS)
 
 
 @dataclass(frozen=True)
-class RunFolder:
+class RunFolder(RunLayout):
     """The folder of one run."""
-
-    root: Path
-
-    @property
-    def run_file(self) -> Path:
-        """The run record."""
-        return self.root / RUN_FILE
-
-    @property
-    def log_folder(self) -> Path:
-        """Log files."""
-        return self.root / "log"
-
-    def image(self, relative: str) -> Path:
-        """An image by its path below `images/`, e.g. `train/a_c0.jpg`."""
-        return self.root / "images" / relative
-
-    def record(self, frame_id: str) -> Path:
-        """The record of a frame: its scene, its labels, what was decided."""
-        return self.root / "scenes" / f"{frame_id}.json"
 
     def read_run(self) -> dict[str, Any]:
         """The run record.

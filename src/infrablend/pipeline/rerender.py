@@ -50,10 +50,10 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     path = folder.record(frame_id)
     record = read_record(path)
     if record is None:
-        every = sorted((run / "scenes").rglob("*.json"))
+        every = folder.records()
         near = [p for p in every if p.stem == path.stem] or every
-        hint = f", e.g. {near[0].relative_to(run / 'scenes').with_suffix('').as_posix()}" if near else ""
-        raise OutputError(f"{run}: no finished frame {frame_id!r}; expected an id as under {run / 'scenes'}{hint}")
+        hint = f", such as {folder.frame_id(near[0])}" if near else ""
+        raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
     background = Path(data or record_run["data"]["root"]) / record.background["path"]

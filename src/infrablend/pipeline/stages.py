@@ -28,10 +28,10 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, link_or_copy, write_json
 from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem, RenderError
 from infrablend.pipeline.content import json_digest
 from infrablend.pipeline.convert import convert_dataset
-from infrablend.pipeline.folder import RUN_FILE
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.select import Selection, select

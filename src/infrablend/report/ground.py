@@ -19,6 +19,7 @@ from PIL import Image
 from infrablend.core.camera import CameraSpec
 from infrablend.core.files import write_bytes
 from infrablend.core.kinds import kind_of
+from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.report.preview import INK, TITLE_PX, PreviewFrame, Rgb, draw_polygon, grid, load_frames, to_rgb
@@ -49,7 +50,7 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
     """
     cells = []
     for frame in load_frames(run, count):
-        path = run / "scenes" / f"{frame.frame_id}.json"
+        path = RunLayout(run).record(frame.frame_id)
         try:
             scene = SceneSpec.from_json(json.loads(path.read_text("utf-8"))["scene"])
         except (OSError, ValueError, KeyError, TypeError) as error:

@@ -1,6 +1,6 @@
-"""Contact sheets: frames with their labels drawn, and every inserted object enlarged so that its edge can be judged.
+"""Contact sheets: frames with their labels, and every inserted object enlarged to show its edge.
 
-`load_frames` reads a finished run folder, `contact_sheet` draws, `preview_run` does both.
+`load_frames` reads the folder of a run, `contact_sheet` draws, `preview_run` does both.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pycocotools import mask as coco_mask
 from infrablend.core.dataset import SPLITS, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.masks import Mask
+from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
 
 Draw = Literal["boxes", "obb", "masks"]
@@ -35,17 +36,17 @@ PAPER: Colour = (24, 26, 30)
 INK: Colour = (236, 238, 242)
 FAINT: Colour = (150, 156, 166)
 
-# Inserted objects: one colour for each kind of label, apart from each other also for most colour-blind readers.
+# Inserted objects: one colour per kind of label, distinct for most colour-blind readers too.
 INSERTED: dict[Draw, Colour] = {"boxes": (255, 196, 0), "obb": (0, 214, 255), "masks": (255, 64, 160)}
 ORIGINAL: dict[Draw, Colour] = {"boxes": (112, 158, 120), "obb": (96, 128, 172), "masks": (112, 158, 120)}
-FILL = 0.22  # of the mask's colour
+FILL = 0.22  # opacity of the mask's colour
 
 GAP_PX = 12
 TITLE_PX = 26
 INSET_WH = (310, 240)
 INSET_CAPTION_PX = 18
 INSET_MARGIN_PX = 8
-MAX_INSETS = 3  # pairs for each frame
+MAX_INSETS = 3  # pairs per frame
 MAX_ZOOM, MIN_ZOOM = 4, 2
 
 _SUBPIXEL_BITS = 4
@@ -55,13 +56,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PreviewFrame:
-    """A frame to be shown.
+    """A frame of a contact sheet.
 
     Attributes:
-        title: A line above it: name, split, pitch, altitude.
-        pixels: (h, w) or (h, w, 3); uint8 is shown as it is, other types stretched from their 0.5 to 99.5 percentile.
-        instances: Its labels.
-        frame_id: In its run; empty outside one.
+        title: Line above the frame: name, split, pitch, altitude.
+        pixels: (h, w) or (h, w, 3); uint8 is shown unchanged, other types are stretched from percentile 0.5 to 99.5.
+        instances: Labels of the frame.
+        frame_id: Id of the frame in its run; empty outside a run.
     """
 
     title: str
@@ -79,17 +80,17 @@ def contact_sheet(
     columns: int | None = None,
     draw: Sequence[Draw] = ALL_DRAWN,
 ) -> Path:
-    """Write the frames as one PNG and give its path. The same frames give the same bytes.
+    """Write the frames as one PNG and return its path. The same frames give the same bytes.
 
     Args:
-        frames: In reading order; sizes may differ.
-        out_png: Written beside and renamed; its folder is made.
-        columns: How many frames stand side by side; by default 2 for up to four frames, 3 for up to twelve, else 4.
-        draw: Which labels: `boxes` (thin), `obb`, `masks` (outline and light fill).
+        frames: Frames in reading order; sizes may differ.
+        out_png: File to write, whole or not at all; its folder is created.
+        columns: Number of frames side by side; by default 2 for up to four frames, 3 for up to twelve, else 4.
+        draw: Labels to draw: `boxes` (thin), `obb`, `masks` (outline and light fill).
 
     Raises:
-        ValueError: For no frames, no column, or an unknown kind of label.
-        OutputError: If it cannot be written.
+        ValueError: No frames, no column, or an unknown kind of label.
+        OutputError: The file cannot be written.
     """
     if not frames:
         raise ValueError("a contact sheet needs at least one frame")
@@ -116,15 +117,15 @@ def draw_labels(
     origin_xy: tuple[int, int] = (0, 0),
     names: bool = True,
 ) -> Rgb:
-    """A copy of a picture with labels drawn over it: original objects first and muted, inserted ones on top.
+    """Return a copy of a picture with labels drawn over it: muted for original objects, inserted ones on top.
 
     Args:
-        picture: (h, w, 3) uint8; pixel (0, 0) is the top left corner of frame pixel `origin_xy`, each frame pixel
+        picture: (h, w, 3) uint8; pixel (0, 0) is the top left corner of frame pixel `origin_xy`, and each frame pixel
             is `scale` x `scale` pixels.
-        instances: In frame coordinates.
-        draw: Which labels.
-        scale: See `picture`.
-        origin_xy: See `picture`.
+        instances: Labels in frame coordinates.
+        draw: Kinds of label to draw.
+        scale: Size of a frame pixel in `picture`.
+        origin_xy: Frame pixel in the top left corner of `picture`.
         names: Write the category beside each object.
     """
     canvas = picture.copy()
@@ -207,7 +208,7 @@ def _name_colour(inserted: bool, draw: Sequence[Draw]) -> Colour:
 
 
 def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
-    """A frame with its title and, below it, its inserted objects enlarged, without and with labels."""
+    """Return a frame with its title and, below it, its inserted objects enlarged, without and with labels."""
     plain = to_rgb(frame.pixels)
     rows = [draw_labels(plain, frame.instances, draw)]
     inserted = [i for i in frame.instances if i.inserted]
@@ -222,10 +223,10 @@ def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
 
 
 def inset_window(instance: Instance, frame_wh: tuple[int, int]) -> tuple[tuple[int, int, int, int], int]:
-    """What an inset shows: columns and rows `x0, y0, x1, y1` of the frame, and the zoom.
+    """Return the part of the frame that an inset shows, columns and rows `x0, y0, x1, y1`, and its zoom.
 
-    The whole object at the largest whole zoom from 4 down to 2 that fits; of a larger object, at 2, what surrounds
-    the topmost part of its edge.
+    The whole object is shown at the largest whole zoom from 4 down to 2 that fits. If none fits, zoom 2 shows the
+    surroundings of the topmost part of the object's edge.
     """
     w, h = frame_wh
     x0, y0, x1, y1 = instance.box_xyxy
@@ -285,7 +286,7 @@ def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
 
 
 def grid(cells: Sequence[Rgb], columns: int) -> Rgb:
-    """Pictures side by side, `columns` in a row."""
+    """Return the pictures as one, `columns` in a row."""
     width = max(c.shape[1] for c in cells)
     rows = []
     for start in range(0, len(cells), columns):
@@ -308,7 +309,7 @@ def _pad(picture: Rgb, height: int, width: int, offset_px: int = 0) -> Rgb:
 
 
 def strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> Rgb:
-    """A line of text, cut with dots where it is too long."""
+    """Return a strip with a line of text, shortened with dots if it is too long."""
     image = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(image)
     font = font_of(size_px)
@@ -321,12 +322,12 @@ def strip(width: int, height: int, text: str, size_px: int, colour: Colour) -> R
 
 
 def font_of(size_px: int) -> ImageFont.FreeTypeFont:
-    """Pillow's own outline font: the same on every machine."""
+    """Return Pillow's own outline font, which is the same on every machine."""
     return ImageFont.load_default(size_px)
 
 
 def to_rgb(pixels: NDArray[Any]) -> Rgb:
-    """(h, w, 3) uint8 of grey or RGB pixels; what is not 8 bit is stretched."""
+    """Return grey or RGB pixels as (h, w, 3) uint8; other types than 8 bit are stretched."""
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ValueError(f"pixels must be (h, w) or (h, w, 3), got {pixels.shape}")
     if pixels.dtype != np.uint8:
@@ -339,32 +340,33 @@ def to_rgb(pixels: NDArray[Any]) -> Rgb:
 
 
 def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] = ALL_DRAWN) -> Path:
-    """Write the contact sheet of a run folder and give its path.
+    """Write the contact sheet of a run folder and return its path.
 
     Raises:
-        DatasetError: If the folder is no run, or holds no frames.
-        OutputError: If the sheet cannot be written.
+        DatasetError: The folder is not a run, or contains no frames.
+        OutputError: The sheet cannot be written.
     """
     return contact_sheet(load_frames(run, count), out_png, draw=draw)
 
 
 def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
-    """Frames of a run folder with their labels.
+    """Return frames of a run folder with their labels.
 
-    They come from the COCO files. A run without these (interrupted, or another choice of formats) is shown from
-    its frame records, which hold the inserted objects only.
+    Labels are read from the COCO files. A run without these (interrupted, or with other formats) is read from its
+    frame records, which contain only the inserted objects.
 
     Args:
-        run: The folder of a run.
-        count: How many at most, spread evenly over the frames with inserted objects (over all if there are none).
+        run: Folder of a run.
+        count: Largest number of frames, spread evenly over those with inserted objects, or over all if there are none.
 
     Raises:
-        DatasetError: If the folder is no run, holds no frames, or one of them cannot be read.
+        DatasetError: The folder is not a run, contains no frames, or a frame cannot be read.
     """
-    documents = [(s, run / "coco" / f"{s}.json") for s in SPLITS]
+    layout = RunLayout(run)
+    documents = [(s, layout.coco_file(s)) for s in SPLITS]
     entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
     if not entries:
-        entries = [_record_entry(run, path) for s in SPLITS for path in sorted((run / "scenes" / s).rglob("*.json"))]
+        entries = [_record_entry(run, path) for s in SPLITS for path in layout.records(s)]
     if not entries:
         raise DatasetError(
             f"{run}: found frames neither in coco/<split>.json nor in scenes/<split>/, expected the folder of a run. "
@@ -376,7 +378,7 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """A frame of a run before it is read: its split, its picture, its labels."""
+    """A frame of a run before its picture is read."""
 
     split: str
     path: Path
@@ -384,7 +386,7 @@ class _Entry:
 
 
 def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
-    """`count` of the entries at even steps."""
+    """Return `count` of the entries at even steps."""
     if count is None or count >= len(entries):
         return entries
     return [entries[(2 * k + 1) * len(entries) // (2 * count)] for k in range(count)]
@@ -404,7 +406,7 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
         ]
     except (OSError, ValueError, KeyError, TypeError) as e:
         raise DatasetError(
-            f"{path}: is no COCO file as InfraBlend writes it ({type(e).__name__}: {e}). Run `generate --resume`."
+            f"{path}: not a COCO file that InfraBlend wrote ({type(e).__name__}: {e}). Run `generate --resume`."
         ) from e
 
 
@@ -413,9 +415,9 @@ def _record_entry(run: Path, path: Path) -> _Entry:
         record = json.loads(path.read_text("utf-8"))
         split = str(record["frame_id"]).split("/")[0]
         inserted = tuple(Instance.from_json(i) for i in record["inserted"])
-        return _Entry(split, run / "images" / str(record["image"]), inserted)
+        return _Entry(split, RunLayout(run).image(str(record["image"])), inserted)
     except (OSError, ValueError, KeyError, TypeError) as e:
-        raise DatasetError(f"{path}: is no frame record ({type(e).__name__}: {e}). Run `generate --resume`.") from e
+        raise DatasetError(f"{path}: not a frame record ({type(e).__name__}: {e}). Run `generate --resume`.") from e
 
 
 def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
@@ -426,7 +428,7 @@ def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int
         names[int(a["category_id"])],
         np.array([x, y, x + w, y + h], np.float64),
         corners,
-        # An outline that was made from a box is none.
+        # An outline that was derived from a box is not a mask.
         _mask(a.get("segmentation"), size_wh) if a.get("segmentation_from", "mask") == "mask" else None,
         None if visibility is None else float(visibility),
         inserted=bool(a.get("inserted")),
@@ -435,7 +437,7 @@ def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int
 
 
 def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
-    """The mask in any of COCO's three forms; None where there is none."""
+    """Return the mask from any of COCO's three forms, or None without one."""
     if not segmentation:
         return None
     w, h = size_wh
@@ -448,19 +450,18 @@ def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
 
 
 def _image_path(run: Path, split: str, file_name: str) -> Path:
-    for folder in (run / "images" / split, run / "images", run):
-        if (folder / file_name).is_file():
-            return folder / file_name
-    return run / "images" / split / file_name
+    usual = RunLayout(run).image(f"{split}/{file_name}")
+    others = (usual, RunLayout(run).image(file_name), run / file_name)
+    return next((path for path in others if path.is_file()), usual)
 
 
 def _title(run: Path, entry: _Entry) -> str:
-    """Name, pitch, altitude and time of day; what is not known is left out."""
+    """Return name, pitch, altitude and time of day, as far as they are known."""
     name = entry.path.stem
     parts = [f"{entry.split}/{name}"]
     facts: dict[str, Any] = {}
     try:
-        record = json.loads((run / "scenes" / entry.split / f"{name}.json").read_text("utf-8"))
+        record = json.loads(RunLayout(run).record(f"{entry.split}/{name}").read_text("utf-8"))
         facts = dict(record["background"])
         if record["scene"] is not None:
             # The camera that was used: it is not the metadata's where a recipe fixes or draws the pitch.
@@ -479,7 +480,7 @@ def _title(run: Path, entry: _Entry) -> str:
 def _read_pixels(path: Path) -> NDArray[Any]:
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     if pixels is None:
-        raise DatasetError(f"{path}: is no readable image, expected a frame of the run. Run `generate --resume`.")
+        raise DatasetError(f"{path}: not a readable image; expected a frame of the run. Run `generate --resume`.")
     if pixels.ndim == 3:
         pixels = pixels[:, :, :3][:, :, ::-1]
     return np.ascontiguousarray(pixels)

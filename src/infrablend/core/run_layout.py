@@ -1,0 +1,56 @@
+"""Paths inside the folder of a run. docs/reference/run_folder.md describes what each file contains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+RUN_FILE = "run.json"
+IMAGES = "images"
+SCENES = "scenes"
+LOGS = "log"
+
+
+@dataclass(frozen=True)
+class RunLayout:
+    """Paths of a run; nothing is read or written here.
+
+    Attributes:
+        root: Folder of the run.
+    """
+
+    root: Path
+
+    @property
+    def run_file(self) -> Path:
+        """Record of the run: settings, counts, problems."""
+        return self.root / RUN_FILE
+
+    @property
+    def log_folder(self) -> Path:
+        """Folder of the log files."""
+        return self.root / LOGS
+
+    def image(self, relative: str) -> Path:
+        """Return an image by its path below `images/`, e.g. `train/a_c0.jpg`."""
+        return self.root / IMAGES / relative
+
+    def record(self, frame_id: str) -> Path:
+        """Return the record of a frame, e.g. `train/a_c0`: its scene, its labels and what was decided."""
+        return self.root / SCENES / f"{frame_id}.json"
+
+    def records(self, split: str = "") -> list[Path]:
+        """Return the records that exist, of one split or of all, sorted."""
+        return sorted((self.root / SCENES / split).rglob("*.json"))
+
+    def frame_id(self, record: Path) -> str:
+        """Return the frame that a record describes, the inverse of `record`."""
+        return record.relative_to(self.root / SCENES).with_suffix("").as_posix()
+
+    def labels(self, format_name: str) -> Path:
+        """Return the folder with the labels of one format."""
+        return self.root / format_name
+
+    def coco_file(self, split: str) -> Path:
+        """Return the COCO file of a split."""
+        return self.labels("coco") / f"{split}.json"
