@@ -334,10 +334,10 @@ def test_preview_run_writes_a_picture(run):
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (lambda run: (run / "images/test/a_c0.png").unlink(), r"a_c0\.png: is no readable image"),
-        (lambda run: (run / "images/test/a_c0.png").write_bytes(b"x"), r"a_c0\.png: is no readable image"),
-        (lambda run: (run / "coco/test.json").write_text("{"), r"test\.json: is no COCO file .*JSONDecodeError"),
-        (lambda run: (run / "coco/test.json").write_text('{"images": []}'), r"is no COCO file .*KeyError"),
+        (lambda run: (run / "images/test/a_c0.png").unlink(), r"a_c0\.png: not a readable image"),
+        (lambda run: (run / "images/test/a_c0.png").write_bytes(b"x"), r"a_c0\.png: not a readable image"),
+        (lambda run: (run / "coco/test.json").write_text("{"), r"test\.json: not a COCO file .*JSONDecodeError"),
+        (lambda run: (run / "coco/test.json").write_text('{"images": []}'), r"not a COCO file .*KeyError"),
         (lambda run: (run / "coco").rename(run / "cocoa") and (run / "scenes").rename(run / "s"), "folder of a run"),
     ],
 )
