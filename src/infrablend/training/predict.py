@@ -131,7 +131,7 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
             data = weights.read_bytes()
             model = ultralytics.YOLO(str(weights))
             network = model.model
-            network = network.float().fuse(verbose=False).eval().to(chosen)
+            network = network.float().fuse(verbose=False).eval().to(chosen, memory_format=_layout(chosen))
             if precision == "auto":
                 fast = chosen == "cpu" and has_fast_bfloat16(torch)
                 precision = "bfloat16" if fast else "float32"
@@ -161,6 +161,16 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
             "ultralytics": str(ultralytics.__version__),
         },
     )
+
+
+def _layout(device: str) -> Any:
+    """Return the memory layout of a network on a device: as Ultralytics' validation, so that both compute the same.
+
+    On a processor convolutions with the channels innermost are also faster.
+    """
+    import torch
+
+    return torch.channels_last if device == "cpu" else torch.contiguous_format
 
 
 def _head_in_32_bits(head: Any) -> None:

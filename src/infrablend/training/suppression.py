@@ -1,0 +1,68 @@
+"""Non-maximum suppression as torchvision computes it, for installations whose torchvision does not fit their torch.
+
+The registry has torchvision for Linux with CUDA only. Beside torch's CPU build its compiled operators do not load, and
+detection needs one of them, `nms`. Ultralytics' own replacement handles one finding at a time with torch operations,
+which takes longer than the network does. It also sorts unstably, so that the processor decides which of two equal
+scores wins.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_BLOCK = 64
+
+
+def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
+    """Return the indices of the boxes that no surer box overlaps by more than a threshold, like `torchvision.ops.nms`.
+
+    Args:
+        boxes: (n, 4) left, top, right, bottom.
+        scores: (n,) confidences; of equal ones the first comes first.
+        iou_threshold: Intersection over union above which the less sure box is dropped.
+
+    Returns:
+        (k,) int64 indices, the surest first, on the device of `boxes`.
+    """
+    import torch
+
+    kept = surest(boxes.detach().float().cpu().numpy(), scores.detach().float().cpu().numpy(), iou_threshold)
+    return torch.from_numpy(kept).to(boxes.device)
+
+
+def surest(boxes_xyxy: NDArray[np.float32], scores: NDArray[np.float32], iou_threshold: float) -> NDArray[np.int64]:
+    """Return the indices that `nms` returns, for arrays.
+
+    Boxes are taken in blocks by falling score: what is left of a block after the boxes kept so far is settled within
+    the block, one by one.
+    """
+    order = np.argsort(-scores, kind="stable")
+    boxes = boxes_xyxy[order]
+    kept = np.zeros(0, np.int64)
+    for start in range(0, len(boxes), _BLOCK):
+        block = np.arange(start, min(start + _BLOCK, len(boxes)))
+        block = block[~(_iou(boxes[kept], boxes[block]) > iou_threshold).any(axis=0)]
+        hides = _iou(boxes[block], boxes[block]) > iou_threshold
+        hidden = np.zeros(len(block), np.bool_)
+        for k in range(len(block)):
+            if not hidden[k]:
+                hidden[k + 1 :] |= hides[k, k + 1 :]
+        kept = np.concatenate([kept, block[~hidden]])
+    return order[kept]
+
+
+def _iou(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n, m) intersection over union, in the order of operations of torchvision; NaN where both boxes are empty."""
+    left, top = (np.maximum(a[:, None, k], b[None, :, k]) for k in (0, 1))
+    right, bottom = (np.minimum(a[:, None, k], b[None, :, k]) for k in (2, 3))
+    shared = np.maximum(right - left, 0) * np.maximum(bottom - top, 0)
+    areas_a, areas_b = ((x[:, 2] - x[:, 0]) * (x[:, 3] - x[:, 1]) for x in (a, b))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        overlap: NDArray[np.float32] = shared / (areas_a[:, None] + areas_b[None] - shared)
+    return overlap
