@@ -48,6 +48,7 @@ from infrablend.pipeline.train import (
     plan_training,
     train_dataset,
 )
+from infrablend.world.dataset import WorldRequest
 
 if TYPE_CHECKING:
     from infrablend.pipeline.evaluate import EvaluationReport
@@ -804,15 +805,14 @@ def make_world(
     *,
     layout: Literal["hit-uav", "monet"] = "hit-uav",
     workers: int | None = None,
-    device: str = "cpu",
     on_progress: OnProgress | None = None,
 ) -> Path:
-    """Render a virtual thermal world: a background dataset with exact labels, no download.
+    """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
-    `layout` is that of HIT-UAV (640x512, a town) or of MONET (800x600, airfields and dirt roads, telemetry in the
-    JSON, some of it lost). It always renders on the CPU; `device` is taken for the sake of a like command line.
+    `layout` is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
+    some of it lost). It always renders on the CPU.
     """
-    world.make_world(Path(out), count, seed, Execution(workers).worker_count(), on_progress, layout)
+    world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
     return Path(out)
 
 

@@ -1,29 +1,56 @@
-"""The virtual world through Blender: pixels, labels and files belong together and repeat."""
+"""The virtual world rendered by Blender: pixels, labels and files agree and repeat."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from infrablend.blender.world import render_world, sample_world
-from infrablend.blender.world.layout import Building, Person
 from infrablend.core.rng import stream
+from infrablend.core.tasks import Task
 from infrablend.errors import OutputError
 from infrablend.formats import hit_uav
+from infrablend.world import FrameFacts, sample_world
+from infrablend.world.buildings import Building
+from infrablend.world.dataset import FrameSource, WorldReport, WorldRequest, write_world
+from infrablend.world.frame_files import FinishedFrame
+from infrablend.world.ground import ground_kelvin
+from infrablend.world.people import Person
 
 pytestmark = pytest.mark.blender
+
+
+def in_this_process(seed: int, threads: int) -> FrameSource:
+    from infrablend.blender.world.worker import WorldWorker
+
+    def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
+        worker = WorldWorker(seed, folder, threads)
+        try:
+            for frame in frames:
+                yield worker(Task(frame.name, frame))
+        finally:
+            worker.close()
+
+    return rendered
+
+
+def render(
+    out: Path, request: WorldRequest, threads: int = 0, progress: Callable[[int, int], None] | None = None
+) -> WorldReport:
+    return write_world(out, request, in_this_process(request.seed, threads), progress)
 
 
 @pytest.fixture(scope="module")
 def bare():
     """A night scene with nothing on the ground."""
     plan = sample_world(stream(0, "bare"), 60, 60, "night", "park")
-    return replace(plan, roads=(), paints=(), vehicles=(), people=(), cycles=(), trees=(), buildings=(), posts=())
+    return replace(plan, roads=(), patches=(), vehicles=(), people=(), cycles=(), trees=(), buildings=(), furniture=())
 
 
 def someone(x: float, y: float) -> Person:
@@ -31,8 +58,7 @@ def someone(x: float, y: float) -> Person:
 
 
 def test_pixels_and_boxes_agree_and_walls_hide(bare):
-    from infrablend.blender.world.build import WorldRenderer
-    from infrablend.blender.world.ground import ground_kelvin
+    from infrablend.blender.world.renderer import WorldRenderer
 
     with WorldRenderer(1) as renderer:
         empty, labels = renderer.render(bare)
@@ -58,8 +84,9 @@ def test_pixels_and_boxes_agree_and_walls_hide(bare):
 def test_dataset_reads_back_and_repeats(tmp_path):
     done: list[tuple[int, int]] = []
     shares = {"test": 1.0}
-    first = render_world(tmp_path / "a", 2, 3, splits=shares, threads=1, progress=lambda a, b: done.append((a, b)))
-    render_world(tmp_path / "b", 2, 3, splits=shares, threads=2)
+    request = WorldRequest(2, 3, splits=shares)
+    first = render(tmp_path / "a", request, 1, progress=lambda a, b: done.append((a, b)))
+    render(tmp_path / "b", request, 2)
     assert done == [(1, 2), (2, 2)]
 
     def hashes(name: str) -> dict[str, str]:
@@ -85,7 +112,7 @@ def test_dataset_reads_back_and_repeats(tmp_path):
             assert 0 <= x0 < x1 <= 640 and 0 <= y0 < y1 <= 512
             assert instance.corners_xy is not None
     with pytest.raises(OutputError, match="not"):
-        render_world(tmp_path / "a", 1)
+        render(tmp_path / "a", WorldRequest(1))
 
 
 def test_stopped_run_leaves_nothing(tmp_path):
@@ -93,5 +120,5 @@ def test_stopped_run_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render_world(tmp_path / "out", 2, 0, progress=stop)
+        render(tmp_path / "out", WorldRequest(2), progress=stop)
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The virtual world without Blender: plans, ground temperatures, labels, the sensor's look."""
+"""The virtual world: plans, ground temperatures, labels and thermal images."""
 
 from __future__ import annotations
 
@@ -11,23 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from infrablend.blender.world import plan_frames, plan_sequences, telemetry_of
-from infrablend.blender.world.ground import ground_kelvin
-from infrablend.blender.world.labels import label_object, silhouette_area_px
-from infrablend.blender.world.layout import (
-    KINDS,
-    Paint,
-    Person,
-    Road,
-    WorldPlan,
-    ground_points,
-    sample_world,
-    world_camera,
-)
-from infrablend.blender.world.look import HIGH_GREY, LOW_GREY, gain, noise, thermal_frame
-from infrablend.blender.world.things import cycle, person, placed, tree_prototype, vehicle
 from infrablend.core.rng import stream
 from infrablend.errors import RecipeError
+from infrablend.world import TOWN, WorldPlan, plan_frames, plan_sequences, sample_world
+from infrablend.world.cycles import cycle
+from infrablend.world.frames import telemetry_of
+from infrablend.world.ground import ground_kelvin
+from infrablend.world.ground_cover import Patch
+from infrablend.world.labels import VisibleSamples, label_object, silhouette_area_px
+from infrablend.world.people import Person, person
+from infrablend.world.roads import Road
+from infrablend.world.surfaces import placed
+from infrablend.world.thermal_image import HIGH_GREY, LOW_GREY, gain, noise, thermal_frame
+from infrablend.world.trees import tree_prototype
+from infrablend.world.vehicles import vehicle
+from infrablend.world.view import ground_points, world_camera
 
 
 def plan(
@@ -37,13 +35,13 @@ def plan(
 
 
 def test_package_needs_no_blender():
-    code = "import sys, infrablend.blender.world as w; w.sample_world; sys.exit('bpy' in sys.modules)"
+    code = "import sys, infrablend.world as w; w.sample_world; sys.exit('bpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TOWN)
 @pytest.mark.parametrize("time_of_day", ["day", "night"])
-def test_every_place_holds_things_and_repeats(kind, time_of_day):
+def test_every_place_has_objects_and_repeats(kind, time_of_day):
     first, second = plan(kind, time_of_day), plan(kind, time_of_day)
     assert first == second
     assert first != plan(kind, time_of_day, seed=1)
@@ -51,7 +49,7 @@ def test_every_place_holds_things_and_repeats(kind, time_of_day):
     assert (first.sun is None) == (time_of_day == "night")
 
 
-def test_camera_puts_ground_points_where_it_says():
+def test_camera_projects_ground_points_back_to_their_pixels():
     # thermal.md 5.3: f 2060, h 100 m, p 50 deg: centre pixel at slant range 130.54 m, 15.78 px per metre.
     camera = world_camera(50, 100)
     assert camera.distance_m == pytest.approx(130.54, abs=0.01)
@@ -103,7 +101,7 @@ def test_night_temperatures_are_ordered_as_measured():
         assert min(q.top_k, q.skin_k) > kelvin["asphalt"] + 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TOWN)
 def test_ground_is_finite_and_repeats(kind):
     p = plan(kind, "day")
     a, b = ground_kelvin(p, 1), ground_kelvin(p, 1)
@@ -112,11 +110,11 @@ def test_ground_is_finite_and_repeats(kind):
     assert 250 < a.min() < a.max() < 350
 
 
-def test_paint_lies_where_the_camera_sees_it():
+def test_patch_is_where_the_camera_sees_it():
     p = plan("park")
-    bare = replace(p, roads=(), paints=())
+    bare = replace(p, roads=(), patches=())
     # A 2 m square at the origin, 5 K warmer: at the picture's centre, of the size the camera gives it.
-    square = replace(bare, paints=(Paint("rect", 0.0, 0.0, 0.0, 2.0, 2.0, None, 5.0),))
+    square = replace(bare, patches=(Patch("rect", 0.0, 0.0, 0.0, 2.0, 2.0, None, 5.0),))
     change = ground_kelvin(square, 1) - ground_kelvin(bare, 1)
     rows, columns = np.nonzero(change > 2.5)
     scale = p.camera.focal_px / p.camera.distance_m
@@ -153,7 +151,7 @@ def test_label_of_a_whole_a_cut_and_a_covered_body():
     mask = np.zeros((1024, 1280), np.bool_)
     low, high = np.floor(xy.min(axis=0) * 2).astype(int), np.ceil(xy.max(axis=0) * 2).astype(int)
     mask[low[1] : high[1], low[0] : high[0]] = True
-    whole = label_object("Person", camera, vertices, body.triangles, mask, (0, 0), 2, True)
+    whole = label_object("Person", camera, vertices, body.triangles, VisibleSamples(mask, (0, 0), 2), True)
     assert whole.box_xyxy == pytest.approx(np.concatenate([xy.min(axis=0), xy.max(axis=0)]))
     assert whole.visibility == 1 and not whole.truncated and not whole.dropped
 
@@ -162,16 +160,18 @@ def test_label_of_a_whole_a_cut_and_a_covered_body():
     covered[middle:] = False
     # Half of the silhouette: fill only as much as the body itself has.
     covered[:, (low[0] + high[0]) // 2 :] = False
-    half = label_object("Person", camera, vertices, body.triangles, covered, (0, 0), 2, True)
+    half = label_object("Person", camera, vertices, body.triangles, VisibleSamples(covered, (0, 0), 2), True)
     assert half.box_xyxy is not None and half.box_xyxy[3] <= middle / 2
-    none = label_object("Person", camera, vertices, body.triangles, np.zeros_like(mask), (0, 0), 2, True)
+    none = label_object(
+        "Person", camera, vertices, body.triangles, VisibleSamples(np.zeros_like(mask), (0, 0), 2), True
+    )
     assert none.dropped == "hidden" and none.box_xyxy is None
 
     # Moved half out of the left edge: the box stays inside and the oriented box, too.
     shift = ground_points(camera, np.array([[2.0, 256.0]]))[0]
     moved = vertices + np.append(shift, 0.0)
     mask[:] = True
-    cut = label_object("Car", camera, moved, body.triangles, mask, (0, 0), 2, False)
+    cut = label_object("Car", camera, moved, body.triangles, VisibleSamples(mask, (0, 0), 2), False)
     assert cut.truncated and cut.box_xyxy is not None and cut.corners_xy is not None
     assert cut.box_xyxy[0] == 0 and cut.corners_xy.min() >= 0
 
@@ -238,7 +238,7 @@ def test_country_places_in_another_size(kind, time_of_day):
     assert p.camera.size_wh == (800, 600) and p.camera.focal_px == pytest.approx(2060 * 800 / 640)
     assert p.vehicles and p.people and not p.cycles
     assert ground_kelvin(p, 1).shape == (600, 800)
-    assert kind not in KINDS  # the town's places are drawn as before
+    assert kind not in TOWN  # the town's places are drawn as before
 
 
 def test_bad_values_are_all_named():

@@ -1,4 +1,4 @@
-"""`infrablend world`: backgrounds that need no download."""
+"""`infrablend world`: renders background images, so that no download is needed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from infrablend.cli.options import Device, DeviceOption, SeedOption, WorkersOption
+from infrablend.cli.options import SeedOption, WorkersOption
 
 
 class Layout(StrEnum):
-    """Whose layout."""
+    """Dataset whose layout to copy."""
 
     HIT_UAV = "hit-uav"
     MONET = "monet"
@@ -20,20 +20,17 @@ class Layout(StrEnum):
 
 def world(
     ctx: typer.Context,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The dataset folder to write.")],
-    count: Annotated[int, typer.Option(min=1, help="How many images.")] = 12,
-    layout: Annotated[Layout, typer.Option(help="Whose layout, size, places and metadata.")] = Layout.HIT_UAV,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset folder to write.")],
+    count: Annotated[int, typer.Option(min=1, help="Number of images.")] = 12,
+    layout: Annotated[Layout, typer.Option(help="Dataset whose layout and metadata to copy.")] = Layout.HIT_UAV,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
-    device: DeviceOption = Device.AUTO,
 ) -> None:
-    """Render a virtual thermal world into a background dataset in HIT-UAV's layout or in MONET's."""
+    """Render a background dataset of a virtual thermal world, in the layout of HIT-UAV or MONET."""
     from infrablend import api
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import say
 
     with shown_progress(ctx.obj, "rendering") as on_progress:
-        folder = api.make_world(
-            out, count, seed, layout=layout.value, workers=workers, device=device.value, on_progress=on_progress
-        )
+        folder = api.make_world(out, count, seed, layout=layout.value, workers=workers, on_progress=on_progress)
     say(str(folder))

@@ -1,35 +1,33 @@
-"""Rendering the virtual thermal world on several workers."""
+"""Renders the virtual thermal world on several workers."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from infrablend.core.registry import resolve
 from infrablend.core.tasks import OnProgress, Progress, Task, WorkerSpec
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.world.dataset import WorldReport, WorldRequest, write_world
+from infrablend.world.frame_files import FinishedFrame
+from infrablend.world.frames import FrameFacts
 
-WORKER = "infrablend.blender.world:make_world_worker"
-RENDER = "infrablend.blender.world:render_world"
+WORKER = "infrablend.blender.world.worker:make_world_worker"
 
 
-def make_world(
-    out: Path, count: int, seed: int, workers: int, on_progress: OnProgress | None = None, layout: str = "hit-uav"
-) -> Any:
-    """Render a background dataset in HIT-UAV's layout or in MONET's; the same bytes for any number of workers.
+def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnProgress | None = None) -> WorldReport:
+    """Render a background dataset of the virtual world; the bytes do not depend on the number of workers.
 
     Raises:
-        RecipeError: `count` is out of range.
+        RecipeError: A value of `request` is out of range.
         OutputError: `out` is not empty or cannot be written.
         RenderError: Blender failed on a frame.
-        Interrupted: The user stopped it; nothing half-done is left behind.
+        Interrupted: The user stopped the run; no files are left behind.
     """
     started = time.monotonic()
 
-    def paint(frames: Sequence[Any], folder: Path) -> Iterator[Any]:
-        spec = WorkerSpec(WORKER, {"seed": seed, "folder": str(folder)})
+    def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
+        spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder)})
         pool = ProcessPool(spec, PoolSettings(workers=max(1, min(workers, len(frames)))))
         for result in pool.run(Task(frame.name, frame) for frame in frames):
             if result.failure is not None:
@@ -41,5 +39,4 @@ def make_world(
             rate = done / max(time.monotonic() - started, 1e-9)
             on_progress(Progress(done, total, rate, (total - done) / rate))
 
-    render: Callable[..., Any] = resolve(RENDER)
-    return render(out, count, seed, layout=layout, paint=paint, progress=report)
+    return write_world(out, request, rendered, report)

@@ -1,7 +1,7 @@
-"""Temperature of the ground as the camera sees it: one value per sample of the picture, in pure numpy.
+"""Temperature of the ground as the camera sees it, one value per sample of the image.
 
-The ground is flat, so its temperature is needed only where a pixel's ray meets it. Computing it there, at the
-resolution of the render, gives lane markings and soft marks the same sharpness at 60 m and at 260 m.
+The ground is flat, so its temperature is needed only where the ray of a pixel meets it. Computing it there, at the
+resolution of the render, makes lane markings and soft marks equally sharp at 60 m and at 260 m.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.blender.world.layout import Building, Paint, Person, Road, Tree, Vehicle, WorldPlan, ground_points
+from infrablend.world.ground_cover import Patch
+from infrablend.world.plan import WorldPlan
+from infrablend.world.roads import Road
+from infrablend.world.shadows import shade
+from infrablend.world.view import ground_points
 
 Field = NDArray[np.float32]
 Lay = Callable[..., Field]
-Fill = Callable[[NDArray[np.float64], float], None]
 LATTICE = 256
 
 
 def ground_grid(plan: WorldPlan, oversample: int) -> tuple[Field, Field]:
-    """World x and y, each (h * oversample, w * oversample) float32, of the sub-pixel centres' ground points."""
+    """Return world x and y, each (h * oversample, w * oversample) float32, of the ground at the sub-pixel centres."""
     w, h = plan.camera.size_wh
     j, i = np.meshgrid((np.arange(w * oversample) + 0.5) / oversample, (np.arange(h * oversample) + 0.5) / oversample)
     xy = ground_points(plan.camera, np.stack([j.ravel(), i.ravel()], axis=1))
@@ -33,13 +36,13 @@ def ground_grid(plan: WorldPlan, oversample: int) -> tuple[Field, Field]:
 
 
 class Noise:
-    """Smooth random fields over the ground plane."""
+    """Source of smooth random fields over the ground plane."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.Generator(np.random.PCG64(seed))
 
     def __call__(self, x: Field, y: Field, size_m: float) -> Field:
-        """A new field of zero mean and unit deviation with features of about `size_m`, at any points."""
+        """Return a new field with zero mean, unit deviation and features of about `size_m`, at given points."""
         lattice = self._rng.standard_normal((LATTICE, LATTICE)).astype(np.float32)
         # Blurred on a torus, so that the field repeats without a seam.
         lattice = cv2.GaussianBlur(np.pad(lattice, 8, mode="wrap"), (0, 0), 1.1)[8:-8, 8:-8]
@@ -63,7 +66,7 @@ class Noise:
 
 
 def ground_kelvin(plan: WorldPlan, oversample: int = 2) -> Field:
-    """(h * oversample, w * oversample) float32 ground temperature, nothing standing on it."""
+    """Return the (h * oversample, w * oversample) float32 temperature of the ground without anything on it."""
     x, y = ground_grid(plan, oversample)
     noise = Noise(plan.seed)
     metre_per_sample = plan.camera.distance_m / plan.camera.focal_px / oversample
@@ -83,14 +86,14 @@ def ground_kelvin(plan: WorldPlan, oversample: int = 2) -> Field:
         return np.asarray(out + m.kelvin, np.float32)
 
     kelvin = lay(plan.base)
-    for paint in plan.paints:
-        if paint.material is not None:
-            _draw(plan, kelvin, x, y, paint, oversample, lay)
+    for patch in plan.patches:
+        if patch.material is not None:
+            _draw(plan, kelvin, x, y, patch, oversample, lay)
     for road in reversed(plan.roads):
         _draw_road(plan, kelvin, x, y, road, noise, lay)
-    for paint in plan.paints:
-        if paint.material is None:
-            _draw(plan, kelvin, x, y, paint, oversample, lay)
+    for patch in plan.patches:
+        if patch.material is None:
+            _draw(plan, kelvin, x, y, patch, oversample, lay)
     if plan.sun is not None:
         kelvin -= plan.shade_k * shade(plan, oversample)
     return kelvin
@@ -100,18 +103,18 @@ def _blend(kelvin: Field, value: Field | float, mask: Field) -> None:
     kelvin += (value - kelvin) * mask
 
 
-def _window(plan: WorldPlan, paint: Paint, oversample: int) -> tuple[slice, slice] | None:
-    """Rows and columns that a paint can touch, or None if it is out of sight."""
-    c, s = math.cos(paint.heading_rad), math.sin(paint.heading_rad)
-    width = paint.length_m if paint.shape == "ring" else paint.width_m
-    a, b = paint.length_m / 2 + paint.soft_m + paint.line_m, width / 2 + paint.soft_m + paint.line_m
+def _window(plan: WorldPlan, patch: Patch, oversample: int) -> tuple[slice, slice] | None:
+    """Return the rows and columns that a patch can touch, or None if it is out of sight."""
+    c, s = math.cos(patch.heading_rad), math.sin(patch.heading_rad)
+    width = patch.length_m if patch.shape == "ring" else patch.width_m
+    a, b = patch.length_m / 2 + patch.soft_m + patch.line_m, width / 2 + patch.soft_m + patch.line_m
     t = np.linspace(-1, 1, 9)
     edge = np.concatenate(
         [np.stack([t, np.full(9, k)], 1) for k in (-1, 1)] + [np.stack([np.full(9, k), t], 1) for k in (-1, 1)]
     ) * (a, b)
     points = np.zeros((len(edge), 3))
-    points[:, 0] = paint.x_m + edge[:, 0] * c - edge[:, 1] * s
-    points[:, 1] = paint.y_m + edge[:, 0] * s + edge[:, 1] * c
+    points[:, 0] = patch.x_m + edge[:, 0] * c - edge[:, 1] * s
+    points[:, 1] = patch.y_m + edge[:, 0] * s + edge[:, 1] * c
     xy, depth = plan.camera.project(points)
     w, h = plan.camera.size_wh
     if (depth <= 0.5).any():
@@ -125,26 +128,26 @@ def _window(plan: WorldPlan, paint: Paint, oversample: int) -> tuple[slice, slic
     return slice(i0, i1), slice(j0, j1)
 
 
-def _draw(plan: WorldPlan, kelvin: Field, x: Field, y: Field, paint: Paint, oversample: int, lay: Lay) -> None:
-    part = _window(plan, paint, oversample)
+def _draw(plan: WorldPlan, kelvin: Field, x: Field, y: Field, patch: Patch, oversample: int, lay: Lay) -> None:
+    part = _window(plan, patch, oversample)
     if part is None:
         return
-    c, s = math.cos(paint.heading_rad), math.sin(paint.heading_rad)
-    dx, dy = x[part] - np.float32(paint.x_m), y[part] - np.float32(paint.y_m)
+    c, s = math.cos(patch.heading_rad), math.sin(patch.heading_rad)
+    dx, dy = x[part] - np.float32(patch.x_m), y[part] - np.float32(patch.y_m)
     u, v = dx * np.float32(c) + dy * np.float32(s), dy * np.float32(c) - dx * np.float32(s)
-    a, b = paint.length_m / 2, paint.width_m / 2
-    if paint.shape == "rect":
+    a, b = patch.length_m / 2, patch.width_m / 2
+    if patch.shape == "rect":
         inside = np.minimum(a - np.abs(u), b - np.abs(v))
-    elif paint.shape == "ellipse":
+    elif patch.shape == "ellipse":
         inside = (1 - np.sqrt((u / a) ** 2 + (v / b) ** 2)) * min(a, b)
     else:
-        inside = paint.line_m / 2 - np.abs(np.hypot(u, v) - a)
-    mask = np.clip(inside / paint.soft_m + 0.5, 0, 1).astype(np.float32)
+        inside = patch.line_m / 2 - np.abs(np.hypot(u, v) - a)
+    mask = np.clip(inside / patch.soft_m + 0.5, 0, 1).astype(np.float32)
     mask *= mask * (3 - 2 * mask)
-    if paint.material is None:
-        kelvin[part] += mask * np.float32(paint.amount_k)
+    if patch.material is None:
+        kelvin[part] += mask * np.float32(patch.amount_k)
     else:
-        _blend(kelvin[part], lay(paint.material, *part) + np.float32(paint.amount_k), mask)
+        _blend(kelvin[part], lay(patch.material, *part) + np.float32(patch.amount_k), mask)
 
 
 def _draw_road(plan: WorldPlan, kelvin: Field, x: Field, y: Field, road: Road, noise: Noise, lay: Lay) -> None:
@@ -184,63 +187,3 @@ def _draw_road(plan: WorldPlan, kelvin: Field, x: Field, y: Field, road: Road, n
         kelvin += paint_k * np.minimum(line, 1)
     kerb = within(np.abs(side - np.float32(half)), 0.11)
     kelvin += np.float32(1.6 if night else -1.5) * kerb
-
-
-def shade(plan: WorldPlan, oversample: int) -> Field:
-    """(h * oversample, w * oversample) float32 in [0, 1]: how much of the sun's heat the ground has lost to shadows.
-
-    Cars that drive and people that walk leave none: asphalt needs minutes to cool.
-    """
-    assert plan.sun is not None
-    w, h = plan.camera.size_wh
-    mask = np.zeros((h * oversample, w * oversample), np.float32)
-    sx, sy = -plan.sun[0] / plan.sun[2], -plan.sun[1] / plan.sun[2]
-
-    def fill(points_xy: NDArray[np.float64], depth: float) -> None:
-        world = np.concatenate([points_xy, np.zeros((len(points_xy), 1))], axis=1)
-        xy, z = plan.camera.project(world)
-        if (z <= 0.5).any():
-            return
-        hull = cv2.convexHull(np.round(xy * oversample * 16).astype(np.int32).reshape(-1, 1, 2))
-        layer = mask if depth >= 1 else np.zeros_like(mask)
-        cv2.fillConvexPoly(layer, hull, depth, lineType=cv2.LINE_AA, shift=4)
-        if layer is not mask:
-            np.maximum(mask, layer, out=mask)
-
-    def box(b: Building | Vehicle | Person, length: float, width: float, height: float, depth: float) -> None:
-        c, s = math.cos(b.heading_rad), math.sin(b.heading_rad)
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2)
-        base = np.stack(
-            [b.x_m + corners[:, 0] * c - corners[:, 1] * s, b.y_m + corners[:, 0] * s + corners[:, 1] * c], 1
-        )
-        fill(np.concatenate([base, base + np.array([sx, sy]) * height]), depth)
-
-    # Trees first, in several lobes, so that their outline is not a clean ellipse.
-    t = 2 * np.pi * np.arange(12) / 12
-    ring = np.stack([np.cos(t), np.sin(t)], 1)
-    for tree in plan.trees:
-        _tree_shadow(tree, ring, (sx, sy), fill)
-    for b in plan.buildings:
-        box(b, b.length_m, b.width_m, b.height_m, 1.0)
-    for v in plan.vehicles:
-        box(v, v.length_m * 0.96, v.width_m * 0.96, v.height_m * 0.85, 1.0)
-    for q in plan.posts:
-        if q.kind in ("lamp", "hoop"):
-            base = np.array([[q.x_m, q.y_m]])
-            fill(np.concatenate([base - 0.06, base + 0.06, base + np.array([sx, sy]) * q.height_m]), 1.0)
-    soft = max(0.25 * plan.camera.focal_px / plan.camera.distance_m * oversample, 0.8)
-    return np.asarray(cv2.GaussianBlur(mask, (0, 0), soft), np.float32)
-
-
-def _tree_shadow(tree: Tree, ring: NDArray[np.float64], slope: tuple[float, float], fill: Fill) -> None:
-    base = np.array([tree.x_m, tree.y_m])
-    s = np.array(slope)
-    if tree.kind == "bare":
-        fill(np.stack([base - 0.08, base + 0.08, base + s * tree.height_m]), 1.0)
-        return
-    fill(np.concatenate([base + 0.1 * ring, base + s * 0.6 * tree.height_m + 0.1 * ring]), 1.0)
-    for k in range(7):
-        a = 2.4 * k + tree.heading_rad
-        r = 0.55 * tree.radius_m if k else 0.0
-        centre = base + s * tree.height_m * (0.62 + 0.12 * math.sin(1.7 * a)) + r * np.array([math.cos(a), math.sin(a)])
-        fill(centre + 0.5 * tree.radius_m * ring * (1 + 0.15 * np.sin(3 * np.arange(12) + a))[:, None], 1.0)

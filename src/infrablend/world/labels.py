@@ -1,4 +1,4 @@
-"""Exact labels: boxes of the projected bodies, cut to the frame and to what the id pass shows of them."""
+"""Exact labels: boxes of the projected bodies, clipped to the frame and to the visible samples of the id pass."""
 
 from __future__ import annotations
 
@@ -21,21 +21,36 @@ from infrablend.core.mesh import FloatArray, IntArray
 # An object below this visible share, or with fewer visible pixels, gets no label: nobody could annotate it.
 MIN_VISIBILITY = 0.25
 MIN_PIXELS = 6.0
-# From this share on an object counts as unhidden, and its box is that of its geometry, to sub-pixel precision.
+# From this visible share on, an object counts as unhidden; its box is that of its geometry, to sub-pixel precision.
 UNHIDDEN = 0.97
 
 
 @dataclass(frozen=True, eq=False)
-class Label:
-    """One object of a frame.
+class VisibleSamples:
+    """Samples of the id pass that show one object.
 
     Attributes:
-        category: Its class.
-        box_xyxy: (4,) half-open float pixels, inside the frame; None if it has no label.
+        mask: Whether each sample shows the object, cropped to the area where it can appear.
+        offset_xy: Column and row of the first sample of the crop.
+        oversample: Samples per pixel and direction.
+    """
+
+    mask: NDArray[np.bool_]
+    offset_xy: tuple[int, int]
+    oversample: int
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """One object of a frame, labelled or dropped.
+
+    Attributes:
+        category: Class of the object.
+        box_xyxy: (4,) half-open float pixels, inside the frame; None if the object has no label.
         corners_xy: (4, 2) corners of the oriented box, or None.
-        visibility: Visible pixels over pixels if nothing were in front and the frame had no edge.
-        truncated: Cut by the frame.
-        dropped: Why it has no label: "hidden", "small", "outside" or "".
+        visibility: Visible pixels divided by the pixels there would be without occluders and frame edges.
+        truncated: Whether the frame cuts the object.
+        dropped: Reason for having no label: "hidden", "small" or "outside"; "" for a labelled object.
     """
 
     category: str
@@ -49,7 +64,7 @@ class Label:
 def silhouette_area_px(
     xy: FloatArray, triangles: IntArray, size_wh: tuple[int, int], oversample: int = 4
 ) -> tuple[float, float]:
-    """Area in pixels of the union of projected triangles: all of it, and its part inside the frame."""
+    """Return the area in pixels of the union of projected triangles: in total, and inside the frame."""
     low = np.floor(xy.min(axis=0)).astype(int) - 1
     size = np.ceil(xy.max(axis=0)).astype(int) + 2 - low
     mask = np.zeros((int(size[1]) * oversample, int(size[0]) * oversample), np.uint8)
@@ -67,22 +82,18 @@ def label_object(
     camera: CameraSpec,
     vertices_m: FloatArray,
     triangles: IntArray,
-    visible: NDArray[np.bool_],
-    visible_offset_xy: tuple[int, int],
-    oversample: int,
+    visible: VisibleSamples,
     upright: bool,
 ) -> Label:
-    """The label of one object.
+    """Return the label of one object.
 
     Args:
-        category: Its class.
-        camera: Of the frame.
-        vertices_m: (V, 3) in the world.
-        triangles: (T, 3).
-        visible: Samples of the id pass that show the object, cropped to where it can be.
-        visible_offset_xy: Column and row of the crop's first sample.
-        oversample: Samples per pixel and direction of the id pass.
-        upright: Give the oriented box the axes of the picture, as HIT-UAV does for people.
+        category: Class of the object.
+        camera: Camera of the frame.
+        vertices_m: (V, 3) vertices in the world.
+        triangles: (T, 3) vertex indices.
+        visible: Samples of the id pass that show the object.
+        upright: Align the oriented box with the image axes, as HIT-UAV does for people.
     """
     w, h = camera.size_wh
     xy, depth = camera.project(vertices_m)
@@ -94,14 +105,14 @@ def label_object(
     if not len(points):
         return Label(category, None, None, 0.0, True, "outside")
     area, framed = silhouette_area_px(xy, triangles, (w, h))
-    shown = float(visible.sum()) / oversample**2
+    shown = float(visible.mask.sum()) / visible.oversample**2
     visibility = min(shown / max(area, 1e-9), 1.0)
     if shown < MIN_PIXELS or visibility < MIN_VISIBILITY:
         reason = "outside" if framed < MIN_VISIBILITY * area else "small" if framed < MIN_PIXELS else "hidden"
         return Label(category, None, None, visibility, truncated, reason)
     if shown < UNHIDDEN * framed - 0.5:
-        # Something stands before it: what the id pass shows bounds the box, to one sample.
-        points = _points_within(points, visible, visible_offset_xy, oversample)
+        # Something is in front of it: the samples of the id pass bound the box, to one sample.
+        points = _points_within(points, visible)
     box = box_of_points(points)
     if (box[2:] - box[:2] < 1).any():
         return Label(category, None, None, visibility, truncated, "small")
@@ -109,12 +120,10 @@ def label_object(
     return Label(category, box, corners, visibility, truncated)
 
 
-def _points_within(
-    points_xy: FloatArray, visible: NDArray[np.bool_], offset_xy: tuple[int, int], oversample: int
-) -> FloatArray:
-    """Outline points of the visible samples, none of them beyond the projected geometry."""
-    i, j = np.nonzero(visible)
+def _points_within(points_xy: FloatArray, visible: VisibleSamples) -> FloatArray:
+    """Return the outline points of the visible samples, clipped to the box of the projected geometry."""
+    i, j = np.nonzero(visible.mask)
     corners = np.concatenate([np.stack([j + dj, i + di], axis=1) for dj in (0, 1) for di in (0, 1)])
-    outline = convex_hull((corners + offset_xy) / oversample)
+    outline = convex_hull((corners + visible.offset_xy) / visible.oversample)
     box = box_of_points(points_xy)
     return np.clip(outline, box[:2], box[2:])

@@ -1,4 +1,4 @@
-"""Which frames a virtual dataset has: split, pitch, altitude, time of day, for HIT-UAV's layout and for MONET's."""
+"""The frames of a virtual dataset: split, pitch, altitude and time of day, for the layouts of HIT-UAV and MONET."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
-from infrablend.blender.world.layout import SIZE_WH, Kind
 from infrablend.core.dataset import SPLITS, Category, Split, TimeOfDay
 from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
+from infrablend.world.plan import PlaceKind
+from infrablend.world.view import SIZE_WH
 
 PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
 ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)
@@ -23,8 +24,8 @@ NIGHT_SHARE = 0.68
 MONET_ALTITUDES_M = (40, 50, 60, 80, 100)
 MONET_SIZE_WH = (800, 600)
 MONET_CATEGORIES = (Category(1, "person"), Category(2, "vehicle"))
-# Split, name, whether it has telemetry. The first four frames are good ones, six cover all; runway_01 and dirtroad_01
-# are without, as the paper says of MONET's.
+# Split, name, whether it has telemetry. Four frames cover the sequences with telemetry, six cover all; runway_01 and
+# dirtroad_01 have none, as in the MONET paper.
 SEQUENCES: tuple[tuple[Split, str, bool], ...] = (
     ("train", "runway_04", True),
     ("train", "dirtroad_02", True),
@@ -40,16 +41,16 @@ _FPS = 25
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What is fixed of a frame before its scene is drawn.
+    """Facts about a frame that are fixed before its scene is drawn.
 
     Attributes:
-        number: Of the frame in the dataset, from 0.
+        number: Number of the frame in the dataset, from 0.
         split, pitch_deg, altitude_m, time_of_day: As in `ImageRecord`.
-        kind: The place; None has it drawn.
-        size_wh: Of the picture.
-        sequence: Of MONET's layout; None is HIT-UAV's.
-        index: Of the frame in its sequence.
-        telemetry: Whether the annotation holds any.
+        kind: Kind of place; None draws one.
+        size_wh: Size of the image in pixels.
+        sequence: Name of the MONET sequence; None in HIT-UAV's layout.
+        index: Number of the frame in its sequence, from 0.
+        telemetry: Whether the annotation contains telemetry.
     """
 
     number: int
@@ -57,7 +58,7 @@ class FrameFacts:
     pitch_deg: float
     altitude_m: float
     time_of_day: TimeOfDay
-    kind: Kind | None = None
+    kind: PlaceKind | None = None
     size_wh: tuple[int, int] = SIZE_WH
     sequence: str | None = None
     index: int = 0
@@ -65,7 +66,7 @@ class FrameFacts:
 
     @property
     def name(self) -> str:
-        """`T_HHH_AA_W_NNNNN.jpg`, or `<sequence>/lwir/imageNNNNN.png`."""
+        """File name: `T_HHH_AA_W_NNNNN.jpg`, or `<sequence>/lwir/imageNNNNN.png`."""
         if self.sequence is not None:
             return f"{self.sequence}/lwir/image{self.index:05d}.png"
         night = int(self.time_of_day == "night")
@@ -79,12 +80,12 @@ def plan_frames(
     pitches_deg: Sequence[int] = PITCHES_DEG,
     altitudes_m: Sequence[int] = ALTITUDES_M,
 ) -> tuple[FrameFacts, ...]:
-    """Split, pitch, altitude and time of day of `count` frames.
+    """Return the facts of `count` frames in HIT-UAV's layout.
 
-    Pitches, altitudes and splits come in shuffled rounds, so few frames already cover the range.
+    Pitches, altitudes and splits come in shuffled rounds, so a few frames already cover the range.
 
     Raises:
-        RecipeError: A value out of range; all of them are named.
+        RecipeError: A value is out of range; the error lists all of them.
     """
     problems = [
         *_check(count >= 1, "count", str(count), "at least 1"),
@@ -104,7 +105,7 @@ def plan_frames(
         ),
     ]  # fmt: skip
     if problems:
-        raise RecipeError("the virtual world cannot be rendered as asked", problems)
+        raise RecipeError("the virtual world cannot be rendered with these values", problems)
     names = [s for s in SPLITS if splits.get(s, 0) > 0]
     total = sum(splits[s] for s in names)
     given: Counter[Split] = Counter()
@@ -131,7 +132,7 @@ def _check(good: bool, where: str, found: str, expected: str) -> list[Problem]:
 
 
 def _round_robin(values: Sequence[int], k: int, seed: int, what: str) -> int:
-    """Value number k of a sequence of shuffled rounds through `values`."""
+    """Return value number k of a sequence of shuffled rounds through `values`."""
     turn, at = divmod(k, len(values))
     return values[int(stream(seed, "world", what, turn).permutation(len(values))[at])]
 
@@ -139,28 +140,28 @@ def _round_robin(values: Sequence[int], k: int, seed: int, what: str) -> int:
 def plan_sequences(
     count: int, seed: int, pitches_deg: Sequence[int] = PITCHES_DEG, altitudes_m: Sequence[int] = MONET_ALTITUDES_M
 ) -> tuple[FrameFacts, ...]:
-    """`count` frames in MONET's sequences, in turn; pitch and altitude stray a little from the values asked for.
+    """Return `count` frames spread over MONET's sequences; pitch and altitude vary a little around the given values.
 
     Raises:
-        RecipeError: A value out of range; all of them are named.
+        RecipeError: A value is out of range; the error lists all of them.
     """
-    plain = plan_frames(count, seed, {"train": 1.0}, pitches_deg, altitudes_m)
+    base = plan_frames(count, seed, {"train": 1.0}, pitches_deg, altitudes_m)
     frames = []
-    for f in plain:
+    for f in base:
         split, name, telemetry = SEQUENCES[f.number % len(SEQUENCES)]
         index = f.number // len(SEQUENCES)
         rng = stream(seed, "world", "monet", f.number)
         of_day: TimeOfDay = "night" if stream(seed, "world", "monet", name).random() < NIGHT_SHARE else "day"
-        kind: Kind = "runway" if name.startswith("runway") else "dirtroad"
+        kind: PlaceKind = "runway" if name.startswith("runway") else "dirtroad"
         pitch = round(min(90.0, max(10.0, f.pitch_deg + rng.uniform(-4, 4))), 1)
         altitude = round(max(10.0, f.altitude_m + rng.uniform(-5, 5)), 1)
-        told = telemetry and not (name == _LOSSY and index % 10 == _LOST)
-        frames.append(FrameFacts(f.number, split, pitch, altitude, of_day, kind, MONET_SIZE_WH, name, index, told))
+        recorded = telemetry and not (name == _LOSSY and index % 10 == _LOST)
+        frames.append(FrameFacts(f.number, split, pitch, altitude, of_day, kind, MONET_SIZE_WH, name, index, recorded))
     return tuple(frames)
 
 
 def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, Any]:
-    """What MONET's annotation says of a frame, gimbal pitch negative downwards; empty if it has lost it."""
+    """Return the telemetry of a frame in MONET's terms (gimbal pitch negative downwards); empty if it was lost."""
     if not frame.telemetry:
         return {}
     u = stream(seed, "world", "monet", frame.number, "telemetry").uniform

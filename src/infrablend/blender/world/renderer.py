@@ -1,8 +1,8 @@
-"""The virtual world in Blender: a plan in, scene temperatures and object ids out.
+"""Renders plans of the virtual world in Blender: temperatures per pixel and labels.
 
-Everything emits its own temperature in kelvin, plus a mirrored share of the sky; no light bounces, so a handful of
-samples per pixel is exact up to antialiasing. The scene is rendered at twice the frame's resolution: the ids then
-have four samples per pixel, and the picture's samples are those of both.
+Every surface emits its own temperature in kelvin, plus a mirrored share of the sky; no light bounces, so a few samples
+per pixel are exact up to antialiasing. The scene is rendered at twice the resolution of the frame, so the object ids
+have four samples per pixel.
 """
 
 from __future__ import annotations
@@ -23,14 +23,20 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from infrablend.blender import session
-from infrablend.blender.world import things
-from infrablend.blender.world.ground import ground_kelvin
-from infrablend.blender.world.labels import Label, label_object
-from infrablend.blender.world.layout import WorldPlan
-from infrablend.blender.world.things import Surface
+from infrablend.blender.world.shaders import ground_material, thing_material
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, IntArray
 from infrablend.errors import RenderError
+from infrablend.world.buildings import building
+from infrablend.world.cycles import cycle
+from infrablend.world.furniture import furniture
+from infrablend.world.ground import ground_kelvin
+from infrablend.world.labels import Label, VisibleSamples, label_object
+from infrablend.world.people import person
+from infrablend.world.plan import WorldPlan
+from infrablend.world.surfaces import Surface, placed
+from infrablend.world.trees import TREE_KINDS, Tree, tree_matrix, tree_prototype
+from infrablend.world.vehicles import vehicle
 
 OVERSAMPLE = 2
 SAMPLES = 3
@@ -38,10 +44,10 @@ ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")
 
 
 class WorldRenderer:
-    """Renders plans, one after the other; owns the process's Blender scene. Use as a context manager."""
+    """Renderer of plans, one after the other; owns the Blender scene of the process. A context manager."""
 
     def __init__(self, threads: int = 0) -> None:
-        """Start from an empty Blender scene; `threads` 0 uses all cores (the picture does not depend on it)."""
+        """Start from an empty Blender scene; `threads` 0 uses all cores (the image does not depend on it)."""
         self._scene = session.reset()
         session.use_device(self._scene, "cpu", threads)
         shm = Path("/dev/shm")
@@ -79,7 +85,7 @@ class WorldRenderer:
         self.close()
 
     def close(self) -> None:
-        """Free everything this renderer made."""
+        """Remove from Blender everything that this renderer created."""
         self._clear()
         for mesh in self._prototypes.values():
             bpy.data.meshes.remove(mesh)
@@ -90,7 +96,7 @@ class WorldRenderer:
         self._folder.cleanup()
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
-        """(h, w) float32 temperatures of the frame in kelvin, and a label for every thing that has a class."""
+        """Return the (h, w) float32 temperatures of a frame in kelvin, and a label for every thing with a class."""
         try:
             labelled = self._build(plan)
             kelvin, ids = self._render(plan.camera)
@@ -106,39 +112,43 @@ class WorldRenderer:
     # Scene ----------------------------------------------------------------------------------------------------
 
     def _build(self, plan: WorldPlan) -> list[tuple[str, FloatArray, IntArray]]:
-        """Fill the scene; returns class, world vertices and triangles of the labelled things, in id order from 1."""
+        """Fill the scene; return class, world vertices and triangles of the labelled things, in id order from 1."""
         labelled: list[tuple[str, FloatArray, IntArray]] = []
 
         def classed(category: str, surface: Surface, x_m: float, y_m: float, heading_rad: float) -> None:
-            vertices = things.placed(surface, x_m, y_m, heading_rad)
+            vertices = placed(surface, x_m, y_m, heading_rad)
             labelled.append((category, vertices, surface.triangles))
             self._add(surface, vertices, len(labelled))
 
         self._ground(plan)
         for v in plan.vehicles:
-            classed(v.category, things.vehicle(v), v.x_m, v.y_m, v.heading_rad)
+            classed(v.category, vehicle(v), v.x_m, v.y_m, v.heading_rad)
         for q in plan.people:
-            classed(q.category, things.person(q), q.x_m, q.y_m, q.heading_rad)
+            classed(q.category, person(q), q.x_m, q.y_m, q.heading_rad)
         for c in plan.cycles:
-            classed(c.category, things.cycle(c), c.x_m, c.y_m, c.heading_rad)
+            classed(c.category, cycle(c), c.x_m, c.y_m, c.heading_rad)
         for b in plan.buildings:
-            s = things.building(b)
-            self._add(s, things.placed(s, b.x_m, b.y_m, b.heading_rad), 0)
-        for p in plan.posts:
-            s = things.post(p)
-            self._add(s, things.placed(s, p.x_m, p.y_m, p.heading_rad), 0)
+            surface = building(b)
+            self._add(surface, placed(surface, b.x_m, b.y_m, b.heading_rad), 0)
+        for f in plan.furniture:
+            surface = furniture(f)
+            self._add(surface, placed(surface, f.x_m, f.y_m, f.heading_rad), 0)
         for t in plan.trees:
-            number = t.prototype % things.TREE_KINDS[t.kind]
-            mesh = self._prototypes.get((t.kind, number))
-            if mesh is None:
-                prototype = things.tree_prototype(t.kind, number)
-                mesh = self._mesh(f"{t.kind} {number}", prototype, prototype.vertices_m)
-                self._prototypes[t.kind, number] = mesh
-            tree = self._object(mesh)
-            tree.matrix_world = mathutils.Matrix(things.tree_matrix(t).tolist())
-            tree.color = (t.kelvin, t.solar_k, 0.0, 0.0)
+            self._tree(t)
         self._light(plan)
         return labelled
+
+    def _tree(self, t: Tree) -> None:
+        """Add a tree: trees of the same prototype share a mesh."""
+        number = t.prototype % TREE_KINDS[t.kind]
+        mesh = self._prototypes.get((t.kind, number))
+        if mesh is None:
+            prototype = tree_prototype(t.kind, number)
+            mesh = self._mesh(f"{t.kind} {number}", prototype, prototype.vertices_m)
+            self._prototypes[t.kind, number] = mesh
+        tree = self._object(mesh)
+        tree.matrix_world = mathutils.Matrix(tree_matrix(t).tolist())
+        tree.color = (t.kelvin, t.solar_k, 0.0, 0.0)
 
     def _mesh(self, name: str, s: Surface, vertices_m: FloatArray) -> bpy.types.Mesh:
         mesh = bpy.data.meshes.new(name)
@@ -169,7 +179,7 @@ class WorldRenderer:
         thing.color = (0.0, 1.0, 0.0, 0.0)
 
     def _ground(self, plan: WorldPlan) -> None:
-        """The ground: a plane whose temperatures are laid on as the camera sees them (window coordinates)."""
+        """Add the ground: a plane textured with its temperatures as the camera sees them (window coordinates)."""
         kelvin = ground_kelvin(plan, OVERSAMPLE)
         h, w = kelvin.shape
         if self._image is None:
@@ -217,9 +227,9 @@ class WorldRenderer:
             with _silenced():
                 bpy.ops.render.render(write_still=True)
         except RuntimeError as error:
-            raise RenderError(f"the virtual world: Cycles failed: {error}") from error
+            raise RenderError(f"Cycles failed to render the virtual world: {error}") from error
         if not self._file.is_file():
-            raise RenderError(f"{self._file}: Blender wrote no picture of the virtual world; is the disk full?")
+            raise RenderError(f"{self._file}: Blender wrote no image of the virtual world; is the disk full?")
         with OpenEXR.File(str(self._file), separate_channels=True) as exr:
             channels = exr.channels()
             names = sorted(channels)
@@ -248,15 +258,13 @@ class WorldRenderer:
         h, w = ids.shape
         x0, y0 = np.clip(np.floor(np.nanmin(xy, axis=0) * OVERSAMPLE).astype(int) - 1, 0, (w, h))
         x1, y1 = np.clip(np.ceil(np.nanmax(xy, axis=0) * OVERSAMPLE).astype(int) + 1, 0, (w, h))
-        return label_object(
-            category, camera, vertices_m, triangles, ids[y0:y1, x0:x1] == index, (int(x0), int(y0)), OVERSAMPLE,
-            upright=category == "Person",
-        )  # fmt: skip
+        visible = VisibleSamples(ids[y0:y1, x0:x1] == index, (int(x0), int(y0)), OVERSAMPLE)
+        return label_object(category, camera, vertices_m, triangles, visible, upright=category == "Person")
 
 
 @contextlib.contextmanager
 def _silenced() -> Iterator[None]:
-    """Blender reports every render on the C library's standard output; send that nowhere for a while."""
+    """Discard the C library's standard output, to which Blender reports every render."""
     sys.stdout.flush()
     kept = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -273,104 +281,4 @@ def _channel(names: list[str], middle: str, end: str) -> str:
     for name in names:
         if middle in name and name.upper().endswith("." + end):
             return name
-    raise RenderError(f"Blender's picture holds no channel like *{middle}{end}, only {', '.join(names)}")
-
-
-def thing_material() -> bpy.types.Material:
-    """Emission of T + F (T_env - T): own temperature, and sky or surroundings mirrored by the share F.
-
-    Per face: `kelvin`, `mirror` (F at normal incidence), `solar_k`, `grain_k`. The object's colour adds to
-    temperature (red) and scales the sun (green) for trees, which share meshes.
-    """
-    material = bpy.data.materials.new("thermal thing")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    new, link = tree.nodes.new, tree.links.new
-
-    def value(name: str) -> Any:
-        node = new("ShaderNodeValue")
-        node.name = name
-        return node.outputs[0]
-
-    def attribute(name: str) -> Any:
-        node = new("ShaderNodeAttribute")
-        node.attribute_name = name
-        return node.outputs["Fac"]
-
-    def maths(operation: str, *inputs: Any, clamp: bool = False) -> Any:
-        node = new("ShaderNodeMath")
-        node.operation = operation
-        node.use_clamp = clamp
-        for slot, i in zip(node.inputs, inputs, strict=False):
-            if isinstance(i, (int, float)):
-                slot.default_value = i
-            else:
-                link(i, slot)
-        return node.outputs[0]
-
-    def vectors(operation: str, a: Any, b: Any, output: str) -> Any:
-        node = new("ShaderNodeVectorMath")
-        node.operation = operation
-        link(a, node.inputs[0])
-        link(b, node.inputs[1])
-        return node.outputs[output]
-
-    geometry = new("ShaderNodeNewGeometry")
-    info = new("ShaderNodeObjectInfo")
-    colour = new("ShaderNodeSeparateColor")
-    link(info.outputs["Color"], colour.inputs[0])
-    sun = new("ShaderNodeCombineXYZ")
-    sun.name = "sun"
-    normal, incoming = geometry.outputs["Normal"], geometry.outputs["Incoming"]
-
-    pattern = new("ShaderNodeTexNoise")
-    pattern.inputs["Scale"].default_value = 3.0
-    pattern.inputs["Detail"].default_value = 1.5
-    link(geometry.outputs["Position"], pattern.inputs["Vector"])
-    grain = maths("MULTIPLY", maths("MULTIPLY_ADD", pattern.outputs["Fac"], 4.0, -2.0), attribute("grain_k"))
-    facing_sun = maths("MAXIMUM", vectors("DOT_PRODUCT", normal, sun.outputs[0], "Value"), 0.0)
-    solar = maths("MULTIPLY", colour.outputs[1], attribute("solar_k"))
-    heated = maths("MULTIPLY", facing_sun, solar)
-    kelvin = maths("ADD", maths("ADD", attribute("kelvin"), colour.outputs[0]), maths("ADD", grain, heated))
-
-    cosine = maths("ABSOLUTE", vectors("DOT_PRODUCT", normal, incoming, "Value"))
-    grazing = maths("POWER", maths("SUBTRACT", 1.0, cosine), 4.0)
-    mirror = maths("MULTIPLY", attribute("mirror"), maths("MULTIPLY_ADD", grazing, 6.0, 1.0), clamp=True)
-    # Mirrored direction of the ray to the camera: 2 (n.i) n - i; only its height matters.
-    up = new("ShaderNodeSeparateXYZ")
-    link(normal, up.inputs[0])
-    towards = new("ShaderNodeSeparateXYZ")
-    link(incoming, towards.inputs[0])
-    height = maths("SUBTRACT", maths("MULTIPLY", maths("MULTIPLY", cosine, 2.0), up.outputs[2]), towards.outputs[2])
-    # The sky is coldest overhead and takes the air's temperature at the horizon; below it are things near air.
-    depth = maths("POWER", maths("MAXIMUM", height, 0.0), 0.6)
-    environment = maths("SUBTRACT", value("air"), maths("MULTIPLY", depth, value("sky drop")))
-    total = maths("ADD", kelvin, maths("MULTIPLY", mirror, maths("SUBTRACT", environment, kelvin)))
-    _emit(tree, total)
-    return material
-
-
-def ground_material() -> bpy.types.Material:
-    """Emission of an image of temperatures, laid on in window coordinates."""
-    material = bpy.data.materials.new("thermal ground")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    coordinates = tree.nodes.new("ShaderNodeTexCoord")
-    image = tree.nodes.new("ShaderNodeTexImage")
-    image.name = "ground"
-    image.interpolation = "Closest"
-    image.extension = "EXTEND"
-    tree.links.new(coordinates.outputs["Window"], image.inputs["Vector"])
-    split = tree.nodes.new("ShaderNodeSeparateColor")
-    tree.links.new(image.outputs["Color"], split.inputs[0])
-    _emit(tree, split.outputs[0])
-    return material
-
-
-def _emit(tree: bpy.types.ShaderNodeTree, strength: Any) -> None:
-    emission = tree.nodes.new("ShaderNodeEmission")
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(strength, emission.inputs["Strength"])
-    tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    raise RenderError(f"Blender's image has no channel like *{middle}{end}, only {', '.join(names)}")

@@ -1,4 +1,4 @@
-"""From scene temperature to the picture a thermal camera would have stored: optics, gain, noise, codec."""
+"""From scene temperature to the image that a thermal camera stores: optics, gain, noise, codec."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from numpy.typing import NDArray
 from PIL import Image
 
 Field = NDArray[np.float32]
-# HIT-UAV keeps the video's limited range; means are held near mid-grey by the camera.
+# HIT-UAV keeps the limited range of video; the camera holds the mean near mid-grey.
 LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
 HEADROOM_GREY = 95.0
 
 
 def optics(kelvin: Field, sigma_px: float) -> Field:
-    """The picture blurred by the lens."""
+    """Return the image blurred by the lens."""
     return np.asarray(cv2.GaussianBlur(kelvin, (0, 0), sigma_px), np.float32)
 
 
 def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = MEAN_GREY) -> Field:
-    """Grey levels, linear in temperature as HIT-UAV's histograms suggest; not yet clipped or rounded.
+    """Return grey levels, linear in temperature as HIT-UAV's histograms suggest; not yet clipped or rounded.
 
     Args:
         kelvin: (h, w) scene temperatures.
-        gain_per_k: What the gain starts from; it stays within 0.8 to 2 times this, so flat scenes stay flat.
-        std_grey: Deviation aimed at.
-        mean_grey: Mean, after clipping to the range that can be shown.
+        gain_per_k: Nominal grey levels per kelvin; the gain stays within 0.8 to 2 times this, so flat scenes stay flat.
+        std_grey: Target deviation of the grey levels.
+        mean_grey: Target mean, after clipping to the displayable range.
     """
-    # Few very hot or cold spots must not decide.
+    # A few very hot or cold spots must not set the gain.
     centre, limit = float(np.median(kelvin)), 110.0 / gain_per_k
     inner = np.clip(kelvin, centre - limit, centre + limit)
     slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
-    # Room is left above the ground for what is hotter, so that nobody vanishes on a white road.
+    # Leave headroom above the ground for what is hotter, so that nobody vanishes on a white road.
     slope = min(slope, HEADROOM_GREY / max(float(np.percentile(inner, 96)) - float(inner.mean()), 1e-6))
     grey = (kelvin - np.float32(inner.mean())) * np.float32(slope) + np.float32(mean_grey)
     for _ in range(4):
@@ -42,19 +42,19 @@ def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = M
 
 
 def detail(grey: Field, strength: float, radius_px: float) -> Field:
-    """The camera's detail enhancement: light and dark fringes along strong edges."""
+    """Apply the camera's detail enhancement: light and dark fringes along strong edges."""
     return np.asarray(grey + np.float32(strength) * (grey - cv2.GaussianBlur(grey, (0, 0), radius_px)), np.float32)
 
 
 def noise(rng: np.random.Generator, shape_hw: tuple[int, int], std_grey: float) -> Field:
-    """Noise as measured on HIT-UAV: neighbours correlate by about 0.79."""
+    """Return noise as measured on HIT-UAV: neighbouring pixels correlate by about 0.79."""
     white = rng.standard_normal(shape_hw).astype(np.float32)
     n = cv2.GaussianBlur(white, (0, 0), 1.05)
     return np.asarray(n * np.float32(std_grey / n.std()), np.float32)
 
 
 def vignette(shape_hw: tuple[int, int], depth_grey: float) -> Field:
-    """Grey levels to add: 0 in the middle of the frame, `-depth_grey` in its corners."""
+    """Return grey levels to add: 0 in the middle of the frame, `-depth_grey` in its corners."""
     h, w = shape_hw
     y = np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     x = np.linspace(-1, 1, w, dtype=np.float32)[None, :]
@@ -62,7 +62,7 @@ def vignette(shape_hw: tuple[int, int], depth_grey: float) -> Field:
 
 
 def codec(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """What lossy video coding leaves of a frame."""
+    """Return a frame after lossy video coding."""
     buffer = io.BytesIO()
     Image.fromarray(grey).save(buffer, "JPEG", quality=quality)
     return np.asarray(Image.open(buffer), np.uint8).copy()
@@ -71,7 +71,7 @@ def codec(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
 def thermal_frame(
     kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """(h, w) uint8 white-hot picture of (h, w) float32 scene temperatures."""
+    """Return the (h, w) uint8 white-hot image of (h, w) float32 scene temperatures in kelvin."""
     h, w = kelvin.shape
     grey = gain(optics(kelvin, float(rng.uniform(0.7, 0.95))), gain_per_k, std_grey, mean_grey)
     # Clipped before the enhancement: bodies far above the range get no fringe of matching size.
@@ -82,14 +82,14 @@ def thermal_frame(
 
 
 def jpeg_bytes(grey: NDArray[np.uint8]) -> bytes:
-    """The frame as HIT-UAV stores it: 8-bit grey JPEG of quality 95."""
+    """Encode a frame as HIT-UAV stores it: 8-bit grey JPEG of quality 95."""
     buffer = io.BytesIO()
     Image.fromarray(grey).save(buffer, "JPEG", quality=95)
     return buffer.getvalue()
 
 
 def png_bytes(grey: NDArray[np.uint8]) -> bytes:
-    """The frame without further loss: 8-bit grey PNG."""
+    """Encode a frame without further loss: 8-bit grey PNG."""
     buffer = io.BytesIO()
     Image.fromarray(grey).save(buffer, "PNG", compress_level=6)
     return buffer.getvalue()

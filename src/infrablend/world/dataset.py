@@ -1,0 +1,144 @@
+"""Writes the virtual world as a background dataset: HIT-UAV's JSON forms or MONET's sequences, and `world.json`."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from infrablend.core.dataset import Split
+from infrablend.core.files import write_json
+from infrablend.errors import OutputError, Problem
+from infrablend.formats import hit_uav, monet
+from infrablend.world.frame_files import FinishedFrame
+from infrablend.world.frames import (
+    ALTITUDES_M,
+    MONET_ALTITUDES_M,
+    MONET_CATEGORIES,
+    PITCHES_DEG,
+    SPLIT_SHARES,
+    FrameFacts,
+    plan_frames,
+    plan_sequences,
+)
+
+Layout = Literal["hit-uav", "monet"]
+# Renders the given frames, writes their images below the given folder, and yields them in any order.
+FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
+
+_TOP = {"info": {"description": "InfraBlend virtual thermal world in HIT-UAV layout"}, "licenses": []}
+_MONET_TOP = {"info": {"description": "InfraBlend virtual thermal world in MONET layout"}, "licenses": []}
+
+
+@dataclass(frozen=True)
+class WorldRequest:
+    """The frames that a virtual dataset contains.
+
+    Attributes:
+        count: Number of frames.
+        seed: Seed of everything random.
+        layout: `hit-uav`: 640x512 JPEG of a town. `monet`: 800x600 PNG of airfields and dirt roads, persons and
+            vehicles with axis-aligned boxes, telemetry in the JSON; two sequences and single frames have lost theirs.
+        splits: Share of the frames in each split; MONET's sequences have splits of their own.
+        pitches_deg: Camera depression angles to cover; 90 looks straight down.
+        altitudes_m: Camera heights to cover; the defaults of the layout if None.
+    """
+
+    count: int
+    seed: int = 0
+    layout: Layout = "hit-uav"
+    splits: Mapping[Split, float] | None = None
+    pitches_deg: Sequence[int] = PITCHES_DEG
+    altitudes_m: Sequence[int] | None = None
+
+    def frames(self) -> tuple[FrameFacts, ...]:
+        """Return the facts of all frames; frame k does not depend on how many follow.
+
+        Raises:
+            RecipeError: A value is out of range; the error lists all of them.
+        """
+        if self.layout == "monet":
+            altitudes = self.altitudes_m or MONET_ALTITUDES_M
+            return plan_sequences(self.count, self.seed, self.pitches_deg, altitudes)
+        altitudes = self.altitudes_m or ALTITUDES_M
+        return plan_frames(self.count, self.seed, self.splits or SPLIT_SHARES, self.pitches_deg, altitudes)
+
+
+@dataclass(frozen=True)
+class WorldReport:
+    """Summary of a written virtual dataset.
+
+    Attributes:
+        out: Folder of the dataset.
+        frames: Number of images per split.
+        labels: Number of labels per class.
+        dropped: Number of objects without a label per reason (`hidden`, `small`, `outside`).
+        losses: Facts that the format cannot hold, see `formats.base.LOSSES`.
+    """
+
+    out: Path
+    frames: Mapping[str, int]
+    labels: Mapping[str, int]
+    dropped: Mapping[str, int]
+    losses: Mapping[str, int]
+
+
+def write_world(
+    out: Path,
+    request: WorldRequest,
+    source: FrameSource,
+    progress: Callable[[int, int], None] | None = None,
+) -> WorldReport:
+    """Write a background dataset of the virtual world; the same request gives the same bytes.
+
+    `world.json` lists the camera, the place and every object of each frame.
+
+    Args:
+        out: Folder to write to; it must be empty or not exist.
+        request: Frames of the dataset.
+        source: Renders the frames.
+        progress: Called with (finished frames, all frames) after each frame.
+
+    Raises:
+        RecipeError: A value of `request` is out of range.
+        OutputError: `out` is not empty or cannot be written.
+        RenderError: Blender failed.
+    """
+    frames = request.frames()
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        problem = Problem(str(out), "not-empty", "not an empty folder", "an empty or new folder", "choose another one")
+        raise OutputError(f"cannot write the virtual world to {out}", [problem])
+    finished: dict[int, FinishedFrame] = {}
+    stage = out / ".frames"
+    try:
+        for one in source(frames, stage):
+            finished[one.number] = one
+            if progress is not None:
+                progress(len(finished), len(frames))
+        ordered = [finished[f.number] for f in frames]
+        images = [one.image for one in ordered]
+        if request.layout == "monet":
+            written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+        else:
+            written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
+        write_json(out / "world.json", {"seed": request.seed, "frames": [one.facts for one in ordered]})
+    finally:
+        # The dataset links the finished images by now; an interrupted run leaves nothing behind.
+        shutil.rmtree(stage, ignore_errors=True)
+        if out.is_dir() and not any(out.iterdir()):
+            out.rmdir()
+    labels_of = Counter(i.category for image in images for i in image.instances)
+    dropped: Counter[str] = Counter()
+    for one in ordered:
+        dropped.update(one.dropped)
+    return WorldReport(
+        out,
+        dict(Counter(i.split for i in images)),
+        dict(sorted(labels_of.items())),
+        dict(sorted(dropped.items())),
+        dict(written.losses),
+    )

@@ -1,0 +1,137 @@
+"""People: their sizes, poses and temperatures, and their bodies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from infrablend.assets import shapes
+from infrablend.world.draws import Draws
+from infrablend.world.surfaces import CLOTH, SKIN, Surface, SurfaceBuilder
+from infrablend.world.weather import Weather
+
+Pose = Literal["stand", "walk", "run", "reach", "ride"]
+# All entries equally likely: repeated entries are more common.
+EVERYDAY_POSES: tuple[Pose, ...] = ("stand", "stand", "walk", "walk", "walk", "run")
+GAME_POSES: tuple[Pose, ...] = ("stand", "run", "run", "reach", "walk")
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person; `stride` in [-1, 1] is the phase of the step, `spread` how far the arms are raised."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    height_m: float
+    girth: float
+    pose: Pose
+    stride: float
+    spread: float
+    skin_k: float
+    hair_k: float
+    top_k: float
+    legs_k: float
+    solar_k: float
+
+    @property
+    def category(self) -> str:
+        """The label's class."""
+        return "Person"
+
+
+def draw_person(draws: Draws, weather: Weather, x: float, y: float, heading: float, pose: Pose) -> Person:
+    """Draw the size, stride and temperatures of a person in a given pose."""
+    u, a = draws.uniform, weather.air_k
+    skin = a + min(306.0 - a, 30.0) * u(0.75, 0.95)
+    if weather.night:
+        top = a + u(8.5, 16)
+        legs, hair, solar = a + u(8, 15), a + u(8, 14), 0.0
+    else:
+        # Dark cloth in the sun glows, light cloth does not; top and trousers differ.
+        top, legs = a + u(7, 17), a + u(5, 15)
+        hair, solar = a + u(8, 13), weather.solar * u(5, 20)
+    return Person(
+        x_m=x, y_m=y, heading_rad=heading, height_m=u(1.56, 1.84), girth=u(1.05, 1.4), pose=pose,
+        stride=u(-1, 1), spread=u(0.05, 0.35) if pose != "reach" else u(0.6, 1.0),
+        skin_k=skin, hair_k=hair, top_k=top, legs_k=legs, solar_k=solar,
+    )  # fmt: skip
+
+
+def person(q: Person, seat_m: float | None = None) -> Surface:
+    """A clothed person with bare head and hands; `seat_m` is the height of the saddle sat on."""
+    p = SurfaceBuilder()
+    h, g = q.height_m / 1.72, q.girth
+    swing = {"stand": 0.1, "walk": 0.42, "run": 0.68, "reach": 0.2, "ride": 0.0}[q.pose] * q.stride
+    lean = {"stand": 0.0, "walk": 0.05, "run": 0.2, "reach": 0.05, "ride": 0.16}[q.pose]
+    hip = 0.93 if seat_m is None else seat_m / h + 0.08
+    chest = hip + 0.47
+    fwd = lean * 0.47
+
+    def at(x: float, y: float, z: float) -> tuple[float, float, float]:
+        return (x * h, y * h, z * h)
+
+    jacket, arm = 0.165 * g, 0.062 * g
+    torso = shapes.sweep(
+        [at(0, 0, hip - 0.06), at(0.3 * fwd, 0, hip + 0.16), at(0.9 * fwd, 0, chest - 0.06), at(fwd, 0, chest + 0.05)],
+        [0.155 * g * h, 0.16 * g * h, 0.205 * g * h, 0.12 * h],
+        [0.115 * g * h, jacket * 0.75 * h, 0.125 * g * h, 0.07 * h],
+        n=8, up=(1.0, 0.0, 0.0), round_ends=True,
+    )  # fmt: skip
+    p.add(torso, q.top_k, CLOTH, q.solar_k, 0.5)
+    for side in (-1, 1):
+        a = swing * side
+        if seat_m is None:
+            knee = (0.40 * math.sin(a) + 0.05 * abs(a), 0.10 * side, hip - 0.42 * math.cos(a))
+            trail = 0.9 * min(a, 0.0)
+            foot = (knee[0] + 0.40 * math.sin(a + trail), 0.10 * side, max(knee[2] - 0.42 * math.cos(a + trail), 0.07))
+        else:
+            knee = (0.38, 0.13 * side, hip - 0.05)
+            foot = (0.36, 0.13 * side, hip - 0.45)
+        p.add(
+            shapes.capsule(at(0, 0.095 * side, hip), at(*knee), 0.085 * g * h, 0.062 * h, n=6),
+            q.legs_k,
+            CLOTH,
+            q.solar_k,
+            0.4,
+        )
+        p.add(shapes.capsule(at(*knee), at(*foot), 0.06 * h, 0.048 * h, n=6), q.legs_k - 0.6, CLOTH, q.solar_k, 0.4)
+        p.add(
+            shapes.capsule(at(foot[0] - 0.05, foot[1], 0.045 if seat_m is None else foot[2]),
+                           at(foot[0] + 0.15, foot[1], 0.04 if seat_m is None else foot[2]), 0.05 * h, n=6),
+            q.legs_k - 3.5, CLOTH, q.solar_k,
+        )  # fmt: skip
+        # Arms swing against the legs; `spread` lifts them sideways, "reach" above the head.
+        shoulder = (fwd, 0.215 * g * side, chest)
+        if q.pose == "reach":
+            elbow = (fwd + 0.12, (0.26 + 0.1 * q.spread) * side, chest + 0.28 * (q.spread - 0.5))
+            hand = (elbow[0] + 0.12, elbow[1], elbow[2] + 0.26 * q.spread)
+        elif q.pose == "ride":
+            elbow = (fwd + 0.2, 0.27 * side, chest - 0.22)
+            hand = (fwd + 0.42, 0.27 * side, chest - 0.3)
+        else:
+            b = -0.8 * swing * side
+            out = math.sin(q.spread)
+            elbow = (
+                fwd + 0.28 * math.sin(b),
+                (0.235 * g + 0.26 * out) * side,
+                chest - 0.28 * math.cos(b) * (1 - 0.4 * out),
+            )
+            bend = 1.1 if q.pose == "run" else 0.25
+            hand = (elbow[0] + 0.25 * math.sin(b + bend), elbow[1] + 0.03 * side, elbow[2] - 0.25 * math.cos(b + bend))
+        p.add(
+            shapes.capsule(at(*shoulder), at(*elbow), arm * h, 0.052 * g * h, n=6), q.top_k - 0.8, CLOTH, q.solar_k, 0.4
+        )
+        p.add(shapes.capsule(at(*elbow), at(*hand), 0.05 * g * h, 0.04 * h, n=6), q.top_k - 1.0, CLOTH, q.solar_k, 0.4)
+        p.add(shapes.moved(shapes.ellipsoid((0.052 * h, 0.045 * h, 0.052 * h), 6, 4), at(*hand)), q.skin_k - 1.5, SKIN)
+    head = at(fwd * 1.15 + 0.02, 0, chest + 0.235)
+    p.add(shapes.capsule(at(fwd, 0, chest + 0.04), head, 0.058 * h, n=6), q.skin_k, SKIN)
+    p.add(shapes.moved(shapes.ellipsoid((0.1 * h, 0.082 * h, 0.122 * h), 8, 6), head), q.skin_k, SKIN)
+    p.add(
+        shapes.moved(
+            shapes.ellipsoid((0.1 * h, 0.09 * h, 0.105 * h), 8, 6), (head[0] - 0.025 * h, 0, head[2] + 0.035 * h)
+        ),
+        q.hair_k, CLOTH, q.solar_k,
+    )  # fmt: skip
+    return p.surface()

@@ -1,0 +1,96 @@
+"""Draws the plan of a whole scene: weather, place, what stands there, and the camera's gain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from infrablend.core.dataset import TimeOfDay
+from infrablend.world.draws import Draws
+from infrablend.world.ground_cover import draw_materials
+from infrablend.world.places.airfield import airfield
+from infrablend.world.places.court import court
+from infrablend.world.places.dirt_road import dirt_road
+from infrablend.world.places.park import park
+from infrablend.world.places.parking import parking
+from infrablend.world.places.street import street
+from infrablend.world.places.wear import wear
+from infrablend.world.plan import PlaceKind, WorldPlan
+from infrablend.world.site import Site
+from infrablend.world.view import SIZE_WH, world_camera
+from infrablend.world.weather import draw_weather
+
+# Each fills a site and returns the name of the material that covers the rest of the ground.
+PLACES: dict[PlaceKind, Callable[[Site], str]] = {
+    "street": street,
+    "parking": parking,
+    "court": court,
+    "park": park,
+    "runway": airfield,
+    "dirtroad": dirt_road,
+}
+# Places drawn at random; the others have to be asked for by name.
+TOWN: tuple[PlaceKind, ...] = ("street", "parking", "court", "park")
+TOWN_SHARES = (0.42, 0.22, 0.18, 0.18)
+
+
+def sample_world(
+    rng: np.random.Generator,
+    pitch_deg: float,
+    altitude_m: float,
+    time_of_day: TimeOfDay,
+    kind: PlaceKind | None = None,
+    size_wh: tuple[int, int] = SIZE_WH,
+) -> WorldPlan:
+    """Draw the plan of a scene.
+
+    Args:
+        rng: Random stream of the frame.
+        pitch_deg: Camera depression angle in [10, 90]; 90 looks straight down.
+        altitude_m: Camera height above the ground.
+        time_of_day: `day` has the sun up; at night a clear sky cools what faces it.
+        kind: Kind of place; drawn from `TOWN` if None.
+        size_wh: Image size in pixels.
+
+    Raises:
+        ValueError: `pitch_deg` or `altitude_m` is out of range.
+    """
+    if not 10 <= pitch_deg <= 90:
+        raise ValueError(f"pitch_deg {pitch_deg} not in [10, 90]: the horizon or the sky would be in the image")
+    if not altitude_m > 0:
+        raise ValueError(f"altitude_m {altitude_m} must be positive")
+    if kind is None:
+        kind = TOWN[int(rng.choice(len(TOWN), p=TOWN_SHARES))]
+    draws = Draws(rng)
+    weather = draw_weather(draws, time_of_day)
+    materials = draw_materials(draws, weather)
+    site = Site(draws, world_camera(pitch_deg, altitude_m, size_wh), weather)
+    base = PLACES[kind](site)
+    wear(site)
+    u, night = draws.uniform, weather.night
+    return WorldPlan(
+        camera=site.camera,
+        pitch_deg=pitch_deg,
+        altitude_m=altitude_m,
+        time_of_day=time_of_day,
+        kind=kind,
+        air_k=weather.air_k,
+        sky_drop_k=weather.sky_drop_k,
+        sun=weather.sun,
+        shade_k=0.0 if night else u(5.0, 10.0) * weather.solar,
+        gain_per_k=u(5.6, 8.2) if night else u(4.6, 7.4),
+        mean_grey=float(np.clip(draws.normal(126 if night else 129, 10 if night else 17), 96, 162)),
+        std_grey=float(np.clip((35 if night else 45) * np.exp(draws.normal(0, 0.28)), 19, 58)),
+        seed=draws.integer(2**31),
+        base=base,
+        materials=materials,
+        roads=tuple(site.roads),
+        patches=tuple(site.patches),
+        vehicles=tuple(site.vehicles),
+        people=tuple(site.people),
+        cycles=tuple(site.cycles),
+        trees=tuple(site.trees),
+        buildings=tuple(site.buildings),
+        furniture=tuple(site.furniture),
+    )

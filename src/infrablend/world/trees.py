@@ -1,0 +1,142 @@
+"""Trees and shrubs: a few prototypes, placed with their own size, heading and temperature."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from infrablend.assets import shapes
+from infrablend.assets.shapes import Solid
+from infrablend.core.mesh import FloatArray
+from infrablend.world.draws import Draws
+from infrablend.world.surfaces import LEAF, Surface, SurfaceBuilder
+from infrablend.world.weather import Weather
+
+TreeKind = Literal["crown", "bare", "shrub"]
+# Number of prototypes of each kind.
+TREE_KINDS = {"crown": 6, "bare": 4, "shrub": 3}
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A tree or shrub, one of a few prototypes placed, turned and scaled."""
+
+    kind: TreeKind
+    prototype: int
+    x_m: float
+    y_m: float
+    heading_rad: float
+    height_m: float
+    radius_m: float
+    kelvin: float
+    solar_k: float
+
+
+def draw_tree_size(draws: Draws, kind: TreeKind, scale: float) -> tuple[float, float]:
+    """Return the height and the radius of a new tree in metres."""
+    u = draws.uniform
+    height = {"crown": u(4.5, 8.5), "bare": u(5.0, 8.5), "shrub": u(0.9, 1.9)}[kind] * scale
+    radius = height * {"crown": u(0.32, 0.46), "bare": u(0.3, 0.4), "shrub": u(0.5, 0.75)}[kind]
+    return height, radius
+
+
+def draw_tree(draws: Draws, weather: Weather, kind: TreeKind, x: float, y: float, size_m: tuple[float, float]) -> Tree:
+    """Draw a tree of a given (height, radius) at (x, y): its prototype, heading and temperatures."""
+    u, clear = draws.uniform, weather.clear_sky
+    kelvin = weather.air_k + (-0.4 - 1.9 * clear + u(-0.5, 0.5) if weather.night else u(-2.0, 1.0))
+    kelvin -= 1.2 * clear if kind == "shrub" and weather.night else 0
+    prototype, heading = draws.integer(64), u(0, 2 * math.pi)
+    kelvin += 1.6 if kind == "bare" and weather.night else 0
+    return Tree(kind, prototype, x, y, heading, *size_m, kelvin, weather.solar * u(1, 3.5))
+
+
+def tree_prototype(kind: str, index: int) -> Surface:
+    """Prototype `index` of a kind of tree, 1 m high and 1 m in radius; temperatures are relative to the tree's."""
+    # Prototypes are part of the program, like a model file: the same in every world.
+    rng = np.random.Generator(np.random.PCG64([7, sorted(TREE_KINDS).index(kind), index]))
+    if kind == "crown":
+        return _crown(rng, 560, 0.30, 0.72)
+    if kind == "shrub":
+        return _crown(rng, 170, 0.05, 0.5)
+    return _bare(rng)
+
+
+def tree_matrix(t: Tree) -> FloatArray:
+    """(4, 4) placement of a prototype."""
+    m = np.eye(4)
+    m[:3, :3] = shapes.turn_z(t.heading_rad) @ np.diag([t.radius_m, t.radius_m, t.height_m])
+    m[:3, 3] = (t.x_m, t.y_m, 0.0)
+    return m
+
+
+def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> Surface:
+    p = SurfaceBuilder()
+    ball = _icosahedron()
+    flatten = (1 - low) / 2
+    trunk = shapes.capsule((0, 0, 0), (0, 0, 0.6), 0.06, 0.04, n=6)
+    p.add(Solid(trunk.vertices * (1, 1, 1), trunk.triangles), 1.6, LEAF, 0.3, 0.3)
+    # Lobes make the outline uneven, clumps make the lobes.
+    lobes = rng.normal(size=(7, 3))
+    lobes /= np.linalg.norm(lobes, axis=1, keepdims=True)
+    for _ in range(clumps):
+        d = rng.normal(size=3)
+        d /= np.linalg.norm(d)
+        bulge = 0.72 + 0.28 * float(np.max(np.clip(lobes @ d, 0, 1)) ** 3)
+        r = bulge * float(rng.uniform(0.35, 1.0) ** 0.45)
+        c = np.array([d[0] * r, d[1] * r, centre - 0.02 + d[2] * r * flatten])
+        size = float(rng.uniform(0.07, 0.17))
+        jitter = 1 + 0.38 * rng.uniform(-1, 1, (len(ball.vertices), 1))
+        v = ball.vertices * jitter * (size, size, size * 0.62) + c
+        v[:, 2] = np.clip(v[:, 2], 0.02, 1.0)
+        # What sees the sky is colder, the inside keeps the trunk's warmth.
+        warm = 0.75 * (1 - r) - 0.4 * d[2] + float(rng.normal(0, 0.7))
+        p.add(Solid(v, ball.triangles), warm, LEAF, 1.0, 1.1)
+    return p.surface()
+
+
+def _bare(rng: np.random.Generator) -> Surface:
+    """A tree in winter: trunk and branches."""
+    p = SurfaceBuilder()
+
+    def grow(start: FloatArray, direction: FloatArray, length: float, radius: float, level: int) -> None:
+        end = start + direction * length
+        up = np.array([1.0, 0, 0]) if abs(direction[0]) < 0.9 else np.array([0, 1.0, 0])
+        p.add(shapes.sweep([start, end], [radius, radius * 0.65], n=4, up=up), 0.5 * (4 - level) - 0.6, LEAF, 0.5, 0.4)
+        if level == 4:
+            return
+        for _ in range(3 if level < 3 else 2):
+            turn = direction + rng.normal(0, 0.62, 3) + (0, 0, 0.12)
+            turn /= np.linalg.norm(turn)
+            grow(
+                start + direction * length * float(rng.uniform(0.55, 1.0)),
+                turn,
+                length * float(rng.uniform(0.6, 0.85)),
+                radius * 0.6,
+                level + 1,
+            )
+
+    # Built 1 unit high and about 0.35 wide, then stretched to radius 1.
+    grow(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.34, 0.014, 0)
+    s = p.surface()
+    v = s.vertices_m.copy()
+    v[:, :2] /= max(float(np.percentile(np.hypot(v[:, 0], v[:, 1]), 97)), 1e-6)
+    v[:, 2] = np.maximum(v[:, 2], 0) / float(v[:, 2].max())
+    return Surface(v, s.triangles, s.kelvin, s.mirror, s.solar_k, s.grain_k)
+
+
+def _icosahedron() -> Solid:
+    """A ball of 20 triangles, radius 1."""
+    g = (1 + 5**0.5) / 2
+    v = [
+        (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g),
+        (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1),
+    ]  # fmt: skip
+    f = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6),
+        (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10),
+        (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
+    return Solid(np.array(v, np.float64) / math.hypot(1, g), np.array(f, np.int32))
