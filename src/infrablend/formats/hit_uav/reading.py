@@ -1,0 +1,101 @@
+"""Read a HIT-UAV folder: every form, united by file stem."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import SPLITS, Dataset
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import check_splits, few, sort_images
+from infrablend.formats.hit_uav.forms import FORMS, NAME, Form, detect, find_forms
+from infrablend.formats.hit_uav.json_form import read_json_form
+from infrablend.formats.hit_uav.records import FormData
+from infrablend.formats.hit_uav.unite import unite, unite_categories
+from infrablend.formats.hit_uav.xml_form import read_xml_form
+from infrablend.formats.pictures import PictureFolder
+
+
+def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None = None) -> Dataset:
+    """Read every form in a HIT-UAV folder and unite them by file stem.
+
+    Axis-aligned boxes come unchanged from normal_json (else normal_xml, else from the oriented box); oriented boxes
+    from rotate_json (else rotate_xml); truncated, difficult and pose from any form that contains them. Disagreements
+    between forms are reported as warnings and counted in `notes["disagreements"]`.
+
+    Args:
+        root: Folder that contains some of the four forms, or the folder of one form.
+        splits: Splits to read; None reads all.
+        form: Only form to read; None reads all.
+
+    Raises:
+        DatasetError: There is no form, the requested one is missing, or nothing can be read.
+    """
+    wanted = check_splits(splits)
+    forms = find_forms(root)
+    if not forms:
+        raise DatasetError(f"{root}: no HIT-UAV folder", [Problem(str(root), "no-form", detect(root).reason)])
+    if form is not None:
+        if form not in FORMS:
+            problem = Problem("form", "option-value", f"{form!r}", f"one of {', '.join(FORMS)}")
+            raise DatasetError(f"{root}: no such form", [problem])
+        if form not in forms:
+            found, expected = f"the forms {', '.join(forms)}", f"the form {form}"
+            raise DatasetError(
+                f"{root}: form {form} is missing",
+                [Problem(str(root), "no-form", found, expected, "leave out --form")],
+            )
+        forms = {form: forms[form]}
+
+    data = [
+        read_json_form(root, f, folder, wanted) if f.endswith("_json") else read_xml_form(root, f, folder, wanted)
+        for f, folder in forms.items()
+    ]
+    problems = [p for d in data for p in d.problems]
+    if not any(d.pictures for d in data):
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
+    borrowed = _borrow_pictures(root, forms, data)
+    categories = unite_categories(data)
+    images, notes, more = unite(data)
+    notes |= {"pictures_borrowed": borrowed} if borrowed else {}
+    problems += more
+    if not images:
+        raise DatasetError(f"{root}: none of the annotated pictures exists", few(problems))
+    for split in wanted if splits is not None else ():
+        if not any(i.split == split for i in images):
+            problems.append(Problem(str(root), "split-missing", f"no picture of split {split}", severity="warning"))
+    extra: dict[str, Any] = {}
+    for d in reversed(data):
+        extra.update(d.extra)
+    return Dataset(root, NAME, categories, sort_images(images), tuple(problems), notes, extra)
+
+
+def _borrow_pictures(root: Path, forms: Mapping[Form, Path], data: Sequence[FormData]) -> dict[str, int]:
+    """Find missing pictures in the other forms' folders, which contain the same pictures in HIT-UAV.
+
+    Returns:
+        The number of pictures taken from each folder.
+    """
+    have = {s for d in data for s, p in d.pictures.items() if p.path is not None}
+    missing = [p for d in data for s, p in d.pictures.items() if s not in have]
+    if not missing:
+        return {}
+    home = root if root not in forms.values() else root.parent
+    known = (f for f in FORMS if f in forms or root not in forms.values() or root.name in FORMS)
+    count: Counter[str] = Counter()
+    for form in known:
+        for part in (*SPLITS, "JPEGImages"):
+            folder = home / form / part
+            if not missing or not folder.is_dir():
+                continue
+            listing = PictureFolder.scan(folder)
+            for p in missing:
+                if part in (p.split, "JPEGImages"):
+                    name, path, fault = listing.find(p.name, p.where)
+                    if path is not None and fault is None:
+                        p.name, p.path = name, path
+                        count[f"{form}/{part}"] += 1
+            missing = [p for p in missing if p.path is None]
+    return dict(sorted(count.items()))

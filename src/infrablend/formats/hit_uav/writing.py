@@ -1,0 +1,302 @@
+"""Write images and labels in HIT-UAV's four forms."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
+from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
+from infrablend.core.files import link_or_copy, write_text
+from infrablend.formats.base import Written, category_ids, number_ids, obb_from_corners, require_size, sort_images
+from infrablend.formats.hit_uav.forms import DATABASE, Form
+
+# Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
+_COORDINATE_DIGITS = 8
+_ANGLE_DIGITS = 10
+_INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    forms: Sequence[Form] = ("normal_json", "rotate_json"),
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+    pictures: bool = True,
+) -> Written:
+    """Write images in some of HIT-UAV's forms, each in a folder named after the form below `out`.
+
+    Pictures are hard links to `ImageRecord.path` (copies where that is impossible), named by `ImageRecord.name`. Equal
+    records give equal bytes. Losses are counted as `<form>.<kind>`, see `losses.LOSSES`.
+
+    Args:
+        out: Output folder, created if necessary.
+        images: Images with known `size_wh`.
+        categories: Categories with the ids to write.
+        forms: Forms to write.
+        ids: `new` numbers images and annotations from 0 over all splits, as HIT-UAV does, and keeps the source's id
+            as `source_id`; `source` writes the source's ids.
+        extra: Top-level fields (`info`, `licenses`, ...), e.g. `Dataset.extra`.
+        pictures: False writes only annotations.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size, category or id is missing.
+    """
+    ordered = sort_images(images)
+    texts, losses = native_files(ordered, categories, forms=forms, ids=ids, extra=extra)
+    files = [write_text(out / name, text) for name, text in texts.items()]
+    for form in forms if pictures else ():
+        for image in ordered:
+            folder = out / form / ("JPEGImages" if form.endswith("_xml") else image.split)
+            files.append(link_or_copy(image.path, folder / image.name))
+    return Written(tuple(files), losses)
+
+
+def native_files(
+    images: Sequence[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    forms: Sequence[Form] = ("normal_json", "rotate_json"),
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, str], dict[str, int]]:
+    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`."""
+    ordered = sort_images(images)
+    of_category = category_ids(categories)
+    image_ids, object_ids = number_ids(ordered, ids, 0)
+    numbered = list(zip(ordered, image_ids, object_ids, strict=True))
+    new = ids == "new"
+    losses: Counter[str] = Counter()
+    texts: dict[str, str] = {}
+    for form in forms:
+        counted: Counter[str] = Counter()
+        if form.endswith("_json"):
+            for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
+                part = [n for n in numbered if n[0].split == split]
+                make = _normal_json if form == "normal_json" else _rotate_json
+                top = make(part, categories, of_category, new, dict(extra or {}), counted)
+                # The key order of the original; ASCII, as there.
+                texts[f"{form}/annotations/{split}.json"] = json.dumps(top, allow_nan=False)
+        else:
+            texts.update(_xml_texts(form, ordered, of_category, counted))
+        losses.update({f"{form}.{k}": v for k, v in counted.items() if v})
+    return texts, dict(sorted(losses.items()))
+
+
+_Numbered = tuple[ImageRecord, int, list[int]]
+
+
+def _count_losses(instance: Instance, form: Form, losses: Counter[str]) -> None:
+    losses["mask_dropped"] += instance.mask is not None
+    losses["visibility_dropped"] += instance.visibility is not None
+    if form.endswith("_json"):
+        losses["truncated_dropped"] += instance.truncated is True
+    if form == "normal_json":
+        losses["difficult_dropped"] += instance.difficult is True
+    if form.startswith("normal"):
+        losses["obb_dropped"] += instance.corners_xy is not None
+    else:
+        losses["obb_from_box"] += instance.corners_xy is None
+
+
+def _truncated_box(box_xyxy: NDArray[np.float64], size_wh: tuple[int, int], losses: Counter[str]) -> list[int]:
+    """Return xmin, ymin, xmax, ymax as in HIT-UAV: truncated toward zero, at least one pixel wide and high."""
+    box = [math.trunc(v) for v in box_xyxy.tolist()]
+    losses["fraction_truncated"] += any(t != v for t, v in zip(box, box_xyxy.tolist(), strict=True))
+    widened = False
+    for low, high, size in ((0, 2, size_wh[0]), (1, 3, size_wh[1])):
+        if box[high] <= box[low]:
+            widened = True
+            box[low] = min(box[low], size - 1)
+            box[high] = box[low] + 1
+    losses["box_widened"] += widened
+    return box
+
+
+def _oriented_numbers(instance: Instance, losses: Counter[str]) -> list[float]:
+    """Return cx, cy, w, h, angle: the source's own numbers if they still match the corners, else from the corners."""
+    corners = instance.corners_xy if instance.corners_xy is not None else corners_of_box(instance.box_xyxy)
+    source = instance.extra.get("obb")
+    if source is not None:
+        again = corners_of_cxcywha(np.array([source], np.float64))[0]
+        if np.allclose(again, corners, rtol=0, atol=1e-9):
+            return [float(v) for v in source]
+    numbers = obb_from_corners(corners)
+    made = corners_of_cxcywha(np.array([numbers], np.float64))[0]
+    apart = min(float(np.abs(np.roll(made, k, axis=0) - corners).max()) for k in (0, 2))
+    losses["obb_not_rectangle"] += apart > 1e-3
+    return [round(v, _COORDINATE_DIGITS) for v in numbers[:4]] + [round(numbers[4], _ANGLE_DIGITS)]
+
+
+def _source_fields(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
+    """Return the field `source_id`: the source's id if ids are new, or the field that was read."""
+    if new and item.source_id is not None:
+        return {"source_id": item.source_id}
+    return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
+
+
+def _marks(instance: Instance) -> dict[str, Any]:
+    """Return InfraBlend's own fields: inserted; box drawn tightly, unlike HIT-UAV's bounds of the oriented box."""
+    marks = {"inserted": instance.inserted, "tight_box": bool(instance.extra.get("tight_box"))}
+    return {name: True for name, is_set in marks.items() if is_set}
+
+
+def _top_fields(extra: dict[str, Any], keys: Sequence[str], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: extra.get(k, defaults[k]) for k in keys}
+
+
+_TOP: Mapping[str, Any] = {
+    "info": _INFO,
+    "licenses": [],
+    "scenarios": [{"id": 0, "name": "day"}, {"id": 1, "name": "night"}],
+    "weather": [{"id": 0, "name": "sunny"}, {"id": 1, "name": "rainy"}],
+}
+
+
+def _normal_json(
+    numbered: Sequence[_Numbered],
+    categories: Sequence[Category],
+    of_category: Mapping[str, int],
+    new: bool,
+    extra: dict[str, Any],
+    losses: Counter[str],
+) -> dict[str, Any]:
+    images, objects = [], []
+    for image, image_id, object_ids in numbered:
+        w, h = require_size(image)
+        record: dict[str, Any] = {"filename": image.name, "height": h, "width": w, "id": image_id}
+        record["date_captured"] = str(image.extra.get("date", ""))
+        images.append(record | _source_fields(image, new))
+        for instance, object_id in zip(image.instances, object_ids, strict=True):
+            _count_losses(instance, "normal_json", losses)
+            x0, y0, x1, y1 = _truncated_box(instance.box_xyxy, (w, h), losses)
+            annotation: dict[str, Any] = {
+                "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],
+                "area": (x1 - x0) * (y1 - y0),
+                "image_id": image_id,
+                "bbox": [x0, y0, x1 - x0, y1 - y0],
+                "category_id": of_category[instance.category],
+                "id": object_id,
+            }
+            annotation |= _source_fields(instance, new)
+            objects.append(annotation | _marks(instance))
+    names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
+    top = _top_fields(extra, ("info", "licenses"), _TOP)
+    return top | {"images": images, "categories": names, "annotation": objects}
+
+
+def _rotate_json(
+    numbered: Sequence[_Numbered],
+    categories: Sequence[Category],
+    of_category: Mapping[str, int],
+    new: bool,
+    extra: dict[str, Any],
+    losses: Counter[str],
+) -> dict[str, Any]:
+    images, objects = [], []
+    for image, image_id, object_ids in numbered:
+        w, h = require_size(image)
+        scenario = {"day": "0", "night": "1"}.get(str(image.time_of_day), "")
+        record: dict[str, Any] = {
+            "id": image_id,
+            "width": w,
+            "height": h,
+            "depth": image.extra.get("depth", 1),
+            "filename": image.name,
+            "scenario": scenario,
+            "weather": str(image.extra.get("weather", "")),
+            "perspective": "" if image.pitch_deg is None else f"{image.pitch_deg:.10g}",
+            "altitude": "" if image.altitude_m is None else f"{image.altitude_m:.10g}",
+            "date": str(image.extra.get("date", "")),
+        }
+        images.append(record | _source_fields(image, new))
+        for instance, object_id in zip(image.instances, object_ids, strict=True):
+            _count_losses(instance, "rotate_json", losses)
+            annotation: dict[str, Any] = {
+                "id": object_id,
+                "image_id": image_id,
+                "category_id": of_category[instance.category],
+                "difficult": bool(instance.difficult),
+                "bbox": _oriented_numbers(instance, losses),
+            }
+            annotation |= _source_fields(instance, new)
+            objects.append(annotation | _marks(instance))
+    names = [{"id": c.id, "name": c.name} for c in categories]
+    top = _top_fields(extra, ("info", "licenses", "scenarios", "weather"), _TOP)
+    return top | {"images": images, "categories": names, "annotations": objects}
+
+
+def _xml_texts(
+    form: Form, images: Sequence[ImageRecord], of_category: Mapping[str, int], losses: Counter[str]
+) -> dict[str, str]:
+    """Return one VOC or roLabelImg file per picture, and the lists of splits."""
+    texts: dict[str, str] = {}
+    stems: dict[str, list[str]] = defaultdict(list)
+    for image in images:
+        if "/" in image.name:
+            raise ValueError(f"{image.id}: the XML forms are flat, but {image.name!r} is in a folder")
+        stem = image.name.rpartition(".")[0]
+        stems[image.split].append(stem)
+        texts[f"{form}/Annotations/{stem}.xml"] = _xml_text(form, image, stem, of_category, losses)
+    stems["trainval"] = stems["train"] + stems["val"]
+    for split in (*SPLITS, "trainval"):
+        texts[f"{form}/ImageSets/Main/{split}.txt"] = "".join(f"{s}\n" for s in stems[split])
+    return texts
+
+
+def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[str, int], losses: Counter[str]) -> str:
+    w, h = require_size(image)
+    rotated = form == "rotate_xml"
+    folder, name = (str(image.extra.get("date", "")), stem) if rotated else ("./JPEGImages", image.name)
+    lines = [
+        f"<annotation verified={quoteattr('no')}>" if rotated else "<annotation>",
+        f"  <folder>{escape(folder)}</folder>",
+        f"  <filename>{escape(name)}</filename>",
+        "  <source>",
+        f"    <database>{'Unknown' if rotated else DATABASE}</database>",
+        "  </source>",
+        "  <size>",
+        f"    <width>{w}</width>",
+        f"    <height>{h}</height>",
+        f"    <depth>{image.extra.get('depth', 1)}</depth>",
+        "  </size>",
+        "  <segmented>0</segmented>",
+    ]
+    pitch = "Unspecified" if image.pitch_deg is None else f"{image.pitch_deg:.10g}"
+    for instance in image.instances:
+        if instance.category not in of_category:
+            raise ValueError(f"{image.id}: category {instance.category!r} is not in the list of categories")
+        _count_losses(instance, form, losses)
+        lines += ["  <object>"] + (["    <type>robndbox</type>"] if rotated else [])
+        lines += [
+            f"    <name>{escape(instance.category)}</name>",
+            f"    <pose>{'Unspecified' if rotated else instance.extra.get('pose', pitch)}</pose>",
+            f"    <truncated>{int(bool(instance.truncated))}</truncated>",
+            f"    <difficult>{int(bool(instance.difficult))}</difficult>",
+        ]
+        if instance.inserted:
+            lines.append("    <inserted>1</inserted>")
+        if rotated:
+            tag = "robndbox"
+            keys: Sequence[str] = ("cx", "cy", "w", "h", "angle")
+            values: Sequence[float] = _oriented_numbers(instance, losses)
+        else:
+            tag = "bndbox"
+            keys = ("xmin", "ymin", "xmax", "ymax")
+            values = _truncated_box(instance.box_xyxy, (w, h), losses)
+        lines.append(f"    <{tag}>")
+        lines += [f"      <{k}>{v}</{k}>" for k, v in zip(keys, values, strict=True)]
+        lines += [f"    </{tag}>", "  </object>"]
+    return "\n".join([*lines, "</annotation>", ""])

@@ -1,0 +1,178 @@
+"""Write images and labels in MONET's layout."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from infrablend.core.dataset import Category, ImageRecord
+from infrablend.core.files import link_or_copy, write_text
+from infrablend.errors import Problem
+from infrablend.formats import coco
+from infrablend.formats.base import Written, category_ids, number_ids, require_size, sort_images
+from infrablend.formats.monet.folders import split_in
+from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
+from infrablend.formats.monet.telemetry import NEST, Place
+
+_INFO: Mapping[str, Any] = {"description": "MONET layout, written by InfraBlend"}
+
+
+def write(
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+    pictures: bool = True,
+) -> Written:
+    """Write `out/<split>/<sequence>.json` and pictures in `out/<split>/<sequence>/lwir/`, see `native_files`.
+
+    Pictures are hard links of `ImageRecord.path` (copies where that is impossible).
+
+    Args:
+        out: Folder; made if need be.
+        images: With `size_wh` known.
+        categories: With the ids to write.
+        ids: `new` numbers images and annotations from 1 over all files and writes the source's id as `source_id`;
+            `source` writes the source's own.
+        extra: Top-level fields `info` and `licenses`, e.g. `Dataset.extra`.
+        pictures: False writes annotations alone.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size, category or id is missing, or two pictures would have one name.
+    """
+    ordered = sort_images(images)
+    texts, losses = native_files(ordered, categories, ids=ids, extra=extra)
+    files = [write_text(out / name, text) for name, text in texts.items()]
+    for image in ordered if pictures else ():
+        files.append(link_or_copy(image.path, out / image.split / _picture_name(image)))
+    return Written(tuple(files), losses, tuple(_pitch_remarks(ordered)))
+
+
+def native_files(
+    images: Sequence[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, str], dict[str, int]]:
+    """Text of every annotation file by POSIX path below the output folder, and the losses; see `write`.
+
+    Image records carry what the source's did, with pitch and altitude where they stood there, else as `g_pitch` and
+    `alt` in `metadata`. Annotations are as `coco.write` makes them: masks as run lengths, oriented boxes in `obb`.
+    """
+    ordered = sort_images(images)
+    of_category = category_ids(categories)
+    ignored = {c.name for c in categories if c.ignore}
+    image_ids, object_ids = number_ids(ordered, ids, 1)
+    new = ids == "new"
+    losses: Counter[str] = Counter()
+    # Without any pitch nothing would tell these files from a folder of bare pictures.
+    unknown = all(i.pitch_deg is None for i in ordered)
+    tops: dict[str, dict[str, Any]] = {}
+    taken: set[tuple[str, str]] = set()
+    for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
+        name = _picture_name(image)
+        if (image.split, name) in taken:
+            raise ValueError(f"{image.id}: a second picture would be {image.split}/{name}")
+        taken.add((image.split, name))
+        top = tops.setdefault(
+            f"{image.split}/{_folder_name(image) or image.split}.json",
+            {
+                "info": (extra or {}).get("info", _INFO),
+                "licenses": (extra or {}).get("licenses", []),
+                "categories": coco.category_records(categories),
+                "images": [],
+                "annotations": [],
+            },
+        )
+        record = _image_record(image, image_id, name, new, losses)
+        if unknown:
+            _put(record, (NEST, PITCH_KEYS[0]), None)
+        top["images"].append(record)
+        for instance, number in zip(image.instances, numbers, strict=True):
+            a = coco.annotation_record(instance, require_size(image), new, "polygon", losses)
+            a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
+            a["iscrowd"] |= int(instance.category in ignored)
+            top["annotations"].append(a)
+    texts = {
+        name: json.dumps(_finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
+        for name, top in sorted(tops.items())
+    }
+    return texts, {k: v for k, v in sorted(losses.items()) if v}
+
+
+def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
+    """A warning for sequences without any pitch: the reader leaves them out unless it is told to keep them."""
+    known: dict[tuple[str, str], bool] = {}
+    for i in images:
+        place = (i.split, _folder_name(i))
+        known[place] = known.get(place, False) or i.pitch_deg is not None
+    empty = sum(not k for k in known.values())
+    if not empty:
+        return []
+    found, todo = f"{empty} sequence(s) without any camera pitch", "read it with --read empty=keep"
+    return [Problem("monet", "telemetry-absent", found, "the pitch that makes a sequence usable", todo, "warning")]
+
+
+def _folder_name(image: ImageRecord) -> str:
+    """The sequence as a folder's name; empty if there is none."""
+    name = (image.sequence or "").replace("/", "__").replace("\\", "__").strip()
+    return "" if name in (".", "..") or split_in([name]) else name
+
+
+def _picture_name(image: ImageRecord) -> str:
+    """Where a picture lies below its split's folder: `<sequence>/lwir/...`."""
+    folder = _folder_name(image)
+    parts = list(PurePosixPath(image.name).parts)
+    for known in (folder, "lwir"):
+        if len(parts) > 1 and parts[0] == known:
+            parts.pop(0)
+    return str(PurePosixPath(folder, "lwir", *parts))
+
+
+def _image_record(image: ImageRecord, number: int, name: str, new: bool, losses: Counter[str]) -> dict[str, Any]:
+    w, h = require_size(image)
+    # A copy of the objects that are changed below.
+    fields = {k: dict(v) if isinstance(v, dict) else v for k, v in image.extra.get("fields", {}).items()}
+    places: Mapping[str, Any] = image.extra.get("telemetry", {})
+    nest = next((p[:-1] for k in ("pitch", "altitude", "time") if (p := places.get(k))), (NEST,))
+    if image.pitch_deg is not None:
+        pitch = places.get("sign", -1) * image.pitch_deg + 0.0
+        value = math.radians(pitch) if places.get("radians") else pitch
+        _put(fields, places.get("pitch") or (*nest, PITCH_KEYS[0]), value)
+    if image.altitude_m is not None:
+        _put(fields, places.get("altitude") or (*nest, ALTITUDE_KEYS[0]), image.altitude_m)
+    if image.captured is not None and not places.get("time"):
+        _put(fields, (*nest, TIME_KEYS[0]), image.captured)
+    if image.time_of_day is not None:
+        fields["time_of_day"] = image.time_of_day
+    record = {"id": number, "file_name": name, "width": w, "height": h}
+    return fields | record | coco.source_id_field(image, new)
+
+
+def _put(record: dict[str, Any], place: Place, value: Any) -> None:
+    """Set a value, with objects on the way to it copied or made."""
+    for key in place[:-1]:
+        inside = record.get(key)
+        record[key] = dict(inside) if isinstance(inside, dict) else {}
+        record = record[key]
+    record[place[-1]] = value
+
+
+def _finite(value: Any, losses: Counter[str]) -> Any:
+    """The value with numbers that JSON cannot hold (the source's telemetry may) as null, counted."""
+    if isinstance(value, dict):
+        return {k: _finite(v, losses) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v, losses) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        losses["not_finite_dropped"] += 1
+        return None
+    return value
