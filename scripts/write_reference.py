@@ -182,8 +182,8 @@ def cli_page() -> str:
 def formats_page() -> str:
     """The page on what every format holds."""
     from infrablend.core.format_table import FIELDS, FORMATS, NATIVE, WRITERS
-    from infrablend.formats.base import LOSSES
     from infrablend.formats.detection import reader_options
+    from infrablend.formats.losses import LOSSES
 
     lines = [
         "# Formats",

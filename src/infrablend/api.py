@@ -406,14 +406,14 @@ def split(
         DatasetError: It cannot be read, or does not say what shall stay together.
         OutputError: `out` is not empty or cannot be written.
     """
+    from infrablend.formats.groups import GROUPINGS, NEAR
     from infrablend.pipeline.split import split_dataset
-    from infrablend.report.groups import BYS, NEAR
 
     root, target = Path(data), Path(out)
     require_apart(root, target)
-    kind = next((b for b in BYS if b == by), None)
+    kind = next((b for b in GROUPINGS if b == by), None)
     if kind is None:
-        raise DatasetError(f"by: found {by!r}, expected one of {', '.join(BYS)}")
+        raise DatasetError(f"by: found {by!r}, expected one of {', '.join(GROUPINGS)}")
     dataset = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
     return split_dataset(
         dataset, target, by=kind, gap=NEAR if gap is None else gap, shares=shares, seed=seed, to=to or "native",

@@ -18,7 +18,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FORMATS
 from infrablend.core.masks import Mask
 from infrablend.formats import coco, detection, hit_uav, monet, voc, yolo
-from infrablend.formats.base import LOSSES, Written
+from infrablend.formats.losses import LOSSES, Written
 
 CATEGORIES = (*hit_uav.CATEGORIES, Category(5, "drone"))
 SIZE_WH = (64, 48)

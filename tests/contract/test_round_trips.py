@@ -18,7 +18,7 @@ from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_f
 from infrablend.core.format_table import FORMATS as TABLE
 from infrablend.core.masks import Mask
 from infrablend.formats import detection, writing, yolo
-from infrablend.formats.base import LOSSES
+from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
 from infrablend.formats.reading import Reading
 from infrablend.formats.writing import WriteSettings, load_writer

@@ -12,7 +12,7 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.formats import yolo
-from infrablend.formats.base import check_box, obb_from_corners
+from infrablend.formats.box_checks import check_box, obb_from_corners
 from infrablend.formats.pictures import check_name
 from infrablend.formats.polygons import outline, rasterise
 

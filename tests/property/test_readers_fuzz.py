@@ -22,7 +22,7 @@ from tests.samples import SAMPLES, picture
 
 from infrablend import api
 from infrablend.errors import DatasetError
-from infrablend.formats import base, detection
+from infrablend.formats import annotation_files, detection
 from infrablend.formats.pictures import read_size
 
 GROWTH_KIB = 700 * 1024
@@ -109,7 +109,7 @@ def test_json_nested_too_deeply_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "train.json"
     path.write_text(text)
     with pytest.raises(DatasetError, match="nested"):
-        base.read_json(path)
+        annotation_files.read_json(path)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.format_table import written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
-from infrablend.formats.base import LOSSES
+from infrablend.formats.losses import LOSSES
 
 
 def run(*words: object):

@@ -14,8 +14,10 @@ from infrablend.core.boxes import polygon_area
 from infrablend.core.files import link_or_copy, part_path, write_bytes, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats import base, polygons
-from infrablend.formats.base import read_json, read_text, read_xml, require_options, snap
+from infrablend.formats import annotation_files, polygons
+from infrablend.formats.annotation_files import read_json, read_text, read_xml
+from infrablend.formats.base import require_options
+from infrablend.formats.box_checks import snap
 from infrablend.formats.pictures import assign_ids, read_size
 from infrablend.formats.polygons import outline, rasterise
 
@@ -201,4 +203,4 @@ def test_unknown_values_of_options_are_named_all_at_once(tmp_path: Path) -> None
 
 def test_only_rounding_is_moved_onto_the_edge() -> None:
     assert [snap(v, 10) for v in (-5e-7, 10 + 5e-7, -1e-5, 10.1, 4)] == [0, 10, -1e-5, 10.1, 4]
-    assert base.MAX_TEXT_BYTES < base.MAX_JSON_BYTES
+    assert annotation_files.MAX_TEXT_BYTES < annotation_files.MAX_JSON_BYTES

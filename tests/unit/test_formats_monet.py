@@ -135,7 +135,7 @@ def test_the_majority_looks_down_and_the_rest_is_kept(tmp_path: Path) -> None:
 
 def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, 40))
-    with pytest.raises(DatasetError, match="cannot be told"):
+    with pytest.raises(DatasetError, match="cannot be determined"):
         detection.read(tmp_path)
     for sign, pitches in (("-1", [35, -40]), ("+1", [-35, 40])):
         d = detection.read(tmp_path, Reading(options={"pitch_sign": sign}))

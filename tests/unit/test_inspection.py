@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
-from infrablend.report.groups import frame_place, group_images, leakage
+from infrablend.formats.groups import frame_place, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
 
 

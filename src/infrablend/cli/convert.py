@@ -111,7 +111,7 @@ def convert(
     from infrablend import api
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, say, say_json, table, tell_problems
-    from infrablend.formats.base import LOSSES
+    from infrablend.formats.losses import LOSSES
 
     pairs = [pair for text in rename or () for pair in text.split(",")]
     report = api.convert(

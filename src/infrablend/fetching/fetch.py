@@ -22,7 +22,7 @@ from infrablend.core.files import claimed_folder, output_error, write_json
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import Patience, download, require_url
 from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
-from infrablend.formats.base import read_json
+from infrablend.formats.annotation_files import read_json
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
 WORK_FOLDER = ".fetch"

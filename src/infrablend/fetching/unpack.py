@@ -22,7 +22,7 @@ from typing import IO
 
 from infrablend.core.files import output_error
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, Problem
-from infrablend.formats.base import few
+from infrablend.formats.base import shorten
 
 CHUNK_BYTES = 1 << 20
 _DIRECTORY_BYTES = 64 << 20  # of a zip's own list, which is read whole
@@ -227,7 +227,7 @@ def _zip(archive: Path) -> Iterator[tuple[Iterator[_Entry], int, int, Callable[[
             ]
             if refused:
                 raise DatasetError(
-                    f"{archive.name}: holds what must not be unpacked; nothing was written", few(refused)
+                    f"{archive.name}: holds what must not be unpacked; nothing was written", shorten(refused)
                 )
             size_bytes = sum(e.size_bytes for e in entries)
             yield iter(entries), len(entries), size_bytes, lambda: _commit(packed.comment.decode("ascii", "replace"))

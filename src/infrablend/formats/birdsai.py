@@ -24,21 +24,13 @@ from typing import Literal
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import (
-    Match,
-    Written,
-    check_box,
-    check_splits,
-    number_text,
-    read_text,
-    require_options,
-    snap,
-    sort_images,
-    to_floats,
-    to_int,
-)
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import Match, check_splits, require_options, sort_images
+from infrablend.formats.box_checks import check_box, snap
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.values import number_text, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {

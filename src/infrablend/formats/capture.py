@@ -14,7 +14,7 @@ from typing import Any
 
 from infrablend.core.dataset import TimeOfDay
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import read_json, read_text
+from infrablend.formats.annotation_files import read_json, read_text
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _FIELDS = ("pitch_deg", "altitude_m", "time_of_day")

@@ -17,26 +17,22 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import (
     Match,
-    Written,
     category_ids,
-    check_box,
     check_splits,
-    few,
     is_ignored_name,
-    is_near,
     number_ids,
-    read_json,
     require_size,
+    shorten,
     sort_images,
-    to_bool,
-    to_floats,
-    to_int,
-    to_size,
 )
+from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 NAME = "coco"
 
@@ -303,7 +299,7 @@ def read(
     ids = assign_ids([key for key, _ in found])
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
-        raise DatasetError(f"{root}: no picture to read", few(problems))
+        raise DatasetError(f"{root}: no picture to read", shorten(problems))
     if table is not None and (unused := table.unused([r.name for r in images], [r.sequence for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))

@@ -11,7 +11,7 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats.base import Match, few
+from infrablend.formats.base import Match, shorten
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
 
@@ -98,7 +98,7 @@ def _without_links(dataset: Dataset) -> Dataset:
     if len(kept) == len(dataset.images):
         return dataset
     if not kept:
-        raise DatasetError(f"{dataset.root}: every picture is a link out of its folder", few(problems))
+        raise DatasetError(f"{dataset.root}: every picture is a link out of its folder", shorten(problems))
     return replace(dataset, images=tuple(kept), problems=tuple(problems))
 
 

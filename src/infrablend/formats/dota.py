@@ -25,21 +25,11 @@ from infrablend.core.boxes import box_of_points, corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import (
-    OVERHANG_PX,
-    Match,
-    Written,
-    check_box,
-    check_splits,
-    few,
-    is_ignored_name,
-    is_near,
-    overhang_px,
-    read_text,
-    require_size,
-    sort_images,
-)
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import Match, check_splits, is_ignored_name, require_size, shorten, sort_images
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, overhang_px
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids, check_link, list_pictures, read_size
 
 NAME = "dota"
@@ -213,7 +203,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         if split in wanted:
             found += _read_split(root, split, labels, pictures, table, problems)
     if not found:
-        raise DatasetError(f"{root}: no picture to read in the splits {', '.join(wanted)}", few(problems))
+        raise DatasetError(f"{root}: no picture to read in the splits {', '.join(wanted)}", shorten(problems))
     if table is not None and (unused := table.unused([key for key, _ in found])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))

@@ -14,7 +14,8 @@ from typing import Literal
 from infrablend.core.dataset import Dataset, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
-from infrablend.formats.base import Match, check_splits, few, read_text, sort_images
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import Match, check_splits, shorten, sort_images
 from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.pictures import list_pictures
 from infrablend.formats.yolo import (
@@ -139,7 +140,7 @@ def read(
     records, known = build_records(root, pictures, names, captures, problems, task)
     problems += orphan_labels(root, pictures) + check_table(table, pictures, root)
     if not records:
-        raise DatasetError(f"{root}: no picture can be read", few(problems))
+        raise DatasetError(f"{root}: no picture can be read", shorten(problems))
     notes = {
         "labels": "yolo" if labelled else "none",
         "table": table_path.name if table_path else None,

@@ -26,25 +26,21 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.files import link_or_copy, write_bytes, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import (
     Match,
-    Written,
     category_ids,
-    check_box,
     check_splits,
-    few,
     is_ignored_name,
-    is_near,
-    read_json,
     require_size,
+    shorten,
     sort_images,
-    to_bool,
-    to_floats,
-    to_int,
-    to_size,
 )
+from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.images import load_background
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, check_name
+from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables say pitch and altitude
@@ -190,7 +186,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
             problems.append(Problem(root.name, "image-unlisted", text, "a table for each", severity="warning"))
     if not found:
         problems.append(Problem(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json"))
-        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
     ids = assign_ids([key for key, _ in found])
     images = [replace(record, id=ids[key]) for key, record in found]
     return Dataset(root, NAME, categories, sort_images(images), tuple(problems), {"labels": NAME})

@@ -9,7 +9,7 @@ from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import few, sort_images
+from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.pictures import assign_ids
 
@@ -47,7 +47,7 @@ def make_dataset(
     if not inside:
         asked = f" in the splits {', '.join(splits)}" if splits else ""
         missing = Problem(str(root), "image-missing", "no picture that can be used" + asked, "JPEG, PNG, BMP or TIFF")
-        raise DatasetError(f"{root}: no picture to read", few([*found, missing]))
+        raise DatasetError(f"{root}: no picture to read", shorten([*found, missing]))
     path = metadata or find_table(root)
     table = read_table(path) if path else None
     captures = Captures(table, found)

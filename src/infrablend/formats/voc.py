@@ -28,28 +28,21 @@ from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import Problem
+from infrablend.formats.annotation_files import read_text, read_xml
 from infrablend.formats.base import (
-    OVERHANG_PX,
     Match,
-    Written,
     category_ids,
-    check_box,
     check_splits,
     is_ignored_name,
-    number_text,
-    overhang_px,
-    read_text,
-    read_xml,
     require_options,
     require_size,
-    snap,
     sort_images,
-    to_bool,
-    to_floats,
-    to_size,
 )
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import is_hidden, list_pictures, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.values import number_text, to_bool, to_floats, to_size
 
 NAME = "voc"
 OPTIONS = {

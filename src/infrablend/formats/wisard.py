@@ -18,9 +18,12 @@ from typing import Any
 
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import Match, check_box, check_splits, read_text, require_options, snap, to_floats
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import Match, check_splits, require_options
+from infrablend.formats.box_checks import check_box, snap
 from infrablend.formats.pictures import by_folder, is_hidden, labels_beside, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.values import to_floats
 from infrablend.formats.yolo import parse_labels
 
 NAME = "wisard"

@@ -28,8 +28,9 @@ from infrablend.core.format_table import (
     written_names,
 )
 from infrablend.errors import Problem
-from infrablend.formats.base import Written, sort_images
+from infrablend.formats.base import sort_images
 from infrablend.formats.capture import Capture, facts_from_name
+from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
 
 
@@ -92,7 +93,7 @@ def write(
 ) -> Written:
     """Write images and labels in one format below `out`.
 
-    What the format cannot hold is counted in `losses`, see `base.LOSSES`; the same records give the same bytes.
+    What the format cannot hold is counted in `losses`, see `losses.LOSSES`; the same records give the same bytes.
 
     Args:
         name: In `WRITERS`, or `native`: the format of `source`, with every label that it can hold.

@@ -25,21 +25,11 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import (
-    Match,
-    Text,
-    Written,
-    check_box,
-    check_splits,
-    few,
-    is_ignored_name,
-    overhang_px,
-    read_text,
-    require_size,
-    snap,
-    sort_images,
-)
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import Match, check_splits, is_ignored_name, require_size, shorten, sort_images
+from infrablend.formats.box_checks import check_box, overhang_px, snap
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
+from infrablend.formats.losses import Text, Written
 from infrablend.formats.pictures import assign_ids, check_link, check_name, list_pictures, read_size
 from infrablend.formats.polygons import outline, rasterise
 
@@ -677,6 +667,6 @@ def read(
     records, known = build_records(root, pictures, names, captures, problems, task)
     problems += orphan_labels(root, found) + check_table(table, found, root)
     if not records:
-        raise DatasetError(f"{root}: no picture to read", few(problems))
+        raise DatasetError(f"{root}: no picture to read", shorten(problems))
     notes = {"labels": "yolo", "table": table_path.name if table_path else None, "pitch": captures.note()}
     return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)

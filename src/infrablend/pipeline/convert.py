@@ -39,7 +39,7 @@ class ConvertReport:
         out: The folder.
         format: The name of the format written.
         counts: Images and labels read and dropped on wish, by split and class.
-        losses: What the format cannot hold, by kind; `base.LOSSES` says what each means.
+        losses: What the format cannot hold, by kind; see `losses.LOSSES`.
         problems: Everything wrong with the source, and warnings of the writer.
     """
 

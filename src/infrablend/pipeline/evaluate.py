@@ -44,17 +44,17 @@ from infrablend.evaluation.matching import ClassMatches, match_all, size_bins
 from infrablend.evaluation.precision import RECALLS, average_precisions, operating_point, precision_by_recall
 from infrablend.evaluation.strata import image_strata
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, match_classes, truths
-from infrablend.formats.base import few
+from infrablend.formats.base import shorten
 from infrablend.formats.capture import facts_from_name
+from infrablend.formats.groups import GROUPINGS, group_images
 from infrablend.formats.pictures import read_size
 from infrablend.report.evaluation import draw_plots, evaluation_page
-from infrablend.report.groups import BYS, group_images
 from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
 Group = Literal["image", "sequence", "date", "gap"]
-GROUPS: tuple[Group, ...] = ("image", *BYS)
+GROUPS: tuple[Group, ...] = ("image", *GROUPINGS)
 
 PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS = (
     "predictions.json",
@@ -141,7 +141,7 @@ def evaluate_detector(
     rejected = _rejected(dataset, split)
     images = _sized([i for i in dataset.images if i.split == split], problems)
     if not images:
-        problems += few(rejected)
+        problems += shorten(rejected)
         where, n = f"{dataset.root.name}, split {split}", {s: sum(i.split == s for i in dataset.images) for s in SPLITS}
         there = ", ".join(f"{s} {k}" for s, k in n.items() if k) or "no images in any split"
         todo = "name another --split" if any(n.values()) else "check the dataset with `infrablend inspect`"
@@ -427,7 +427,7 @@ def _groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> 
     """The group of each image. One background in several configurations, and itself, are one."""
     if by == "image":
         return _frames(images)
-    kind = next(b for b in BYS if b == by)
+    kind = next(b for b in GROUPINGS if b == by)
     try:
         groups = group_images(images, kind)
     except DatasetError as error:

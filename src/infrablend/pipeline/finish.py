@@ -12,7 +12,7 @@ from typing import Any
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
 from infrablend.formats import writing
-from infrablend.formats.base import Written
+from infrablend.formats.losses import Written
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.card import run_card
 from infrablend.pipeline.folder import RunFolder

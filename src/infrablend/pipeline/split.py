@@ -19,9 +19,9 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import sort_images
+from infrablend.formats.groups import NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, read_size
 from infrablend.report.card import dataset_card, write_card
-from infrablend.report.groups import NEAR, By, Leakage, group_images, leakage
 
 SHARES = (0.7, 0.1, 0.2)
 RECORD = "split.json"
@@ -40,7 +40,7 @@ class SplitReport:
         seed: Of the order in which groups were dealt out.
         wanted: Share of train, val and test that was asked for.
         images: Images by split.
-        objects: By class and split.
+        objects: Grouping class and split.
         groups: Split by group.
         before: Neighbours across the splits as they were.
         after: Neighbours across the new ones.
@@ -51,7 +51,7 @@ class SplitReport:
     """
 
     out: Path
-    by: By
+    by: Grouping
     gap: int
     seed: int
     wanted: tuple[float, float, float]
@@ -95,7 +95,7 @@ def split_dataset(
     dataset: Dataset,
     out: Path,
     *,
-    by: By,
+    by: Grouping,
     gap: int = NEAR,
     shares: Sequence[float] = SHARES,
     seed: int = 0,
@@ -235,7 +235,7 @@ def _improve(
 
 
 def _warnings(
-    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: By
+    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping
 ) -> tuple[Problem, ...]:
     """Splits that got no image, and classes that a split got none of."""
     problems = []

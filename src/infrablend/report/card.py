@@ -20,7 +20,8 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import LOSSES, read_json
+from infrablend.formats.annotation_files import read_json
+from infrablend.formats.losses import LOSSES
 from infrablend.formats.sources import (
     APACHE_2,
     CC0_1,

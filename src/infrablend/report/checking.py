@@ -14,7 +14,7 @@ import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import check_box
+from infrablend.formats.box_checks import check_box
 from infrablend.formats.images import Background, load_background
 from infrablend.formats.pictures import read_size
 

@@ -17,9 +17,9 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
-from infrablend.report.groups import Leakage, leakage
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 # More distinct values than this are put into bins.

@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 from infrablend.core.dataset import SPLITS, Category
 from infrablend.errors import DatasetError
-from infrablend.formats.base import Match, read_json, read_xml
+from infrablend.formats.annotation_files import read_json, read_xml
+from infrablend.formats.base import Match
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.pictures import is_hidden
 

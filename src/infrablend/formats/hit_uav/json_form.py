@@ -8,11 +8,13 @@ from typing import Any, Literal
 
 from infrablend.core.dataset import Category, Split
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import is_ignored_name, read_json, to_bool, to_floats, to_int, to_size
+from infrablend.formats.annotation_files import read_json
+from infrablend.formats.base import is_ignored_name
 from infrablend.formats.capture import Capture
 from infrablend.formats.hit_uav.forms import Form
 from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, relative_to, set_corners, set_geometry
 from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 
 def read_json_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]) -> FormData:

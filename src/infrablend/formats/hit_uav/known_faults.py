@@ -28,8 +28,8 @@ def remarks(dataset: Dataset) -> tuple[str, ...]:
     if {"train", "test"} <= splits:
         found.append(
             "HIT-UAV's published split is random over frames, not over scenes, so that train and test share "
-            "near-identical neighbours. In the full dataset 525 of the 579 test images have a training image at most 5 frame numbers "
-            "away. It remains the default; `infrablend split` makes a split without such neighbours"
+            "near-identical neighbours. In the full dataset 525 of the 579 test images have a training image at most 5 "
+            "frame numbers away. It remains the default; `infrablend split` makes a split without such neighbours"
         )
     wrong = [i for n in _PEOPLE_CALLED_CAR if (i := frames.get(n)) and i.name.startswith("1_130_90_0_")]
     boxes = sum(o.category == "Car" and not o.inserted for i in wrong for o in i.instances)
@@ -44,7 +44,7 @@ def remarks(dataset: Dataset) -> tuple[str, ...]:
             "not objects. Published conversions treat it in at least four different ways"
         )
     found.append(
-        "altitude alone does not determine the scale: pixels per metre differ by a factor of about 1.5 at the same nominal "
-        "altitude. Calibrate on objects of known size"
+        "altitude alone does not determine the scale: pixels per metre differ by a factor of about 1.5 at the same "
+        "nominal altitude. Calibrate on objects of known size"
     )
     return tuple(found)

@@ -9,7 +9,7 @@ from typing import Any
 
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import check_splits, few, sort_images
+from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.hit_uav.forms import FORMS, NAME, Form, detect, find_forms
 from infrablend.formats.hit_uav.json_form import read_json_form
 from infrablend.formats.hit_uav.records import FormData
@@ -55,14 +55,14 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
     ]
     problems = [p for d in data for p in d.problems]
     if not any(d.pictures for d in data):
-        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
     borrowed = _borrow_pictures(root, forms, data)
     categories = unite_categories(data)
     images, notes, more = unite(data)
     notes |= {"pictures_borrowed": borrowed} if borrowed else {}
     problems += more
     if not images:
-        raise DatasetError(f"{root}: none of the annotated pictures exists", few(problems))
+        raise DatasetError(f"{root}: none of the annotated pictures exists", shorten(problems))
     for split in wanted if splits is not None else ():
         if not any(i.split == split for i in images):
             problems.append(Problem(str(root), "split-missing", f"no picture of split {split}", severity="warning"))

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import SPLITS, Category, Split
-from infrablend.formats.base import is_ignored_name, read_text, read_xml, to_bool, to_floats, to_size
+from infrablend.formats.annotation_files import read_text, read_xml
+from infrablend.formats.base import is_ignored_name
 from infrablend.formats.hit_uav.forms import CATEGORIES, Form, xml_files
 from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, relative_to, set_corners, set_geometry
 from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.values import to_bool, to_floats, to_size
 
 
 def read_xml_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]) -> FormData:

@@ -7,12 +7,13 @@ import re
 from fnmatch import fnmatch
 from pathlib import Path
 
-from infrablend.formats.base import Match, leaves_folder
+from infrablend.formats.annotation_files import leaves_folder
+from infrablend.formats.base import Match
 from infrablend.formats.monet.options import PITCH_KEYS
 from infrablend.formats.pictures import is_hidden
 
 NAME = "monet"
-# No annotations of backgrounds: pictures' tables, our own runs.
+# Not annotations: tables of pictures, and records of InfraBlend.
 _NO_ANNOTATIONS = (
     "metadata.json",
     "world.json",
@@ -28,7 +29,7 @@ SEQUENCE = re.compile(r"(?:runway|dirtroad)_\d+")
 
 
 def find_files(root: Path, pattern: str | None = None) -> list[Path]:
-    """JSON files that may hold annotations, sorted: at most four folders down, or those that fit a pattern."""
+    """Return the JSON files that may contain annotations, sorted: up to four levels down, or matching a pattern."""
     found: list[Path] = []
     for base, folders, names in os.walk(root):
         here = Path(base)
@@ -36,7 +37,7 @@ def find_files(root: Path, pattern: str | None = None) -> list[Path]:
         folders[:] = sorted(
             d for d in folders if not is_hidden(d) and depth < _JSON_DEPTH and (d not in SKIPPED_FOLDERS or pattern)
         )
-        # No pipes or devices: they would be waited for.
+        # No pipes or devices: opening them would block.
         files = [here / n for n in names if n.lower().endswith(".json") and not is_hidden(n) and (here / n).is_file()]
         if pattern is None:
             found += [p for p in files if p.name not in _NO_ANNOTATIONS]
@@ -46,26 +47,26 @@ def find_files(root: Path, pattern: str | None = None) -> list[Path]:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` is MONET: JSON below it that mentions a gimbal pitch, or beside folders named as its sequences."""
+    """Decide whether `root` is MONET: its JSON contains a gimbal pitch, or its folders are named like sequences."""
     files = find_files(root)
     if not files:
-        return Match(NAME, False, "no JSON file in the folder or up to four below")
+        return Match(NAME, False, "no JSON file in the folder or up to four levels below")
     for path in files:
         key = _mentioned(path)
         if key is not None:
-            return Match(NAME, True, f"{path.relative_to(root).as_posix()} holds {key!r}")
+            return Match(NAME, True, f"{path.relative_to(root).as_posix()} contains {key!r}")
     for base, folders, _ in os.walk(root):
         depth = len(Path(base).relative_to(root).parts)
-        # COCO and others keep our pictures' folders below `images`: those are theirs.
+        # Our writers of COCO and others keep sequence folders below `images`.
         folders[:] = sorted(d for d in folders if not is_hidden(d) and d != "images" and depth < _JSON_DEPTH)
         named = next((d for d in (Path(base).resolve().name, *folders) if SEQUENCE.fullmatch(d)), None)
         if named is not None:
             return Match(NAME, True, f"JSON files and a sequence folder {named}")
-    return Match(NAME, False, f"no JSON file mentions {' or '.join(PITCH_KEYS)}, no folder runway_NN or dirtroad_NN")
+    return Match(NAME, False, f"no JSON file contains {' or '.join(PITCH_KEYS)}, no folder runway_NN or dirtroad_NN")
 
 
 def _mentioned(path: Path) -> str | None:
-    """The pitch key that a file holds as text, found without parsing it."""
+    """Return the pitch key that a file contains as text, found without parsing it."""
     keys = [f'"{k}"'.encode() for k in PITCH_KEYS]
     keep = max(map(len, keys))
     if leaves_folder(path) or not path.is_file():

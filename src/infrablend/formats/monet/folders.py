@@ -21,7 +21,7 @@ _SAMPLE = 50
 
 
 class Pictures:
-    """All pictures below the data set's folder, and where an annotation file's own are among them."""
+    """All pictures of the dataset, and the folder to which each annotation file's picture names are relative."""
 
     def __init__(self, root: Path) -> None:
         self.by_path = list_pictures(root, SKIPPED_FOLDERS)
@@ -36,15 +36,18 @@ class Pictures:
         self.folder = PictureFolder(root, self.by_path, stems)
 
     def resolve(self, name: str, base: str, strip: int) -> str:
-        """A name of an annotation as path below the data set's folder."""
+        """Return a picture's name in an annotation file as path below the dataset's folder."""
         parts = PurePosixPath(name).parts[strip:]
         return str(PurePosixPath(base, *parts)) if parts else name
 
     def locate(self, names: Sequence[str], where: str) -> tuple[str, int] | Problem:
-        """The folder that a file's names are relative to, and how many leading folders to take off them first.
+        """Find the folder to which an annotation file's names are relative.
 
-        A folder that shares names with the file's path (`runway_04.json`, `runway_04/...`) is preferred over one
-        where more pictures happen to bear the same names.
+        A folder that shares parts with the file's path (`runway_04.json`, `runway_04/...`) is preferred over one
+        in which more pictures happen to have the same names.
+
+        Returns:
+            The folder, and the number of leading folders to remove from the names first; or why it is ambiguous.
         """
         step = max(1, len(names) // _SAMPLE)
         said = PurePosixPath(where).with_suffix("").parts
@@ -71,11 +74,13 @@ class Pictures:
         top = sorted(c for c in votes if rank(c) == best)
         if len({c[0] for c in top}) == 1:
             return top[0]
-        found = f"pictures of its names ({names[0]}, ...) lie in {', '.join(c[0] or '.' for c in top[:4])}"
-        return Problem(where, "pictures-ambiguous", found, "one folder", "say which, e.g. --read pictures={stem}/lwir")
+        found = f"pictures with its names ({names[0]}, ...) exist in {', '.join(c[0] or '.' for c in top[:4])}"
+        return Problem(
+            where, "pictures-ambiguous", found, "one folder", "name the folder, e.g. --read pictures={stem}/lwir"
+        )
 
     def given(self, pattern: str, names: Sequence[str], where: str) -> tuple[str, int]:
-        """As `locate`, for the folder that the option `pictures` says."""
+        """Do the same as `locate` for the folder given by the option `pictures`."""
         path = PurePosixPath(where)
         base = pattern.replace("{stem}", path.stem).replace("{folder}", str(path.parent))
         base = str(PurePosixPath(base))
@@ -88,7 +93,7 @@ class Pictures:
 
 
 def split_in(parts: Sequence[str]) -> Split | None:
-    """The split that a folder is named after: `val`, `monet_val`."""
+    """Return the split after which a folder is named, such as `val` or `monet_val`."""
     for part in parts:
         name = part.lower().removeprefix("monet").lstrip("_-")
         if name in _SPLITS:
@@ -97,14 +102,15 @@ def split_in(parts: Sequence[str]) -> Split | None:
 
 
 def split_in_stem(stem: str) -> Split | None:
+    """Return the first split among the words of a file's stem, such as `instances_val2017`."""
     words = [w.rstrip("0123456789") for w in re.split(r"[^a-z0-9]+", stem.lower())]
     return next((_SPLITS[w] for w in words if w in _SPLITS), None)
 
 
 def sequence_of(path: str, stem: str, root_name: str) -> str | None:
-    """The sequence of a picture: the folder that holds `lwir`, else its own folder, else the annotation file's name.
+    """Return the sequence of a picture: the folder around `lwir`, else its folder, else the annotation file's name.
 
-    The data set's own folder counts if it is named as MONET's sequences: somebody may have fetched but one.
+    The dataset's own folder is used if it is named like one of MONET's sequences: someone may have only that one.
     """
     folders = PurePosixPath(path).parent.parts
     if "lwir" in folders:
@@ -120,7 +126,7 @@ def sequence_of(path: str, stem: str, root_name: str) -> str | None:
 
 
 def below_split(path: str) -> str:
-    """Where a picture lies below its split's folder."""
+    """Return the path of a picture below its split's folder."""
     parts = PurePosixPath(path).parts
     at = next((k for k, p in enumerate(parts[:-1]) if split_in([p]) is not None), -1)
     return "/".join(parts[at + 1 :])

@@ -11,19 +11,19 @@ from infrablend.core.dataset import SPLITS, Split, TimeOfDay
 from infrablend.errors import DatasetError, Problem
 
 OPTIONS = {
-    "pitch_sign": "-1 where negative pitch looks down, +1 where positive does; told from the majority by default",
-    "pitch_key": "gimbal pitch in an image record, dotted for an object inside it, e.g. metadata.g_pitch",
-    "altitude_key": "altitude in metres, likewise",
-    "time_key": "time of capture, likewise",
-    "angle_unit": "of the pitch: deg (default) or rad",
-    "time_of_day": "of every image: day or night",
+    "pitch_sign": "-1 if negative pitch looks down, +1 if positive does; default: as most frames look down",
+    "pitch_key": "key of the gimbal pitch in an image record, dotted for nested objects, e.g. metadata.g_pitch",
+    "altitude_key": "key of the altitude in metres, likewise",
+    "time_key": "key of the time of capture, likewise",
+    "angle_unit": "unit of the pitch: deg (default) or rad",
+    "time_of_day": "time of day of every image: day or night",
     "exclude": "sequences to leave out: a,b,c",
     "empty": "sequences without any pitch: exclude (default) or keep",
-    "split": "of every image: train, val or test; told from folder and file names by default",
-    "annotations": "pattern of the annotation files below the folder, e.g. annotations/*.json",
-    "pictures": "folder of an annotation file's pictures below the data set's, e.g. {stem}/lwir",
+    "split": "split of every image: train, val or test; taken from folder and file names by default",
+    "annotations": "pattern of the annotation files, relative to the folder, e.g. annotations/*.json",
+    "pictures": "folder of an annotation file's pictures, relative to the dataset's folder, e.g. {stem}/lwir",
 }
-# Only g_pitch and alt are read off a figure of the authors; the others are guesses that cost nothing.
+# g_pitch and alt appear in a figure of the authors; the others are guesses that cost nothing.
 PITCH_KEYS = ("g_pitch", "gimbal_pitch")
 ALTITUDE_KEYS = ("alt", "altitude")
 TIME_KEYS = ("timestamp", "time_stamp", "time", "date_captured")
@@ -31,6 +31,22 @@ TIME_KEYS = ("timestamp", "time_stamp", "time", "date_captured")
 
 @dataclass(frozen=True)
 class MonetOptions:
+    """Options of MONET's reader, checked.
+
+    Attributes:
+        sign: -1 if negative pitch looks down, 1 if positive does; None decides by majority.
+        pitch: Keys to try for the gimbal pitch; a dot leads into a nested object.
+        altitude: Keys to try for the altitude.
+        time: Keys to try for the time of capture.
+        radians: Whether the pitch is in radians.
+        time_of_day: Time of day of every image, if it is known.
+        exclude: Sequences to leave out.
+        keep_empty: Whether sequences without any pitch are kept.
+        split: Split of every image; None takes it from folder and file names.
+        annotations: Pattern of the annotation files; None searches for them.
+        pictures: Folder of an annotation file's pictures; None searches for it.
+    """
+
     sign: int | None
     pitch: Sequence[str]
     altitude: Sequence[str]
@@ -40,9 +56,20 @@ class MonetOptions:
     exclude: tuple[str, ...]
     keep_empty: bool
     split: Split | None
+    annotations: str | None
+    pictures: str | None
 
 
-def check_options(root: Path, given: Mapping[str, str | None]) -> MonetOptions:
+def check_options(root: Path, options: Mapping[str, str | None]) -> MonetOptions:
+    """Return the options as values.
+
+    Raises:
+        TypeError: An option does not exist.
+        DatasetError: At least one value is not allowed; all such values are listed.
+    """
+    if unknown := sorted(set(options) - set(OPTIONS)):
+        raise TypeError(f"options {', '.join(unknown)}: expected some of {', '.join(OPTIONS)}")
+    given: dict[str, str | None] = dict.fromkeys(OPTIONS) | dict(options)
     allowed: dict[str, Mapping[str, Any]] = {
         "pitch_sign": {"-1": -1, "+1": 1, "1": 1},
         "angle_unit": {"deg": False, "rad": True},
@@ -60,9 +87,9 @@ def check_options(root: Path, given: Mapping[str, str | None]) -> MonetOptions:
     for name in ("pitch_key", "altitude_key", "time_key"):
         text = given[name]
         if text is not None and not all(text.split(".")):
-            problems.append(Problem(f"option {name}", "option-value", repr(text), "a key, or keys joined by dots"))
+            problems.append(Problem(f"option {name}", "option-value", repr(text), "a key, or several joined by dots"))
     if problems:
-        raise DatasetError(f"{root}: options that cannot be used", problems)
+        raise DatasetError(f"{root}: options with unusable values", problems)
 
     def keys(name: str, otherwise: Sequence[str]) -> Sequence[str]:
         text = given[name]
@@ -72,5 +99,5 @@ def check_options(root: Path, given: Mapping[str, str | None]) -> MonetOptions:
         value["pitch_sign"], keys("pitch_key", PITCH_KEYS), keys("altitude_key", ALTITUDE_KEYS),
         keys("time_key", TIME_KEYS), bool(value["angle_unit"]), value["time_of_day"],
         tuple(sorted({s.strip() for s in (given["exclude"] or "").split(",") if s.strip()})), bool(value["empty"]),
-        value["split"],
+        value["split"], given["annotations"], given["pictures"],
     )  # fmt: skip

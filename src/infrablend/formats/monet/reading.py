@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
-from infrablend.formats.base import check_splits, few, read_json, sort_images, to_int, to_size
+from infrablend.formats.annotation_files import read_json
+from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.capture import Captures
 from infrablend.formats.monet.detection import NAME, find_files
 from infrablend.formats.monet.folders import Pictures, sequence_of, split_in, split_in_stem
@@ -27,8 +28,22 @@ from infrablend.formats.monet.telemetry import (
     set_pitches,
 )
 from infrablend.formats.pictures import assign_ids, check_link, check_name, read_size
+from infrablend.formats.values import to_int, to_size
 
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
+
+
+@dataclass(slots=True)
+class _Reading:
+    """What is known while a dataset is read: its pictures, options, the categories and problems found so far."""
+
+    root: Path
+    listing: Pictures
+    options: MonetOptions
+    splits: Sequence[Split]
+    seen: set[str] = field(default_factory=set)
+    categories: list[Category] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
 
 
 def read(
@@ -36,50 +51,33 @@ def read(
     *,
     splits: Iterable[str] | None = None,
     metadata: Path | None = None,
-    pitch_sign: str | None = None,
-    pitch_key: str | None = None,
-    altitude_key: str | None = None,
-    time_key: str | None = None,
-    angle_unit: str | None = None,
-    time_of_day: str | None = None,
-    exclude: str | None = None,
-    empty: str | None = None,
-    split: str | None = None,
-    annotations: str | None = None,
-    pictures: str | None = None,
+    **options: str | None,
 ) -> Dataset:
-    """Read MONET, or what is laid out like it; the options are in `OPTIONS`, as text.
+    """Read MONET, or a dataset laid out like it.
 
-    `pitch_deg` is the gimbal's pitch turned into a depression angle, negative where the camera looks up. The sign is
-    that for which most of the frames look down. Sequences without any pitch are left out, as in the paper; single
-    frames without one are kept, with pitch None. All of it is counted in `notes`.
+    `pitch_deg` is the gimbal pitch as a depression angle, negative where the camera looks up. The sign is the one for
+    which most frames look down. Sequences without any pitch are left out, as in the paper; single frames without
+    pitch are kept with pitch None. `notes` counts both.
 
     Args:
-        root: Folder of the data set, or of one of its splits.
-        splits: The splits wanted; None reads all there are.
-        metadata: Table of pitch and altitude that counts more than the telemetry; None takes `metadata.csv` or
-            `.json` in the folder, if there.
+        root: Folder of the dataset, or of one of its splits.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude that overrides the telemetry; None uses `metadata.csv` or `.json` in
+            the folder, if it exists.
+        **options: Options as text, described in `OPTIONS`.
 
     Raises:
-        DatasetError: No annotation file; nothing to read; no telemetry where it was looked for; a file in which more
-            than half of the cameras would look up; an option's value.
+        DatasetError: There is no annotation file, nothing to read, no telemetry, a file in which more than half of
+            the cameras would look up, or an option with a wrong value.
     """
     wanted = check_splits(splits)
-    chosen = check_options(
-        root,
-        {
-            "pitch_sign": pitch_sign, "pitch_key": pitch_key, "altitude_key": altitude_key, "time_key": time_key,
-            "angle_unit": angle_unit, "time_of_day": time_of_day, "exclude": exclude, "empty": empty, "split": split,
-        },
-    )  # fmt: skip
-    problems: list[Problem] = []
-    categories: list[Category] = []
+    chosen = check_options(root, options)
+    dataset = _Reading(root, Pictures(root), chosen, wanted)
+    problems, listing = dataset.problems, dataset.listing
     frames: list[Frame] = []
     extra: dict[str, Any] = {}
     notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
-    seen: set[str] = set()
-    listing = Pictures(root)
-    files = find_files(root, annotations)
+    files = find_files(root, chosen.annotations)
     for path in files:
         where = path.relative_to(root).as_posix()
         try:
@@ -94,61 +92,51 @@ def read(
         names = [
             i["file_name"] for i in top["images"] if isinstance(i, dict) and check_name(i.get("file_name"), "") is None
         ]
-        place = listing.given(pictures, names, where) if pictures else listing.locate(names, where)
+        place = listing.given(chosen.pictures, names, where) if chosen.pictures else listing.locate(names, where)
         if isinstance(place, Problem):
             problems.append(place)
             continue
         extra = {k: top[k] for k in ("info", "licenses") if k in top} | extra
         notes["annotations"].append(where)
         notes["pictures"][where] = place[0] or "."
-        frames += _read_file(root, top, where, place, listing, chosen, wanted, seen, categories, problems)
+        frames += _read_file(dataset, top, where, place)
     if not notes["annotations"]:
-        raise _nothing_found(root, files, annotations, problems)
-    notes["excluded"] = _leave_out(frames, chosen.exclude, "exclude", "named in exclude", problems, root)
+        raise _nothing_found(root, files, chosen.annotations, problems)
+    notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
     if not frames:
-        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", few(problems))
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
     notes["gimbal_pitch"] = set_pitches(root, frames, chosen, problems)
     captures, notes["table"] = apply_table(root, metadata, frames, problems)
     if not chosen.keep_empty:
         require_pitch(root, frames, chosen, problems)
         has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.pitch_deg is not None}
         bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
-        excluded = _leave_out(frames, bare, "empty", "no telemetry in any frame", problems, root)
+        excluded = _leave_out(dataset, frames, bare, "empty")
         notes["excluded"] |= excluded
         captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
     notes["pitch"] = captures.note()
     without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.pitch_deg is None)
     notes["frames_without_pitch"] = dict(sorted(without.items()))
-    return Dataset(root, NAME, tuple(categories), _records(frames), tuple(problems), notes, extra)
+    return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
 
 
 def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, problems: Sequence[Problem]) -> DatasetError:
-    """The error for a folder without a COCO file that can be used, with what was tried."""
+    """Return the error for a folder without a usable COCO file, listing the files that were tried."""
     shown = ", ".join(p.relative_to(root).as_posix() for p in files[:8]) or "no JSON file"
     found = f"{shown}{f' and {len(files) - 8} more' if len(files) > 8 else ''}"
-    expected = f"COCO files that fit {pattern}" if pattern else "COCO files at most four folders down"
-    todo = "say where they are with --read annotations=PATTERN"
+    expected = f"COCO files that match {pattern}" if pattern else "COCO files at most four levels down"
+    todo = "give their place with --read annotations=PATTERN"
     return DatasetError(
         f"{root}: no annotations of MONET",
-        [Problem(str(root), "annotation-missing", found, expected, todo), *few(problems)],
+        [Problem(str(root), "annotation-missing", found, expected, todo), *shorten(problems)],
     )
 
 
-def _read_file(
-    root: Path,
-    top: Mapping[str, Any],
-    where: str,
-    place: tuple[str, int],
-    listing: Pictures,
-    chosen: MonetOptions,
-    wanted: Sequence[Split],
-    seen: set[str],
-    categories: list[Category],
-    problems: list[Problem],
-) -> list[Frame]:
-    """The pictures of one annotation file with what it says about them."""
+def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]) -> list[Frame]:
+    """Return the pictures of one annotation file with their labels and telemetry."""
+    root, listing, problems = dataset.root, dataset.listing, dataset.problems
     path = PurePosixPath(where)
-    of_file = chosen.split or split_in_stem(path.stem) or split_in(path.parent.parts)
+    of_file = dataset.options.split or split_in_stem(path.stem) or split_in(path.parent.parts)
     of_root = split_in([root.resolve().name])
     joined = join_lists(top)
     images: list[Any] = []
@@ -165,12 +153,12 @@ def _read_file(
         r = r | {"file_name": name if file is not None else r["file_name"]}
         number = to_int(r.get("id"))
         in_split = of_file or split_in(PurePosixPath(below).parent.parts) or of_root or "train"
-        if number is not None and (in_split not in wanted or (file is not None and name in seen)):
-            twice += in_split in wanted
+        if number is not None and (in_split not in dataset.splits or (file is not None and name in dataset.seen)):
+            twice += in_split in dataset.splits
             skipped.add(number)
             continue
         if file is not None:
-            seen.add(name)
+            dataset.seen.add(name)
             no_size = to_size(r.get("width"), r.get("height")) is None
             if no_size and check_link(file, root, where) is None:
                 size_wh, problem = read_size(file, f"{where}: image {r.get('id')}")
@@ -181,14 +169,15 @@ def _read_file(
             fields.setdefault(number, {k: v for k, v in r.items() if k not in _COCO_FIELDS} | joined.get(number, {}))
         images.append(r)
     if twice:
-        found = f"{twice} picture(s) that another annotation file holds, too; left out here"
+        found = f"{twice} picture(s) that another annotation file contains too; left out here"
         problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove one of the files"))
     if measured:
-        found = f"{measured} image(s) without width and height, taken from the pictures"
+        found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
     annotations = [a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped]
     part = dict(top) | {"images": images, "annotations": annotations}
-    records = coco.read_records(part, listing.folder, "train", where, categories, Captures(None, problems), problems)
+    captures = Captures(None, problems)
+    records = coco.read_records(part, listing.folder, "train", where, dataset.categories, captures, problems)
     tally = Tally()
     frames = []
     for _, record in records:
@@ -196,7 +185,8 @@ def _read_file(
         own = fields.get(number, {})
         in_split = of_file or split_in(PurePosixPath(record.name).parent.parts) or of_root or "train"
         sequence = sequence_of(record.name, path.stem, root.resolve().name)
-        frames.append(frame_of(record, where, in_split, sequence, own, chosen, tally))
+        record = replace(record, split=in_split, sequence=sequence or record.sequence)
+        frames.append(frame_of(record, where, own, dataset.options, tally))
     expected = {
         "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
         "time": "ISO 8601",
@@ -206,14 +196,11 @@ def _read_file(
 
 
 def _leave_out(
-    frames: list[Frame],
-    sequences: Iterable[Any],
-    option: Literal["exclude", "empty"],
-    why: str,
-    problems: list[Problem],
-    root: Path,
+    dataset: _Reading, frames: list[Frame], sequences: Iterable[Any], option: Literal["exclude", "empty"]
 ) -> dict[str, Any]:
-    """Take sequences (names, or pairs of split and name) out of `frames`; count them in the notes and as a warning."""
+    """Remove sequences (names, or pairs of split and name) from `frames`; report and count them."""
+    root, problems = dataset.root, dataset.problems
+    why = "named in exclude" if option == "exclude" else "no telemetry in any frame"
     wanted = set(sequences)
     out = [f for f in frames if f.sequence in wanted or (f.record.split, f.sequence) in wanted]
     frames[:] = [f for f in frames if not (f.sequence in wanted or (f.record.split, f.sequence) in wanted)]
@@ -239,12 +226,12 @@ def _leave_out(
 
 
 def _records(frames: Sequence[Frame]) -> tuple[ImageRecord, ...]:
-    """The records with ids: `<sequence>_<stem>` where that is unique."""
+    """Return the records with ids: `<sequence>_<stem>` where that is unique."""
     plain: dict[str, str] = {}
     for f in frames:
         r = f.record
         name = PurePosixPath(r.name).name
-        # Pictures that InfraBlend wrote bear the sequence in their names already.
+        # Pictures written by InfraBlend already have the sequence in their names.
         if f.sequence and not name.startswith(f"{f.sequence}_"):
             name = f"{f.sequence}_{name}"
         plain[f"{r.split}/{r.name}"] = f"{r.split}/{name}"

@@ -10,23 +10,24 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from infrablend.core.dataset import ImageRecord, Split
+from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import few, to_floats, to_int
+from infrablend.formats.base import shorten
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.monet.folders import below_split
 from infrablend.formats.monet.options import MonetOptions
+from infrablend.formats.values import to_floats, to_int
 
-# Where the writer puts telemetry if the source had none.
+# Object in an image record that takes the telemetry if the source had none.
 NEST = "metadata"
 Place = tuple[str, ...]
 T = TypeVar("T")
-# A gimbal that points straight down reads a little more at times.
+# A gimbal that points straight down sometimes reads slightly beyond 90 degrees.
 BEYOND_DEG = 1.0
 
 
 def _places(record: Mapping[str, Any], keys: Sequence[str]) -> Iterator[Place]:
-    """Where one of the keys stands: as dotted path, in the record itself, in an object one level inside."""
+    """Yield the places of the keys: as dotted path, in the record itself, in an object one level deeper."""
     for key in keys:
         path = tuple(key.split("."))
         if len(path) > 1 and _at(record, path) is not None:
@@ -48,7 +49,7 @@ def _at(record: Mapping[str, Any], place: Place) -> Any:
 
 
 def _find(record: Mapping[str, Any], keys: Sequence[str], read: Callable[[Any], T | None]) -> tuple[Place | None, Any]:
-    """The first place whose value can be read, else the first with a value, else the first; and the value there."""
+    """Return the first place with a readable value, else the first with a value, else the first; and its value."""
     best: tuple[int, Place | None, Any] = (0, None, None)
     for place in _places(record, keys):
         value = _at(record, place)
@@ -59,7 +60,7 @@ def _find(record: Mapping[str, Any], keys: Sequence[str], read: Callable[[Any], 
 
 
 def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """Top-level lists of objects with an `image_id`, other than the annotations: telemetry kept beside the images."""
+    """Return, per image id, the objects of top-level lists other than annotations: telemetry beside the images."""
     joined: dict[int, dict[str, Any]] = defaultdict(dict)
     for name, entries in sorted(top.items()):
         if name in ("images", "annotations", "categories", "licenses") or not isinstance(entries, list):
@@ -72,7 +73,7 @@ def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
 
 
 def _iso_time(value: Any) -> str | None:
-    """ISO 8601 of a time in a form of it, None of anything else."""
+    """Return a time in normalised ISO 8601, or None if the value is not a time."""
     try:
         return datetime.fromisoformat(value.strip()).isoformat() if isinstance(value, str) else None
     except ValueError:
@@ -81,7 +82,7 @@ def _iso_time(value: Any) -> str | None:
 
 @dataclass(slots=True)
 class Frame:
-    """A picture as read, its telemetry not yet interpreted."""
+    """A picture whose telemetry has been found but not yet interpreted."""
 
     record: ImageRecord
     where: str
@@ -92,17 +93,19 @@ class Frame:
 
 @dataclass(slots=True)
 class Tally:
-    """Values of one file that cannot be used: how many, and the first few."""
+    """Unusable values of one file: their number, and the first few."""
 
     counts: Counter[str] = field(default_factory=Counter)
     shown: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, what: str, text: str) -> None:
+        """Count one unusable value."""
         self.counts[what] += 1
         if len(self.shown[what]) < 3:
             self.shown[what].append(text)
 
     def problems(self, where: str, expected: Mapping[str, str]) -> list[Problem]:
+        """Return one warning per kind of value."""
         return [
             Problem(
                 where, "metadata-value", f"{n} image(s) with {what} {', '.join(self.shown[what])}, ignored",
@@ -112,16 +115,8 @@ class Tally:
         ]  # fmt: skip
 
 
-def frame_of(
-    record: ImageRecord,
-    where: str,
-    split: Split,
-    sequence: str | None,
-    fields: dict[str, Any],
-    chosen: MonetOptions,
-    tally: Tally,
-) -> Frame:
-    """A record with its telemetry looked up; what cannot be used is tallied."""
+def frame_of(record: ImageRecord, where: str, fields: dict[str, Any], chosen: MonetOptions, tally: Tally) -> Frame:
+    """Return a picture with its telemetry; unusable values are counted."""
     here = f"(image {record.source_id})"
     pitch_at, pitch = _find(fields, chosen.pitch, _number)
     altitude_at, altitude = _find(fields, chosen.altitude, _number)
@@ -142,8 +137,8 @@ def frame_of(
     places = {"pitch": pitch_at, "altitude": altitude_at, "time": time_at, "radians": chosen.radians}
     extra = {**record.extra, "fields": fields, "telemetry": places}
     kept = replace(
-        record, split=split, sequence=sequence or record.sequence, captured=captured, extra=extra,
-        file_name=below_split(record.name), time_of_day=chosen.time_of_day or record.time_of_day,
+        record, captured=captured, extra=extra, file_name=below_split(record.name),
+        time_of_day=chosen.time_of_day or record.time_of_day,
     )  # fmt: skip
     return Frame(kept, where, raw, metres, kept.sequence)
 
@@ -158,16 +153,16 @@ def _show(value: Any) -> str:
 
 
 def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems: list[Problem]) -> dict[str, Any]:
-    """Decide which sign looks down, turn all pitches into depression angles, and judge the result file by file."""
+    """Decide which sign looks down, convert all pitches to depression angles, and check the result per file."""
     raw = [f.raw_deg for f in frames if f.raw_deg is not None]
     below, above = sum(v < 0 for v in raw), sum(v > 0 for v in raw)
     keys = sorted({".".join(f.record.extra["telemetry"]["pitch"]) for f in frames if f.raw_deg is not None})
     name = ", ".join(keys)
-    todo = "give --read pitch_sign=-1 (negative looks down) or +1"
+    todo = "add --read pitch_sign=-1 (negative looks down) or pitch_sign=+1"
     if chosen.sign is None and raw and below == above and below > 0:
-        found = f"{below} values of {name} below 0 and as many above"
-        problem = Problem(str(root), "pitch-sign", found, "most frames looking down", todo)
-        raise DatasetError(f"{root}: which sign of the gimbal's pitch looks down cannot be told", [problem])
+        found = f"{below} values of {name} below 0 and the same number above"
+        problem = Problem(str(root), "pitch-sign", found, "most frames look down", todo)
+        raise DatasetError(f"{root}: the sign of the gimbal pitch that looks down cannot be determined", [problem])
     sign = chosen.sign if chosen.sign is not None else -1 if below >= above else 1
     upward: Counter[str] = Counter()
     known: Counter[str] = Counter()
@@ -176,7 +171,7 @@ def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems:
         if f.raw_deg is None:
             pitch = f.record.pitch_deg
         else:
-            # Not -0.0 for a level camera.
+            # Avoids -0.0 for a level camera.
             pitch = sign * f.raw_deg + 0.0
             clamped += abs(pitch) > 90
             pitch = max(-90.0, min(90.0, pitch))
@@ -193,20 +188,22 @@ def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems:
     if wrong:
         faults = [
             Problem(w, "pitch-sign", f"{upward[w]} of {known[w]} cameras look up with pitch = {'+-'[sign < 0]}{name}",
-                    "most cameras looking down", todo)
+                    "most cameras look down", todo)
             for w in wrong
         ]  # fmt: skip
-        raise DatasetError(f"{root}: more than half of the pitches are negative", few(faults))
+        raise DatasetError(f"{root}: more than half of the pitches are negative", shorten(faults))
     said = f"pitch = {'+-'[sign < 0]}{name}: {below} values below 0, {above} above"
     if chosen.sign is None and raw:
         problems.append(
-            Problem(root.name, "pitch-sign", said, "most frames looking down",
-                    f"if that is wrong, {todo}; giving it silences this", "warning")
+            Problem(root.name, "pitch-sign", said, "most frames look down",
+                    f"if that is wrong, {todo}; either one silences this warning", "warning")
         )  # fmt: skip
     if not chosen.radians and len(raw) >= 10 and 0 < max(map(abs, raw)) <= math.pi / 2:
-        found = f"all {len(raw)} values of {name} lie within {max(map(abs, raw)):.4g}: radians?"
+        found = f"all {len(raw)} values of {name} are within {max(map(abs, raw)):.4g}, as if in radians"
         problems.append(
-            Problem(root.name, "pitch-unit", found, "degrees", "if so, give --read angle_unit=rad", "warning")
+            Problem(
+                root.name, "pitch-unit", found, "degrees", "if they are radians, add --read angle_unit=rad", "warning"
+            )
         )
     return {
         "key": name, "unit": "rad" if chosen.radians else "deg", "sign": sign,
@@ -218,7 +215,7 @@ def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems:
 def apply_table(
     root: Path, metadata: Path | None, frames: Sequence[Frame], problems: list[Problem]
 ) -> tuple[Captures, str | None]:
-    """Let a table say more, or otherwise, than the telemetry; what counted where pitch came from, the table's name."""
+    """Let a table complete or override the telemetry; return the sources of pitches and the table's name."""
     path = metadata or find_table(root)
     table = read_table(path) if path else None
     captures = Captures(table, problems)
@@ -231,26 +228,26 @@ def apply_table(
         problems += table.problems
         unused = table.unused([f.record.name for f in frames], {f.record.sequence for f in frames})
         if unused:
-            found = f"{len(unused)} row(s) of the table name no picture and no sequence: {', '.join(unused[:3])}"
+            found = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
             expected = "a picture or sequence for each row"
             problems.append(Problem(root.name, "table-unused", found, expected, severity="warning"))
     return captures, path.name if path else None
 
 
 def require_pitch(root: Path, frames: Sequence[Frame], chosen: MonetOptions, problems: Sequence[Problem]) -> None:
-    """An error that names the keys there are, if no frame at all has a pitch: the key is another one, likely."""
+    """Raise an error that lists the existing keys if no frame has a pitch: probably it has another key."""
     if any(f.record.pitch_deg is not None for f in frames):
         return
     keys = {k for f in frames[:1000] for k in _dotted(f.record.extra["fields"])}
-    there = ", ".join(sorted(keys)[:40]) or "nothing more"
-    found = f"no {' or '.join(chosen.pitch)} with a value; image records hold {there}"
-    todo = "name it with --read pitch_key=KEY, or take the images without pitch with --read empty=keep"
-    problem = Problem(str(root), "no-telemetry", found, "the gimbal's pitch in image records", todo)
-    raise DatasetError(f"{root}: no telemetry in {len(frames)} image(s)", [problem, *few(problems)])
+    there = ", ".join(sorted(keys)[:40]) or "no other keys"
+    found = f"no {' or '.join(chosen.pitch)} with a value; image records contain {there}"
+    todo = "name the key with --read pitch_key=KEY, or keep images without pitch with --read empty=keep"
+    problem = Problem(str(root), "no-telemetry", found, "the gimbal pitch in image records", todo)
+    raise DatasetError(f"{root}: no telemetry in {len(frames)} image(s)", [problem, *shorten(problems)])
 
 
 def _dotted(record: Mapping[str, Any], depth: int = 4) -> Iterator[str]:
-    """The keys of a record and of objects inside it, as the options take them."""
+    """Yield the keys of a record and of its nested objects, as the options accept them."""
     for key, value in record.items():
         if isinstance(value, dict) and value and depth:
             yield from (f"{key}.{inner}" for inner in _dotted(value, depth - 1))

@@ -13,7 +13,8 @@ from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import Problem
 from infrablend.formats import coco
-from infrablend.formats.base import Written, category_ids, number_ids, require_size, sort_images
+from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
+from infrablend.formats.losses import Written
 from infrablend.formats.monet.folders import split_in
 from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
 from infrablend.formats.monet.telemetry import NEST, Place
@@ -32,20 +33,20 @@ def write(
 ) -> Written:
     """Write `out/<split>/<sequence>.json` and pictures in `out/<split>/<sequence>/lwir/`, see `native_files`.
 
-    Pictures are hard links of `ImageRecord.path` (copies where that is impossible).
+    Pictures are hard links to `ImageRecord.path` (copies where that is impossible).
 
     Args:
-        out: Folder; made if need be.
-        images: With `size_wh` known.
-        categories: With the ids to write.
-        ids: `new` numbers images and annotations from 1 over all files and writes the source's id as `source_id`;
-            `source` writes the source's own.
+        out: Output folder, created if necessary.
+        images: Images with known `size_wh`.
+        categories: Categories with the ids to write.
+        ids: `new` numbers images and annotations from 1 over all files and keeps the source's id as `source_id`;
+            `source` writes the source's ids.
         extra: Top-level fields `info` and `licenses`, e.g. `Dataset.extra`.
-        pictures: False writes annotations alone.
+        pictures: False writes only annotations.
 
     Raises:
         OutputError: A file cannot be written.
-        ValueError: A size, category or id is missing, or two pictures would have one name.
+        ValueError: A size, category or id is missing, or two pictures would get the same name.
     """
     ordered = sort_images(images)
     texts, losses = native_files(ordered, categories, ids=ids, extra=extra)
@@ -62,10 +63,10 @@ def native_files(
     ids: Literal["source", "new"] = "new",
     extra: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
-    """Text of every annotation file by POSIX path below the output folder, and the losses; see `write`.
+    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`.
 
-    Image records carry what the source's did, with pitch and altitude where they stood there, else as `g_pitch` and
-    `alt` in `metadata`. Annotations are as `coco.write` makes them: masks as run lengths, oriented boxes in `obb`.
+    Image records keep the source's fields, with pitch and altitude at their original place, else as `g_pitch` and
+    `alt` in `metadata`. Annotations equal those of `coco.write`: masks as run lengths, oriented boxes in `obb`.
     """
     ordered = sort_images(images)
     of_category = category_ids(categories)
@@ -73,7 +74,7 @@ def native_files(
     image_ids, object_ids = number_ids(ordered, ids, 1)
     new = ids == "new"
     losses: Counter[str] = Counter()
-    # Without any pitch nothing would tell these files from a folder of bare pictures.
+    # Without any pitch, nothing would identify these files as MONET.
     unknown = all(i.pitch_deg is None for i in ordered)
     tops: dict[str, dict[str, Any]] = {}
     taken: set[tuple[str, str]] = set()
@@ -109,7 +110,7 @@ def native_files(
 
 
 def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
-    """A warning for sequences without any pitch: the reader leaves them out unless it is told to keep them."""
+    """Return a warning for sequences without any pitch, which the reader leaves out unless asked to keep them."""
     known: dict[tuple[str, str], bool] = {}
     for i in images:
         place = (i.split, _folder_name(i))
@@ -118,17 +119,17 @@ def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
     if not empty:
         return []
     found, todo = f"{empty} sequence(s) without any camera pitch", "read it with --read empty=keep"
-    return [Problem("monet", "telemetry-absent", found, "the pitch that makes a sequence usable", todo, "warning")]
+    return [Problem("monet", "telemetry-absent", found, "a pitch in every sequence", todo, "warning")]
 
 
 def _folder_name(image: ImageRecord) -> str:
-    """The sequence as a folder's name; empty if there is none."""
+    """Return the sequence as a folder name; empty if there is none."""
     name = (image.sequence or "").replace("/", "__").replace("\\", "__").strip()
     return "" if name in (".", "..") or split_in([name]) else name
 
 
 def _picture_name(image: ImageRecord) -> str:
-    """Where a picture lies below its split's folder: `<sequence>/lwir/...`."""
+    """Return the path of a picture below its split's folder: `<sequence>/lwir/...`."""
     folder = _folder_name(image)
     parts = list(PurePosixPath(image.name).parts)
     for known in (folder, "lwir"):
@@ -139,7 +140,7 @@ def _picture_name(image: ImageRecord) -> str:
 
 def _image_record(image: ImageRecord, number: int, name: str, new: bool, losses: Counter[str]) -> dict[str, Any]:
     w, h = require_size(image)
-    # A copy of the objects that are changed below.
+    # Copies, because nested objects are changed below.
     fields = {k: dict(v) if isinstance(v, dict) else v for k, v in image.extra.get("fields", {}).items()}
     places: Mapping[str, Any] = image.extra.get("telemetry", {})
     nest = next((p[:-1] for k in ("pitch", "altitude", "time") if (p := places.get(k))), (NEST,))
@@ -158,7 +159,7 @@ def _image_record(image: ImageRecord, number: int, name: str, new: bool, losses:
 
 
 def _put(record: dict[str, Any], place: Place, value: Any) -> None:
-    """Set a value, with objects on the way to it copied or made."""
+    """Set a value at a place, copying or creating the objects on the way."""
     for key in place[:-1]:
         inside = record.get(key)
         record[key] = dict(inside) if isinstance(inside, dict) else {}
@@ -167,7 +168,7 @@ def _put(record: dict[str, Any], place: Place, value: Any) -> None:
 
 
 def _finite(value: Any, losses: Counter[str]) -> Any:
-    """The value with numbers that JSON cannot hold (the source's telemetry may) as null, counted."""
+    """Return the value with non-finite numbers, which JSON cannot hold, replaced by null and counted."""
     if isinstance(value, dict):
         return {k: _finite(v, losses) for k, v in value.items()}
     if isinstance(value, list):

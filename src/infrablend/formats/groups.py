@@ -1,7 +1,7 @@
-"""Which images of a dataset belong together: the flight, the day, the run of frames; and what that means for splits.
+"""Group the images of a dataset by flight, day or run of frames, and measure leakage between splits.
 
-Neighbouring frames of a video are nearly the same picture. Where they stand in different splits, a test measures
-memory, not detection.
+Neighbouring frames of a video are nearly the same picture. If they are in different splits, a test measures memory,
+not detection.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from infrablend.core.dataset import SPLITS, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.capture import facts_from_name
 
-By = Literal["sequence", "date", "gap"]
-BYS: tuple[By, ...] = ("sequence", "date", "gap")
+Grouping = Literal["sequence", "date", "gap"]
+GROUPINGS: tuple[Grouping, ...] = ("sequence", "date", "gap")
 
-# Frames at most this far apart are called neighbours.
+# Frames whose numbers differ by at most this much count as neighbours.
 NEAR = 5
 _LAST_NUMBER = re.compile(r"^(.*?)(\d{1,12})(\D*)$", re.ASCII)
 
 
 def frame_place(image: ImageRecord) -> tuple[str, int] | None:
-    """(numbering, frame number) of an image; frames of different numberings are never neighbours. None if unknown.
+    """Return the numbering and frame number of an image, or None if unknown.
 
-    Names in HIT-UAV's grammar carry a number that is unique in the whole dataset; otherwise the sequence, or else
-    folder and name up to the last number, has its own numbering.
+    Frames of different numberings are never neighbours. Names in HIT-UAV's grammar contain a number that is unique in
+    the whole dataset; otherwise each sequence, or else each folder with the name up to the last number, has its own.
     """
     facts = facts_from_name(image.name)
     if facts is not None:
@@ -47,14 +47,14 @@ def frame_place(image: ImageRecord) -> tuple[str, int] | None:
 
 @dataclass(frozen=True)
 class Leakage:
-    """How many images of one split have neighbours in another one.
+    """Number of images of one split that have neighbours in another split.
 
     Attributes:
-        split: The split that is looked at.
-        other: The split of the neighbours.
-        images: Images of `split` whose frame number is known.
-        near: Those with an image of `other` at most `distance` frames away.
-        distance: In frame numbers.
+        split: Split whose images are counted.
+        other: Split of the neighbours.
+        images: Number of images of `split` with a known frame number.
+        near: Number of those with an image of `other` at most `distance` frames away.
+        distance: Distance in frame numbers.
     """
 
     split: Split
@@ -64,7 +64,7 @@ class Leakage:
     distance: int = NEAR
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "split": self.split,
             "other": self.other,
@@ -75,7 +75,7 @@ class Leakage:
 
 
 def leakage(images: Iterable[ImageRecord], distance: int = NEAR) -> tuple[Leakage, ...]:
-    """Neighbours across splits: test and val against train, test against val; pairs without numbers are left out."""
+    """Count neighbours across splits: test and val against train, test against val; without numbers, no entry."""
     frames: dict[Split, dict[str, list[int]]] = {s: {} for s in SPLITS}
     for image in images:
         place = frame_place(image)
@@ -97,24 +97,25 @@ def _has_near(numbers: Sequence[int], number: int, distance: int) -> bool:
     return k < len(numbers) and numbers[k] <= number + distance
 
 
-def group_images(images: Sequence[ImageRecord], by: By, gap: int = NEAR) -> dict[str, tuple[ImageRecord, ...]]:
-    """Images by name of their group, sorted: one sequence, one day of capture, or one run of frame numbers.
+def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -> dict[str, tuple[ImageRecord, ...]]:
+    """Return the images of each group by the group's name, sorted by name.
 
-    A run ends where the next frame number is more than `gap` away.
+    A group is one sequence, one day of capture, or one run of frame numbers, which ends where the next number is more
+    than `gap` away.
 
     Raises:
-        DatasetError: The dataset does not say what is asked for; the problem counts the images without it.
+        DatasetError: Some images lack what they are to be grouped by; the problem counts them.
     """
     keys: Mapping[str, str | None]
     if by == "gap":
         keys = _runs(images, gap)
-        lacks, todo = "a frame number in their name", "take --by sequence or --by date"
+        lacks, todo = "a frame number in their name", "use --by sequence or --by date"
     elif by == "date":
         keys = {i.id: None if i.captured is None else i.captured[:10] for i in images}
-        lacks, todo = "a date of capture", "take --by sequence or --by gap"
+        lacks, todo = "a date of capture", "use --by sequence or --by gap"
     else:
         keys = {i.id: i.sequence for i in images}
-        lacks, todo = "a sequence", "take --by gap, which needs numbers in the file names"
+        lacks, todo = "a sequence", "use --by gap, which needs numbers in the file names"
     without = [i.name for i in images if keys[i.id] is None]
     if without:
         found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"

@@ -1,0 +1,77 @@
+"""Check the boxes of annotation files against their frame, and describe oriented boxes by five numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import cxcywha_of_corners
+from infrablend.errors import Problem
+
+# Oriented boxes may overhang the frame by this much without a warning: HIT-UAV's own reach 0.5 px.
+OVERHANG_PX = 0.5
+
+
+def is_near(numbers: Sequence[float]) -> bool:
+    """Return whether pixel coordinates are finite and below 1e6; larger ones overflow in products and casts."""
+    return all(math.isfinite(v) and abs(v) <= 1e6 for v in numbers)
+
+
+def check_box(
+    xyxy: Sequence[float], size_wh: tuple[int, int] | None, where: str
+) -> tuple[NDArray[np.float64] | None, Problem | None]:
+    """Check one axis-aligned box against its frame.
+
+    Returns:
+        The box, unchanged or clipped to the frame, or None if it has to be dropped; and the problem, if any:
+        `box-not-finite`, `box-empty`, `box-outside` (errors, dropped), `box-clipped` (warning, kept).
+    """
+    x0, y0, x1, y1 = xyxy
+    if not is_near(xyxy):
+        expected = "finite numbers of pixels"
+        return None, Problem(where, "box-not-finite", f"box {_show(xyxy)}", expected, "correct the annotation")
+    if x1 <= x0 or y1 <= y0:
+        found = f"box {_show(xyxy)} of size {x1 - x0:g}x{y1 - y0:g}"
+        return None, Problem(where, "box-empty", found, "a width and height above 0", "correct the annotation")
+    if size_wh is None:
+        return np.array((x0, y0, x1, y1), np.float64), None
+    w, h = size_wh
+    if x0 >= 0 and y0 >= 0 and x1 <= w and y1 <= h:
+        return np.array((x0, y0, x1, y1), np.float64), None
+    if x0 >= w or y0 >= h or x1 <= 0 or y1 <= 0:
+        found = f"box {_show(xyxy)} outside the frame"
+        return None, Problem(where, "box-outside", found, f"a box inside {w}x{h} px", "correct the annotation")
+    box = np.array((max(x0, 0.0), max(y0, 0.0), min(x1, float(w)), min(y1, float(h))), np.float64)
+    found = f"box {_show(xyxy)} reaches out of the frame, clipped to {_show(box.tolist())}"
+    return box, Problem(where, "box-clipped", found, f"a box inside {w}x{h} px", severity="warning")
+
+
+def snap(value: float, size: int, tolerance: float = 1e-6) -> float:
+    """Return `value`, or the frame's edge (0 or `size`) if it is outside by less than `tolerance`, due to rounding."""
+    if -tolerance < value < 0:
+        return 0.0
+    return float(size) if size < value < size + tolerance else value
+
+
+def _show(numbers: Sequence[float]) -> str:
+    return "[" + ", ".join(f"{v:g}" for v in numbers) + "]"
+
+
+def overhang_px(points_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> float:
+    """Return how far the outermost of (n, 2) points is outside the frame; 0 if all are inside."""
+    out = np.maximum(-points_xy, points_xy - np.array(size_wh, np.float64))
+    return float(max(out.max(), 0.0))
+
+
+def obb_from_corners(corners_xy: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    """Return `cx, cy, w, h, angle` of four corners in clockwise order on screen; angle in radians, in [0, pi).
+
+    A box turned by pi is the same box: its corners come back in the same order, starting at the opposite one.
+    """
+    cx, cy, w, h, angle = (float(v) for v in cxcywha_of_corners(corners_xy))
+    angle %= math.pi
+    # A value just below 0 becomes one just below pi, which rounds to pi: that is 0.
+    return cx, cy, w, h, 0.0 if math.pi - angle < 1e-12 else angle

@@ -1,0 +1,72 @@
+"""What writers return, and every kind of loss that they count."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from infrablend.errors import Problem
+
+LOSSES: Mapping[str, str] = {
+    "box_dropped": "axis-aligned box other than the bounds of the oriented box or polygon, which are all that is held",
+    "obb_dropped": "oriented box: the format holds only axis-aligned boxes",
+    "obb_from_box": "object without an oriented box: its axis-aligned box was written as one",
+    "obb_not_rectangle": "four corners that do not form a rectangle, written as the nearest rectangle",
+    "corners_clamped": "oriented box with a corner outside the frame: the corner was moved to the edge",
+    "mask_dropped": "mask: the format holds none",
+    "without_mask_omitted": "object without a mask, left out of a mask format",
+    "mask_from_obb": "object without a mask: its oriented box was written as polygon",
+    "mask_raster_px": "pixels in which the polygon, rasterised as in Ultralytics, differs from the mask",
+    "ignore_dropped": "object of an ignored or unwanted category, left out",
+    "ignore_as_class": "object of a category to ignore, which only the category's name still reveals",
+    "truncated_dropped": "object flagged as truncated: the format has no such flag",
+    "difficult_dropped": "object flagged as difficult: the format has no such flag",
+    "visibility_dropped": "visible share of an object: the format holds none",
+    "tracks_dropped": "track of an object: the format holds none",
+    "telemetry_dropped": "pitch, altitude or time of day of a picture: the format holds none",
+    "not_finite_dropped": "telemetry that is not a finite number, written as null",
+    "sequence_dropped": "sequence or date of a picture: the format holds none",
+    "class_unfit": "object of a class that the format does not have, written as the nearest one or under a new number",
+    "track_made": "object without a track, which got a new one: the format requires tracks",
+    "empty_unsaid": "picture known to contain no object: the format cannot distinguish it from an unlabelled picture",
+    "name_changed": "picture renamed: the format has no folders, or identifies pictures by the stem alone",
+    "class_name_changed": "class renamed: the format allows no blanks in names",
+    "mask_overlap_px": "pixels of masks covered by a later object: the format has one object per pixel",
+    "mask_absent": "object without a mask: it is in the table but has no pixels",
+    "fraction_truncated": "box with fractional coordinates, truncated toward zero",
+    "box_widened": "box narrower than a pixel, widened to one pixel",
+    "box_clipped": "box reaching outside the frame, clipped",
+    "box_outside": "box with no part inside the frame, left out",
+}
+"""Meaning of every kind of loss that writers count."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """Result of a writer: the files, the losses by kind (see `LOSSES`), and warnings."""
+
+    files: tuple[Path, ...] = ()
+    losses: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+    @classmethod
+    def together(cls, parts: Iterable[Written]) -> Written:
+        """Combine several results, in order."""
+        files: list[Path] = []
+        problems: list[Problem] = []
+        losses: Counter[str] = Counter()
+        for part in parts:
+            files += part.files
+            problems += part.problems
+            losses.update(part.losses)
+        return cls(tuple(files), dict(sorted(losses.items())), tuple(problems))
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text of a file, and the losses counted while it was composed."""
+
+    text: str
+    losses: Mapping[str, int] = field(default_factory=dict)

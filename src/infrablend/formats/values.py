@@ -1,0 +1,51 @@
+"""Convert fields of annotation files, which may contain anything, to numbers, flags and sizes."""
+
+from __future__ import annotations
+
+import math
+
+from infrablend.formats.pictures import MAX_PIXELS
+
+
+def to_floats(value: object, count: int) -> tuple[float, ...] | None:
+    """Return `count` numbers from a list of numbers or numeric strings; None if it is anything else.
+
+    NaN and infinity pass, because `check_box` reports them.
+    """
+    if not isinstance(value, list | tuple) or len(value) != count:
+        return None
+    try:
+        if any(isinstance(v, bool) for v in value):
+            return None
+        return tuple(float(v) for v in value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def to_int(value: object) -> int | None:
+    """Return the whole number that a JSON or XML field means (4, "4", 4.0), or None."""
+    if isinstance(value, bool) or value is None:
+        return None
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return int(number) if math.isfinite(number) and number == int(number) else None
+
+
+def to_bool(value: object) -> bool | None:
+    """Return the flag that a JSON or XML field means (true, 1, "1", "True"), or None."""
+    text = str(value).strip().casefold()
+    return {"1": True, "true": True, "0": False, "false": False}.get(text)
+
+
+def to_size(width: object, height: object) -> tuple[int, int] | None:
+    """Return (width, height) in px if both are whole numbers above 0 and within the limit for pictures, else None."""
+    w, h = to_int(width), to_int(height)
+    return (w, h) if w is not None and h is not None and w > 0 and h > 0 and w * h <= MAX_PIXELS else None
+
+
+def number_text(value: float) -> str:
+    """Return a coordinate as text, with up to eight decimals and none for whole numbers."""
+    text = f"{value:.8f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
