@@ -76,7 +76,7 @@ class WorldReport:
         frames: Number of images per split.
         labels: Number of labels per class.
         dropped: Number of objects without a label per reason (`hidden`, `small`, `outside`).
-        losses: Facts that the format cannot hold, see `formats.base.LOSSES`.
+        losses: Facts that the format cannot hold, see `formats.losses.LOSSES`.
     """
 
     out: Path
