@@ -458,7 +458,8 @@ def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
         "train/runway_04": 1
     }
     card = (tmp_path / "run" / "README.md").read_text()
-    assert "Sequences of the source that were left out: train/runway_01 (1 pictures, no telemetry in any frame)." in card
+    expected = "Sequences of the source that were left out: train/runway_01 (1 pictures, no telemetry in any frame)."
+    assert expected in card
 
 
 def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
