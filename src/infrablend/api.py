@@ -1,46 +1,44 @@
-"""The Python interface: what the command line calls, and what to import from a notebook.
+"""The Python interface: everything the command line does, as functions.
 
-from infrablend import api
+    from infrablend import api
 
-report = api.generate("hit-uav-drone", data="hit-uav", out="runs/first", limit=10)
-print(report.counts)
-api.preview("runs/first", "runs/first/preview.png")
+    report = api.generate("hit-uav-drone", data="hit-uav", out="runs/first", limit=10)
+    print(report.counts)
+    api.preview("runs/first", "runs/first/preview.png")
+
+Options that belong together are one value, such as `Reading` (how to read a dataset) or `Execution` (how to compute
+frames). Examples below run in the tests on a dataset of four pictures, without Blender.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from infrablend.assets import catalogue
 from infrablend.config import loading
 from infrablend.core.dataset import Dataset
-from infrablend.core.output import require_apart
+from infrablend.core.output import Existing, require_apart
 from infrablend.core.tasks import OnProgress, paced
-from infrablend.errors import DatasetError, OutputError
+from infrablend.errors import DatasetError
 from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.writing import WriteSettings
-from infrablend.pipeline import world
-from infrablend.pipeline.convert import ConvertReport, convert_dataset
-from infrablend.pipeline.experiment_inputs import (
-    default_results,
-    training_seconds,
-)
-from infrablend.pipeline.experiment_inputs import preset_facts as _preset
+from infrablend.pipeline import experiment_inputs, world
+from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
 from infrablend.pipeline.experiment_inputs import require_training as _require_training
-from infrablend.pipeline.experiment_inputs import require_training_settings as _require_settings
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.realism import RealismReport, Time, compare
-from infrablend.pipeline.request import Execution, RunRequest, Settings
+from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
-from infrablend.pipeline.select import Selection
+from infrablend.pipeline.select import SELECT_ALL, Selection
+from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
 from infrablend.pipeline.train import (
     TrainPlan,
     TrainReport,
@@ -54,19 +52,27 @@ if TYPE_CHECKING:
     from infrablend.pipeline.evaluate import EvaluationReport
     from infrablend.pipeline.experiment import ExperimentPlan, ExperimentReport
     from infrablend.pipeline.profile import ProfileReport
-    from infrablend.pipeline.split import SplitReport
     from infrablend.pipeline.stages import Setting
     from infrablend.report.checking import CheckReport
+    from infrablend.report.doctor import Diagnosis
     from infrablend.report.inspection import Inspection
+    from infrablend.report.preview import Draw
 
 __all__ = [
+    "ClassChanges",
     "ConvertReport",
+    "Execution",
     "FetchReport",
     "PlanReport",
+    "Reading",
     "RealismReport",
     "RunReport",
+    "Selection",
+    "SplitReport",
+    "SplitRule",
     "TrainPlan",
     "TrainReport",
+    "WriteSettings",
     "check",
     "compare_evaluations",
     "convert",
@@ -101,12 +107,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PlanReport:
-    """What a run would do: frames, disk, time; nothing has been done."""
+    """Frames, disk space and time of a run that has not been started."""
 
     facts: Mapping[str, Any]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return dict(self.facts)
 
 
@@ -116,56 +122,36 @@ def generate(
     out: str | Path,
     *,
     limit: int | None = None,
-    splits: Sequence[str] | None = None,
     seed: int = 0,
-    workers: int | None = None,
-    device: str = "auto",
-    formats: Sequence[str] | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    options: Mapping[str, str] | None = None,
     settings: Settings = (),
-    resume: bool = False,
-    overwrite: bool = False,
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
-    renderer: str = "blender",
-    in_process: bool = False,
 ) -> RunReport:
     """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
 
+    >>> fake = Execution(renderer="fake", in_process=True)
+    >>> report = generate("hit-uav-drone", "hit-uav", "runs/first", limit=2, execution=fake)
+    >>> report.ok, report.counts["frames"]
+    (True, 4)
+
     Args:
-        recipe: A shipped recipe's name, or the path of a YAML file.
+        recipe: Name of a shipped recipe, or path of a YAML file.
         data: Folder of the background dataset.
-        out: Folder to write; must be new or empty unless `resume` or `overwrite`.
-        limit: Only the first so many backgrounds in sorted order.
-        splits: Some of train, val, test; all by default.
-        seed: Same seed, same data, same recipe: same bytes.
-        workers: Worker processes; one per processor core by default.
-        device: auto, cpu, cuda, optix, hip, metal, oneapi.
-        formats: Some of yolo, coco, ... (docs/reference/formats.md) and native; as the recipe says by default.
-        form: Read only this form of the dataset (HIT-UAV: normal_json, rotate_json, normal_xml, rotate_xml).
-        metadata: Table of pitch and altitude (CSV or JSON), for datasets that do not say it themselves.
-        options: Further options of the dataset's reader, e.g. `{"pitch_sign": "-1"}` for MONET.
-        settings: Recipe fields to set: `["output.image=png"]` or `{"output.image": "png"}`.
-        resume: Go on with an interrupted run in `out`.
-        overwrite: Delete an earlier run in `out` first.
+        out: Folder to write.
+        limit: Number of backgrounds to use, the first ones in sorted order.
+        seed: The same seed, data and recipe give the same bytes.
+        settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
+        reading: How to read `data`, e.g. `Reading(splits=("train",))`.
+        execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
+        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
-        renderer: `blender`; `fake` draws flat shapes without Blender.
-        in_process: Make frames in this process; only for `renderer="fake"`.
 
     Raises:
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
-    request = _run_request(
-        recipe, data, out, limit, seed, formats, settings, _reading(splits, None, form, metadata, options)
-    )
-    if resume and overwrite:
-        raise OutputError("--resume and --overwrite exclude each other: go on with the run, or begin it anew")
-    request = replace(
-        request,
-        execution=Execution(workers, device, renderer, in_process),
-        existing="resume" if resume else "overwrite" if overwrite else "refuse",
-    )
+    request = RunRequest(recipe, Path(data), Path(out), limit, seed, settings, reading, execution, existing)
     return generate_run(request, on_progress)
 
 
@@ -175,250 +161,95 @@ def plan(
     out: str | Path | None = None,
     *,
     limit: int | None = None,
-    splits: Sequence[str] | None = None,
     seed: int = 0,
-    workers: int | None = None,
-    device: str = "auto",
-    formats: Sequence[str] | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    options: Mapping[str, str] | None = None,
     settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
 ) -> PlanReport:
-    """What `generate` with the same arguments would do: frames, disk, estimated time. Writes nothing."""
-    request = _run_request(
-        recipe, data, out, limit, seed, formats, settings, _reading(splits, None, form, metadata, options)
-    )
-    return PlanReport(describe_run(replace(request, execution=Execution(workers, device))))
+    """Return what `generate` with the same arguments would write, without writing it.
+
+    >>> plan("hit-uav-drone", "hit-uav").facts["frames"]
+    8
+    """
+    request = RunRequest(recipe, Path(data), _path(out), limit, seed, settings, reading, execution)
+    return PlanReport(describe_run(request))
 
 
-def _run_request(
-    recipe: str | Path,
-    data: str | Path,
-    out: str | Path | None,
-    limit: int | None,
-    seed: int,
-    formats: Sequence[str] | None,
-    settings: Settings,
-    reading: Reading,
-) -> RunRequest:
-    pairs: Settings = settings
-    if formats is not None:
-        wanted = list(formats)
-        pairs = (
-            {**settings, "output.formats": wanted}
-            if isinstance(settings, Mapping)
-            else [*settings, f"output.formats=[{', '.join(wanted)}]"]
-        )
-    return RunRequest(recipe, Path(data), None if out is None else Path(out), limit, seed, pairs, reading)
-
-
-def _reading(
-    splits: Sequence[str] | None,
-    format: str | None,
-    form: str | None,
-    metadata: str | Path | None,
-    options: Mapping[str, str] | None,
-) -> Reading:
-    return Reading(splits, format, form, metadata, options or {})
-
-
-def read_dataset(
-    data: str | Path,
-    *,
-    splits: Sequence[str] | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-) -> Dataset:
-    """A background dataset in memory, its format detected.
+def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
+    """Render one frame of a run again and return the path of the picture; it has the same bytes.
 
     Args:
-        data: The folder.
-        splits: The splits wanted; all by default.
-        form: Read only this form (HIT-UAV).
-        metadata: CSV or JSON table of pitch and altitude, for datasets that do not say it themselves.
-        format: Name of the format; detected by default.
-        options: Further options of that format's reader, e.g. `{"pitch_sign": "-1"}`.
+        run: Folder of the run.
+        frame_id: `<split>/<background>_c<k>`.
+        out: File to write; the frame's own file name in the current folder by default.
+        data: Folder of the backgrounds, if it has moved.
+    """
+    return rerender_frame(Path(run), frame_id, _path(out), _path(data))
+
+
+def preview(
+    run: str | Path, out: str | Path, count: int = 12, draw: Sequence[Draw] = ("boxes", "obb", "masks")
+) -> Path:
+    """Write a contact sheet of a run with its labels drawn and inserted objects enlarged; return its path."""
+    from infrablend.report.preview import preview_run
+
+    return preview_run(Path(run), Path(out), count, draw)
+
+
+def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
+    """Write frames of a metric run with the ground grid and people of 1.7 m, to check the scale; return the path."""
+    from infrablend.report.ground import ground_sheet
+
+    return ground_sheet(Path(run), Path(out), count)
+
+
+def read_dataset(data: str | Path, reading: Reading = READ_ALL) -> Dataset:
+    """Read a dataset of any supported format into memory.
+
+    >>> dataset = read_dataset("hit-uav", Reading(splits=("train",)))
+    >>> dataset.format, len(dataset.images)
+    ('hit-uav', 2)
 
     Raises:
-        UnknownFormatError: With the reason for each format that does not match.
-        DatasetError: If it cannot be read.
+        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        DatasetError: The folder cannot be read.
     """
-    return detection.read(Path(data), _reading(splits, format, form, metadata, options))
-
-
-def fetch(
-    name: str,
-    out: str | Path,
-    *,
-    parts: Sequence[str] | None = None,
-    url: str | None = None,
-    sha256: str | None = None,
-    archive: str | Path | None = None,
-    keep_archive: bool = False,
-    on_progress: OnFetch | None = None,
-) -> FetchReport:
-    """Fetch a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
-
-    The same call goes on with what an interrupted one left.
-
-    Args:
-        name: See `list_sources`.
-        out: Folder to write; new, empty, or of an earlier fetch of the same dataset.
-        parts: Some of its files; all by default.
-        url: Where to fetch the file instead.
-        sha256: What the file's SHA-256 must be.
-        archive: Unpack this file, fetched by hand, instead.
-        keep_archive: Leave the archive in `out` too.
-        on_progress: Called while bytes arrive and files are unpacked.
-
-    Raises:
-        DatasetError: One that no program can fetch (the message says where it is), or an archive that is damaged,
-            hostile or not the dataset.
-        FetchError, OutputError, Interrupted: The network; the folder or the disk; Ctrl-C.
-    """
-    file = None if archive is None else Path(archive)
-    return fetching.fetch(
-        name,
-        Path(out),
-        parts=parts,
-        url=url,
-        sha256=sha256,
-        archive=file,
-        keep_archive=keep_archive,
-        on_progress=on_progress,
-    )
-
-
-def list_sources() -> list[dict[str, Any]]:
-    """The public datasets that `fetch` knows: name, title, page, licence, parts, whether a program can fetch them."""
-    return fetching.list_sources()
-
-
-def describe_source(name: str, *, licence_only: bool = False) -> str:
-    """Where a public dataset is, its licence, and how to get it."""
-    source = fetching.require_source(name)
-    return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
+    return detection.read(Path(data), reading)
 
 
 def inspect(
-    data: str | Path,
-    out: str | Path | None = None,
-    *,
-    splits: Sequence[str] | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-    decode: bool = False,
+    data: str | Path, out: str | Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
 ) -> Inspection:
-    """What a dataset holds: splits, classes, sizes, coverage, sequences, leakage, problems.
+    """Return splits, classes, sizes, coverage, sequences, leakage and problems of a dataset.
 
     Args:
-        data: The folder.
-        out: Folder for `inspect.png` (charts) and `inspect.json`; nothing is written if None.
-        splits: As in `read_dataset`, and so are `form`, `metadata`, `format`, `options`.
-        form: See `read_dataset`.
-        metadata: See `read_dataset`.
-        format: See `read_dataset`.
-        options: See `read_dataset`.
-        decode: Decode every picture: bit depth, channels, grey levels, broken files.
-
-    Raises:
-        DatasetError: It cannot be read.
-        OutputError: `out` cannot be written.
+        data: Folder of the dataset.
+        out: Folder for the charts `inspect.png` and for `inspect.json`; None writes nothing.
+        reading: How to read `data`.
+        decode: Also decode every picture for bit depth, channels, grey levels and broken files.
     """
     from infrablend.pipeline.examine import inspect_folder
 
-    reading = _reading(splits, format, form, metadata, options)
-    return inspect_folder(Path(data), None if out is None else Path(out), reading=reading, decode=decode)
+    return inspect_folder(Path(data), _path(out), reading=reading, decode=decode)
 
 
 def check(
-    data: str | Path,
-    *,
-    splits: Sequence[str] | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-    decode: bool = True,
-    on_progress: OnProgress | None = None,
+    data: str | Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
 ) -> CheckReport:
-    """Every problem of labels and pictures at once; `report.ok(strict)` judges.
+    """Return every problem of the labels and pictures of a dataset; `report.ok(strict)` is the verdict.
 
-    A dataset whose reader gives up is a report, too, with errors.
+    >>> check("hit-uav").ok(strict=False)
+    True
 
     Args:
-        data: The folder.
-        splits: As in `read_dataset`, and so are `form`, `metadata`, `format`, `options`.
-        form: See `read_dataset`.
-        metadata: See `read_dataset`.
-        format: See `read_dataset`.
-        options: See `read_dataset`.
-        decode: Decode the pictures; else only their headers are read.
+        data: Folder of the dataset.
+        reading: How to read `data`.
+        decode: Decode the pictures; otherwise only their headers are read.
         on_progress: Called after each picture.
-
-    Raises:
-        UnknownFormatError: No format fits.
-        DatasetError: There is no such folder, or an option that the format does not have.
     """
     from infrablend.pipeline.examine import check_folder
 
-    reading = _reading(splits, format, form, metadata, options)
     return check_folder(Path(data), reading=reading, decode=decode, on_progress=on_progress)
-
-
-def split(
-    data: str | Path,
-    out: str | Path,
-    *,
-    by: str,
-    gap: int | None = None,
-    shares: Sequence[float] = (0.7, 0.1, 0.2),
-    seed: int = 0,
-    to: str | None = None,
-    lists: bool = False,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-) -> SplitReport:
-    """Write a dataset with new splits that share no neighbours; see `infrablend.pipeline.split.split_dataset`.
-
-    Args:
-        data: The folder.
-        out: Folder to write, new or empty.
-        by: `sequence`, `date` or `gap`: what stays together.
-        gap: For `by="gap"`: a run of frames ends where the next frame number is more than so many away; 5 if None.
-        shares: Of train, val and test.
-        seed: For the order in which groups are dealt out.
-        to: A format to write; its own by default.
-        lists: Write three lists of pictures and `split.json` alone.
-        form: See `read_dataset`.
-        metadata: See `read_dataset`.
-        format: See `read_dataset`.
-        options: See `read_dataset`.
-
-    Raises:
-        DatasetError: It cannot be read, or does not say what shall stay together.
-        OutputError: `out` is not empty or cannot be written.
-    """
-    from infrablend.formats.groups import GROUPINGS, NEAR
-    from infrablend.pipeline.split import split_dataset
-
-    root, target = Path(data), Path(out)
-    require_apart(root, target)
-    kind = next((b for b in GROUPINGS if b == by), None)
-    if kind is None:
-        raise DatasetError(f"by: found {by!r}, expected one of {', '.join(GROUPINGS)}")
-    dataset = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
-    return split_dataset(
-        dataset, target, by=kind, gap=NEAR if gap is None else gap, shares=shares, seed=seed, to=to or "native",
-        lists=lists,
-    )  # fmt: skip
 
 
 def convert(
@@ -426,74 +257,137 @@ def convert(
     out: str | Path,
     to: str,
     *,
-    splits: Sequence[str] | None = None,
-    format: str | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    options: Mapping[str, str] | None = None,
-    rename: Mapping[str, str] | None = None,
-    drop: Sequence[str] = (),
-    only: str | None = None,
-    with_class: str | None = None,
-    without: Sequence[str] = (),
-    images: int | None = None,
-    objects: int | None = None,
-    like: str | None = None,
-    seed: int = 0,
+    reading: Reading = READ_ALL,
+    classes: ClassChanges = KEEP_CLASSES,
+    selection: Selection = SELECT_ALL,
     loosen: float = 1.0,
-    ids: Literal["new", "source"] = "new",
-    category_ids: Literal["source", "from_one"] = "source",
-    dont_care: Literal["drop", "keep"] = "drop",
-    without_mask: Literal["omit", "obb"] = "omit",
+    writing: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
-    """Write a dataset in another format. Pictures are hard links (copies where links are impossible).
+    """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
+
+    >>> people = ClassChanges(only="Person")
+    >>> convert("hit-uav", "converted", "coco", classes=people).format
+    'coco'
 
     Args:
         source: Folder of the dataset.
-        out: Folder to write; must be new or empty unless `overwrite`.
-        to: The format: yolo, yolo-obb, yolo-seg, coco, ... (docs/formats/index.md), or native: the source's own.
-        splits: Some of train, val, test; all by default.
-        format: Format of the source; detected by default.
-        form: Read only this form (HIT-UAV).
-        metadata: CSV or JSON table of pitch and altitude.
-        options: Further options of the source's reader.
-        rename: Other names for classes; several may become one.
-        drop: Classes to leave out, by the name after renaming.
-        only: The one class to keep, instead of `drop`.
-        with_class: Only pictures that show this class.
-        without: Only pictures that show none of these classes (regions to ignore may be among them).
-        images: Draw as many of the pictures.
-        objects: Draw them so that they show as many objects of `with_class`, or as nearly as can be.
-        like: Draw the pictures, some several times, so that times of day, heights and pitches are shared out as among
-            those that show this class.
-        seed: Of the draw.
-        loosen: Make inserted objects' axis-aligned boxes so many times as wide and high, as annotators by hand leave
-            room; counted, and said in the card. Oriented boxes and masks stay.
-        ids: Image and annotation ids numbered anew, or the source's own.
-        category_ids: The source's, or numbered from 1 (many tools take COCO's category 0 for background).
-        dont_care: YOLO: regions to ignore are left out, or kept as a class.
-        without_mask: yolo-seg: objects without mask are left out, or their oriented box is written.
+        out: Folder to write.
+        to: Format to write: yolo, yolo-obb, yolo-seg, coco, ..., or `native` for the format of the source.
+        reading: How to read `source`.
+        classes: Classes to rename, drop or keep.
+        selection: Pictures to take; all by default.
+        loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, from 1 to 2, to match hand-drawn
+            boxes.
+        writing: How to write ids, regions to ignore and objects without a mask.
         overwrite: Replace an earlier conversion in `out`.
 
     Raises:
         UnknownFormatError, DatasetError, OutputError: See `infrablend.errors`.
     """
-    require_apart(Path(source), Path(out))
-    dataset = read_dataset(source, splits=splits, form=form, metadata=metadata, format=format, options=options)
-    settings = WriteSettings(ids, category_ids, dont_care, without_mask)
+    dataset = read_dataset(source, reading)
     return convert_dataset(
-        dataset,
-        to,
-        Path(out),
-        rename=rename,
-        drop=drop,
-        only=only,
-        selection=Selection(with_class, tuple(without), images, objects, like, seed),
-        loosen=loosen,
-        settings=settings,
+        dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, settings=writing,
         overwrite=overwrite,
-    )
+    )  # fmt: skip
+
+
+def split(
+    data: str | Path,
+    out: str | Path,
+    rule: SplitRule,
+    *,
+    to: str = "native",
+    lists: bool = False,
+    reading: Reading = READ_ALL,
+) -> SplitReport:
+    """Write a dataset with new splits that do not share neighbouring frames.
+
+    Args:
+        data: Folder of the dataset.
+        out: Folder to write, new or empty.
+        rule: What stays together, and the share of each split, e.g. `SplitRule("sequence")`.
+        to: Format to write; `native` is the format of the dataset.
+        lists: Write only three lists of pictures and `split.json`.
+        reading: How to read `data`.
+
+    Raises:
+        DatasetError: The dataset cannot be read, or does not contain what `rule` groups by.
+        OutputError: `out` is not empty or cannot be written.
+    """
+    return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists)
+
+
+def profile(
+    data: str | Path,
+    out: str | Path,
+    *,
+    count: int = 64,
+    time: str | None = None,
+    name: str | None = None,
+    against: str | None = None,
+    reading: Reading = READ_ALL,
+    on_progress: OnProgress | None = None,
+) -> ProfileReport:
+    """Fit a sensor profile to pictures, and write `profile.json` and `profile.png`.
+
+    Args:
+        data: Folder of pictures or of a dataset. Annotated objects are not measured.
+        out: Folder to write. Recipes take its `profile.json` as `sensor.profile`.
+        count: Number of pictures to read, evenly spread.
+        time: `day` or `night`: use only pictures taken then.
+        name: Name of the profile; the name of the folder by default.
+        against: Shipped profile to compare with.
+        reading: How to read `data`.
+        on_progress: Called after each picture.
+
+    Raises:
+        DatasetError: No picture can be used, there is no contrast, or there are too few clean edges.
+        RecipeError: There is no shipped profile `against`.
+        OutputError: `out` cannot be written.
+    """
+    from infrablend.pipeline.profile import profile_dataset, taken_by
+
+    dataset = read_dataset(data, reading)
+    dataset = dataset if time is None else taken_by(dataset, time)
+    return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
+
+
+def realism(
+    run: str | Path,
+    against: str | Path,
+    out: str | Path | None = None,
+    *,
+    categories: Sequence[str] | None = None,
+    time_of_day: Time = "all",
+    pairs: int = 1000,
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
+    on_progress: OnProgress | None = None,
+) -> RealismReport:
+    """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
+
+    Args:
+        run: Folder of a finished run that inserted objects of a class that also exists for real.
+        against: Dataset that the run was made from.
+        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run folder by default.
+        categories: Classes to compare; by default all that are both inserted and annotated.
+        time_of_day: Only pictures of that time.
+        pairs: Largest number of pairs per class.
+        reading: How to read `against`.
+        execution: Worker processes; `in_process` only for runs made with the fake renderer.
+        on_progress: Called after each picture.
+
+    Raises:
+        MissingDependencyError: scikit-learn is not installed.
+        OutputError, DatasetError, RenderError, Interrupted: See `infrablend.errors`.
+    """
+    folder = Path(run)
+    return compare(
+        folder, read_dataset(against, reading), _path(out) or folder / "realism", categories=categories,
+        time_of_day=time_of_day, most_pairs=pairs, workers=execution.worker_count(), in_process=execution.in_process,
+        on_progress=on_progress,
+    )  # fmt: skip
 
 
 def train(
@@ -537,7 +431,7 @@ def train(
     """
     require_apart(Path(dataset), Path(out))
     chosen = choose_preset(preset, settings or {})
-    found = read_dataset(dataset, format=format, options=options)
+    found = read_dataset(dataset, Reading(format=format, options=options or {}))
     return train_dataset(
         found,
         Path(out),
@@ -571,138 +465,11 @@ def plan_train(
 ) -> TrainPlan:
     """What `train` would do: images, epochs, time, disk. Nothing is written; what `train` would refuse is refused."""
     chosen = choose_preset(preset, settings or {})
-    found = read_dataset(dataset, format=format, options=options)
+    found = read_dataset(dataset, Reading(format=format, options=options or {}))
     return plan_training(
         found, chosen, task=task, classes=classes, device=device, seed=seed, start=weights,
         out=None if out is None else Path(out), resume=resume, overwrite=overwrite,
     )  # fmt: skip
-
-
-def list_models() -> dict[str, str]:
-    """Names of the shipped models and what they are."""
-    return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
-
-
-def list_recipes() -> dict[str, str]:
-    """Names of the shipped recipes and what they are for."""
-    return {name: loading.load_recipe(name).description for name in loading.list_recipes()}
-
-
-def show_recipe(name: str) -> str:
-    """YAML text of a shipped recipe."""
-    return loading.recipe_text(name)
-
-
-def show_model(name: str, out: str | Path, seed: int = 0) -> Path:
-    """Render a model from all sides onto one sheet, a PNG."""
-    ready_model(name)
-    return Path(run_once("infrablend.blender.turntable:make_turntable", (name, str(out), seed), f"show {name}"))
-
-
-def preview(run: str | Path, out: str | Path, count: int = 12, draw: Sequence[str] = ("boxes", "obb", "masks")) -> Path:
-    """Write a contact sheet of a run: boxes, oriented boxes and masks drawn, inserted objects enlarged."""
-    from infrablend.report.preview import preview_run
-
-    return preview_run(Path(run), Path(out), count, draw)  # type: ignore[arg-type]
-
-
-def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
-    """Draw the ground plane and people of 1.7 m over frames of a run with metric placement: is the scale right?"""
-    from infrablend.report.ground import ground_sheet
-
-    return ground_sheet(Path(run), Path(out), count)
-
-
-def profile(
-    data: str | Path,
-    out: str | Path,
-    *,
-    count: int = 64,
-    splits: Sequence[str] | None = None,
-    time: str | None = None,
-    name: str | None = None,
-    against: str | None = None,
-    options: Mapping[str, str] | None = None,
-    on_progress: OnProgress | None = None,
-) -> ProfileReport:
-    """Fit a sensor profile to a folder of pictures or a dataset; writes `profile.json` and `profile.png`.
-
-    Args:
-        data: The folder; labels are not needed, annotated objects are left out of what is measured on edges and grain.
-        out: Folder to write, apart from `data`. Recipes take its `profile.json` as `sensor.profile`.
-        count: How many pictures to read, evenly spread.
-        splits: Some of train, val, test; all by default.
-        time: Only pictures of `day` or `night`.
-        name: Of the profile; the folder's by default.
-        against: A shipped profile to compare with.
-        options: Options of the dataset's reader.
-        on_progress: Called after each picture.
-
-    Raises:
-        DatasetError: No picture can be used, no contrast, or too few clean edges.
-        RecipeError: No shipped profile `against`.
-        OutputError: `out` cannot be written.
-    """
-    from infrablend.pipeline.profile import profile_dataset
-
-    require_apart(Path(data), Path(out))
-    dataset = read_dataset(data, splits=splits, options=options)
-    if time is not None:
-        chosen = tuple(i for i in dataset.images if i.time_of_day == time)
-        if not chosen:
-            raise DatasetError(f"{data}: none of {len(dataset.images)} picture(s) is known to be taken by {time}")
-        dataset = replace(dataset, images=chosen)
-    return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
-
-
-def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
-    """Make one frame of a run again, alone; the same bytes as the first time."""
-    return rerender_frame(Path(run), frame_id, None if out is None else Path(out), None if data is None else Path(data))
-
-
-def realism(
-    run: str | Path,
-    against: str | Path,
-    out: str | Path | None = None,
-    *,
-    categories: Sequence[str] | None = None,
-    time_of_day: Time = "all",
-    pairs: int = 1000,
-    workers: int | None = None,
-    options: Mapping[str, str] | None = None,
-    on_progress: OnProgress | None = None,
-    in_process: bool = False,
-) -> RealismReport:
-    """Compare a run's inserted objects with the real ones of the same class; needs the extra `infrablend[realism]`.
-
-    Args:
-        run: Folder of a finished run whose objects have the class of real ones.
-        against: The dataset that it was made from.
-        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run's folder by default.
-        categories: Classes; all that are both inserted and annotated by default.
-        time_of_day: Only images of that time.
-        pairs: At most so many pairs of each class.
-        workers: Processes; one per processor core by default.
-        options: Options of the dataset's reader.
-        on_progress: Called after each picture.
-        in_process: Do it all in this process; only for runs made with `renderer="fake"`.
-
-    Raises:
-        MissingDependencyError: scikit-learn is not installed.
-        OutputError, DatasetError, RenderError, Interrupted: See `infrablend.errors`.
-    """
-    folder = Path(run)
-    return compare(
-        folder,
-        read_dataset(against, options=options),
-        folder / "realism" if out is None else Path(out),
-        categories=categories,
-        time_of_day=time_of_day,
-        most_pairs=pairs,
-        workers=Execution(workers).worker_count(),
-        in_process=in_process,
-        on_progress=on_progress,
-    )
 
 
 def evaluate(
@@ -762,7 +529,7 @@ def evaluate(
 
     root, target = Path(dataset), Path(out)
     require_apart(root, target)
-    data = read_dataset(root, form=form, metadata=metadata, format=format, options=options)
+    data = read_dataset(root, Reading(None, format, form, metadata, options or {}))
     return evaluate_detector(
         Path(weights), data, target, split=split, task=task, device=device, classes=classes, image_size=image_size,
         ignore_regions=ignore_regions, bootstrap=bootstrap, group=group, seed=seed,
@@ -798,6 +565,53 @@ def compare_evaluations(
     return judging.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
 
 
+def fetch(
+    name: str,
+    out: str | Path,
+    *,
+    parts: Sequence[str] | None = None,
+    url: str | None = None,
+    sha256: str | None = None,
+    archive: str | Path | None = None,
+    keep_archive: bool = False,
+    on_progress: OnFetch | None = None,
+) -> FetchReport:
+    """Download a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
+
+    Calling it again continues an interrupted download.
+
+    Args:
+        name: Name of the dataset, see `list_sources`.
+        out: Folder to write: new, empty, or of an earlier download of the same dataset.
+        parts: Parts to fetch; all by default.
+        url: Address to download the file from instead.
+        sha256: SHA-256 that the file must have.
+        archive: File downloaded by hand, to unpack instead.
+        keep_archive: Also keep the archive in `out`.
+        on_progress: Called while bytes arrive and files are unpacked.
+
+    Raises:
+        DatasetError: No program can fetch this dataset (the message says where to get it), or the archive is damaged,
+            hostile, or of another dataset.
+        FetchError, OutputError, Interrupted: See `infrablend.errors`.
+    """
+    return fetching.fetch(
+        name, Path(out), parts=parts, url=url, sha256=sha256, archive=_path(archive), keep_archive=keep_archive,
+        on_progress=on_progress,
+    )  # fmt: skip
+
+
+def list_sources() -> list[dict[str, Any]]:
+    """Return the datasets that `fetch` knows: name, title, page, licence, parts, whether it can download them."""
+    return fetching.list_sources()
+
+
+def describe_source(name: str, *, licence_only: bool = False) -> str:
+    """Return where to get a public dataset, its licence, and how."""
+    source = fetching.require_source(name)
+    return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
+
+
 def make_world(
     out: str | Path,
     count: int,
@@ -816,13 +630,38 @@ def make_world(
     return Path(out)
 
 
+def list_models() -> dict[str, str]:
+    """Return the shipped models and their descriptions.
+
+    >>> "drone" in list_models()
+    True
+    """
+    return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
+
+
+def show_model(name: str, out: str | Path, seed: int = 0) -> Path:
+    """Render a model from all sides onto one sheet, a PNG; return its path."""
+    ready_model(name)
+    return Path(run_once("infrablend.blender.turntable:make_turntable", (name, str(out), seed), f"show {name}"))
+
+
+def list_recipes() -> dict[str, str]:
+    """Return the shipped recipes and their descriptions."""
+    return {name: loading.load_recipe(name).description for name in loading.list_recipes()}
+
+
+def show_recipe(name: str) -> str:
+    """Return the YAML text of a shipped recipe."""
+    return loading.recipe_text(name)
+
+
 def write_infrared_effect(path: str | Path) -> Path:
-    """Write the InfraredEffect node group as a .blend to append from."""
+    """Write the InfraredEffect node group as a .blend file to append from; return its path."""
     return Path(run_once("infrablend.blender.jobs:make_asset_writer", str(path), "infrared-effect"))
 
 
-def diagnose() -> Any:
-    """What this machine has and lacks: Python, Blender, libraries, devices, disk."""
+def diagnose() -> Diagnosis:
+    """Return what this machine has and lacks: Python, Blender, libraries, devices, disk."""
     from infrablend.report.doctor import diagnose as survey
 
     return survey()
@@ -913,7 +752,7 @@ def plan_experiment(
 
 def _results_folder(data: Iterable[Path], setting: Setting, out: str | Path | None) -> Path:
     """Where the page goes, apart from the data."""
-    target = default_results(setting.work, setting.scale) if out is None else Path(out)
+    target = experiment_inputs.default_results(setting.work, setting.scale) if out is None else Path(out)
     for folder in data:
         require_apart(folder, target)
     return target
@@ -944,9 +783,14 @@ def _experiment(
     for folder in folders:
         require_apart(folder, Path(work))
     given = experiments.assign(loaded, folders)
+    inputs = experiment_inputs
     tools = Tools(
-        read_dataset, generate, split, make_world, train, evaluate, compare_evaluations, _preset, training_seconds,
-        _require_training, _require_settings,
+        inputs.read_dataset, inputs.generate, inputs.split, make_world, train, evaluate, compare_evaluations,
+        inputs.preset_facts, inputs.training_seconds, _require_training, inputs.require_training_settings,
     )  # fmt: skip
     setting = Setting(Path(work), known, seed, device, tools, dict(training or {}), renderer, workers, on_progress)
     return loaded, experiments.build(loaded, given, setting), setting
+
+
+def _path(path: str | Path | None) -> Path | None:
+    return None if path is None else Path(path)

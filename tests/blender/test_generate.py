@@ -40,7 +40,7 @@ def hashes(run: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def whole(backgrounds, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
-    report = api.generate("hit-uav-drone", backgrounds, out, workers=2, settings=SETTINGS)
+    report = api.generate("hit-uav-drone", backgrounds, out, execution=api.Execution(workers=2), settings=SETTINGS)
     assert report.ok
     assert report.counts["frames"] == 6
     return out
@@ -54,8 +54,12 @@ def test_one_worker_and_an_interruption_give_the_same_bytes(whole, backgrounds, 
             raise Interrupted("stop")
 
     with pytest.raises(Interrupted):
-        api.generate("hit-uav-drone", backgrounds, out, workers=1, settings=SETTINGS, on_progress=stop)
-    api.generate("hit-uav-drone", backgrounds, out, workers=1, settings=SETTINGS, resume=True)
+        api.generate(
+            "hit-uav-drone", backgrounds, out, execution=api.Execution(workers=1), settings=SETTINGS, on_progress=stop
+        )
+    api.generate(
+        "hit-uav-drone", backgrounds, out, execution=api.Execution(workers=1), settings=SETTINGS, existing="resume"
+    )
     assert hashes(out) == hashes(whole)
 
 

@@ -26,7 +26,7 @@ def world(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def run(world, tmp_path_factory) -> tuple[api.RunReport, Path]:
     out = tmp_path_factory.mktemp("runs") / "deer"
-    return api.generate("monet-deer", world, out, workers=2, settings=SETTINGS), out
+    return api.generate("monet-deer", world, out, execution=api.Execution(workers=2), settings=SETTINGS), out
 
 
 def test_the_world_is_laid_out_as_monet(world):

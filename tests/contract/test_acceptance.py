@@ -29,7 +29,13 @@ def run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> Path:
     root = tmp_path_factory.mktemp("run")
     data = write_tiny_hit_uav(root / "data")
     settings = {"labels.remove_covered": 1.0, "output.formats": [*written_names(), NATIVE]}
-    report = api.generate("hit-uav-drone", data, root / "out", renderer="fake", in_process=True, settings=settings)
+    report = api.generate(
+        "hit-uav-drone",
+        data,
+        root / "out",
+        execution=api.Execution(renderer="fake", in_process=True),
+        settings=settings,
+    )
     assert report.ok, report.problems
     return report.out
 
@@ -55,9 +61,9 @@ def load():
 
 def converted(run: Path, out: Path, to: str, **choice: Any) -> tuple[list[ImageRecord], Path]:
     """The run's labels written in one format, and what of them that format is to hold."""
-    report = api.convert(run, out, to, format="coco", **choice)
+    report = api.convert(run, out, to, **{"reading": api.Reading(format="coco"), **choice})
     assert report.ok
-    return list(api.read_dataset(run, format="coco").images), out
+    return list(api.read_dataset(run, api.Reading(format="coco")).images), out
 
 
 def expected_objects(image: ImageRecord, ignored: bool) -> list[Instance]:
@@ -82,12 +88,12 @@ def compare(images: list[ImageRecord], loaded: dict, tool: str, *, ignored: bool
 
 @pytest.mark.parametrize("tool", ["supervision", "datumaro"])
 def test_yolo_is_taken_whole(load, run: Path, tool: str) -> None:
-    images = list(api.read_dataset(run, format="coco").images)
+    images = list(api.read_dataset(run, api.Reading(format="coco")).images)
     compare(images, load(tool, "yolo", run / "yolo"), tool, ignored=False)
 
 
 def test_oriented_boxes_and_polygons_of_yolo_are_taken_whole(load, run: Path) -> None:
-    images = list(api.read_dataset(run, format="coco").images)
+    images = list(api.read_dataset(run, api.Reading(format="coco")).images)
     oriented, masks = (
         load("supervision", "yolo-obb", run / "yolo-obb"),
         load("supervision", "yolo-seg", run / "yolo-seg"),
@@ -106,7 +112,7 @@ def test_oriented_boxes_and_polygons_of_yolo_are_taken_whole(load, run: Path) ->
 
 @pytest.mark.parametrize("tool", ["supervision", "datumaro"])
 def test_coco_is_taken_whole_with_masks(load, run: Path, tmp_path: Path, tool: str) -> None:
-    images, out = converted(run, tmp_path / "out", "coco", category_ids="from_one")
+    images, out = converted(run, tmp_path / "out", "coco", writing=api.WriteSettings(category_ids="from_one"))
     loaded = load(tool, "coco", out)
     compare(images, loaded, tool, ignored=True)
     for image in images:
@@ -117,7 +123,7 @@ def test_coco_is_taken_whole_with_masks(load, run: Path, tmp_path: Path, tool: s
 
 def test_datumaro_takes_a_coco_category_0_for_background(load, run: Path, tmp_path: Path) -> None:
     """Why `category_ids: from_one` exists, and a warning where it is not chosen."""
-    report = api.convert(run, tmp_path / "out", "coco", format="coco")
+    report = api.convert(run, tmp_path / "out", "coco", reading=api.Reading(format="coco"))
     assert [p.code for p in report.problems] == ["category-zero"]
     loaded = load("datumaro", "coco", tmp_path / "out")
     names = {o[0] for i in loaded.values() for o in i["objects"]}
@@ -133,7 +139,7 @@ def test_voc_is_taken_whole(load, run: Path, tmp_path: Path, tool: str) -> None:
 
 def test_dota_is_taken_whole(load, run: Path, tmp_path: Path) -> None:
     # Datumaro wants the same classes in every split, which DOTA's files do not say.
-    images, out = converted(run, tmp_path / "out", "dota", splits=["train"])
+    images, out = converted(run, tmp_path / "out", "dota", reading=api.Reading(format="coco", splits=["train"]))
     loaded = load("datumaro", "dota", out)
     train = [i for i in images if i.split == "train"]
     assert len(loaded) == len(train) == 4
@@ -180,7 +186,7 @@ def strict_dota(text: str) -> tuple[dict[str, str], list[tuple[np.ndarray, str, 
 
 
 def test_dota_text_follows_its_specification(run: Path, tmp_path: Path) -> None:
-    images, out = converted(run, tmp_path / "out", "dota", rename={"OtherVehicle": "other vehicle"})
+    images, out = converted(run, tmp_path / "out", "dota", classes=api.ClassChanges({"OtherVehicle": "other vehicle"}))
     assert len(list(out.rglob("*.txt"))) == len(images)
     for image in images:
         stem = Path(image.name).stem
@@ -205,7 +211,7 @@ def test_oriented_boxes_of_new_objects_stay_in_the_frame_in_every_format(run: Pa
         options = {"empty": "keep", "pitch_sign": "-1"} if name == "monet" else {}
         folder = run if name == "coco" else run / name
         again = api.read_dataset(
-            folder, format="coco" if name == "coco" else "monet" if options else None, options=options
+            folder, api.Reading(format="coco" if name == "coco" else "monet" if options else None, options=options)
         )
         new = [o for i in again.images for o in i.instances if o.category == "drone"]
         assert len(new) == 8, name

@@ -76,7 +76,7 @@ def write_yolo(root: Path, number: int, size_wh: tuple[int, int], task: str, obj
 def jittered(data: Path, path: Path, classes: tuple[str, ...]) -> Path:
     """Findings of a middling detector: near the labels, some missed, some twice, others of nothing."""
     rng, found, sizes = stream(0, "jitter"), {}, {}
-    for image in api.read_dataset(data, splits=["test"]).images:
+    for image in api.read_dataset(data, api.Reading(splits=["test"])).images:
         objects = [i for i in image.instances if i.category in classes and rng.random() < 0.85]
         objects += [i for i in objects if rng.random() < 0.1]
         boxes = [i.box_xyxy + rng.normal(0, 0.07, 4) * np.tile(i.box_xyxy[2:] - i.box_xyxy[:2], 2) for i in objects]

@@ -61,7 +61,13 @@ def test_a_run_on_it_keeps_its_labels(name: str, tmp_path: Path) -> None:
         "labels.dont_care=keep",
         "configurations=1",
     ]
-    api.generate("hit-uav-drone", root, tmp_path / "run", renderer="fake", in_process=True, settings=settings)
+    api.generate(
+        "hit-uav-drone",
+        root,
+        tmp_path / "run",
+        execution=api.Execution(renderer="fake", in_process=True),
+        settings=settings,
+    )
     before = Counter(o.category for i in detection.read(root).images for o in i.instances)
     removed = json.loads((tmp_path / "run" / "run.json").read_text())["counts"]["labels_removed"]
     for written in ("coco", "birdsai"):

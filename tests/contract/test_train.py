@@ -110,7 +110,9 @@ def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
 @pytest.mark.parametrize("task", ["obb", "segment"])
 def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
     data = write_tiny_hit_uav(tmp_path / "data")
-    run = api.generate("hit-uav-drone", data, tmp_path / "run", renderer="fake", in_process=True).out
+    run = api.generate(
+        "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="fake", in_process=True)
+    ).out
     report = api.train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
     assert report.record["status"] == "complete"
     assert report.record["gate"]["labels"] == report.record["prepared"]["labels"] >= 2

@@ -19,7 +19,7 @@ def night(real_data_or_none: Path | None):
     """Night images of the train split."""
     if real_data_or_none is None:
         return ()
-    dataset = api.read_dataset(real_data_or_none / "hit-uav", splits=["train"])
+    dataset = api.read_dataset(real_data_or_none / "hit-uav", api.Reading(splits=["train"]))
     return tuple(i for i in dataset.images if i.time_of_day == "night")
 
 

@@ -60,7 +60,11 @@ def data(tmp_path, write_tiny_hit_uav) -> Path:
 
 
 def generate(data: Path, out: Path, **options):
-    options = {"renderer": "fake", "in_process": True, "settings": ["output.image=png"], **options}
+    options = {
+        "execution": api.Execution(renderer="fake", in_process=True),
+        "settings": ["output.image=png"],
+        **options,
+    }
     return api.generate("hit-uav-drone", data, out, **options)
 
 
@@ -144,15 +148,15 @@ def test_an_edited_card_is_left_alone_and_an_own_one_is_not(data, tmp_path):
     assert is_own(run / "README.md")
     (run / "README.md").write_text(original.replace("# hit-uav-drone", "# My drones"))
     assert not is_own(run / "README.md")
-    report = generate(data, run, resume=True)
+    report = generate(data, run, existing="resume")
     assert "# My drones" in card(run)
     assert [p.code for p in report.problems if p.where == "README.md"] == ["card-kept"]
-    generate(data, run, overwrite=True)
+    generate(data, run, existing="overwrite")
     assert "# My drones" in card(run)
     (run / "README.md").unlink()
-    generate(data, run, resume=True)
+    generate(data, run, existing="resume")
     assert card(run) == original
-    generate(data, run, overwrite=True, limit=1)
+    generate(data, run, existing="overwrite", limit=1)
     assert int(table(card(run))["pictures"]["all"]) == 2
 
 
@@ -321,7 +325,9 @@ def test_on_real_hit_uav(real_data, tmp_path):
 
 def test_converted_and_split_datasets_have_cards(data, tmp_path):
     (data / "LICENSE").write_text("Attribution 4.0 International\n")
-    api.convert(data, tmp_path / "coco", "coco", drop=["Bicycle"], rename={"OtherVehicle": "Truck"})
+    api.convert(
+        data, tmp_path / "coco", "coco", classes=api.ClassChanges(drop=["Bicycle"], rename={"OtherVehicle": "Truck"})
+    )
     text = card(tmp_path / "coco")
     assert front_matter(text)["license"] == "cc-by-4.0"
     rows = table(text)
@@ -332,7 +338,7 @@ def test_converted_and_split_datasets_have_cards(data, tmp_path):
     assert "no object was inserted" in text
     assert "synthetic" not in front_matter(text)["tags"]
     assert len(api.read_dataset(tmp_path / "coco").images) == 4
-    api.split(data, tmp_path / "split", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+    api.split(data, tmp_path / "split", api.SplitRule(by="gap", gap=1, shares=(0.5, 0.25, 0.25)))
     text = card(tmp_path / "split")
     assert "other splits" in text
     assert int(table(text)["pictures"]["all"]) == 4

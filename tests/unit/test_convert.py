@@ -65,11 +65,11 @@ def test_classes_are_renamed_joined_and_dropped(data: Path, tmp_path: Path) -> N
 
 def test_ids_stay_where_that_is_asked(data: Path, tmp_path: Path) -> None:
     source = {i.name: i.source_id for i in api.read_dataset(data).images}
-    api.convert(data, tmp_path / "out", "hit-uav", ids="source")
+    api.convert(data, tmp_path / "out", "hit-uav", writing=api.WriteSettings(ids="source"))
     assert {i.name: i.source_id for i in api.read_dataset(tmp_path / "out").images} == source
     yolo = SAMPLES["yolo:detect"](tmp_path / "yolo")
     with pytest.raises(DatasetError, match=r"ids cannot be kept[\s\S]*without a whole number as id"):
-        api.convert(yolo, tmp_path / "no", "coco", ids="source")
+        api.convert(yolo, tmp_path / "no", "coco", writing=api.WriteSettings(ids="source"))
     assert not (tmp_path / "no").exists()
 
 
@@ -165,11 +165,27 @@ def test_the_same_bytes_each_time(data: Path, tmp_path: Path) -> None:
     ("options", "error", "text"),
     [
         ({"to": "pascal"}, UnknownFormatError, "'pascal' cannot be written: expected one of hit-uav, hit-uav-xml"),
-        ({"to": "yolo", "rename": {"car": "x"}}, DatasetError, r"--rename: car; expected classes of the dataset"),
-        ({"to": "yolo", "rename": {"Car": ""}}, DatasetError, "--rename: new name ''; expected a name"),
-        ({"to": "yolo", "rename": {"Car": "a\nb", "Person": " c"}}, DatasetError, r"new name 'a\\nb', ' c'; expected"),
-        ({"to": "yolo", "drop": ["car"]}, DatasetError, r"--drop-class: car; expected classes of the dataset"),
-        ({"to": "yolo", "format": "dota"}, DatasetError, "labelTxt"),
+        (
+            {"to": "yolo", "classes": api.ClassChanges({"car": "x"})},
+            DatasetError,
+            r"--rename: car; expected classes of the dataset",
+        ),
+        (
+            {"to": "yolo", "classes": api.ClassChanges({"Car": ""})},
+            DatasetError,
+            "--rename: new name ''; expected a name",
+        ),
+        (
+            {"to": "yolo", "classes": api.ClassChanges({"Car": "a\nb", "Person": " c"})},
+            DatasetError,
+            r"new name 'a\\nb', ' c'; expected",
+        ),
+        (
+            {"to": "yolo", "classes": api.ClassChanges(drop=["car"])},
+            DatasetError,
+            r"--drop-class: car; expected classes of the dataset",
+        ),
+        ({"to": "yolo", "reading": api.Reading(format="dota")}, DatasetError, "labelTxt"),
     ],
 )
 def test_wrong_wishes_make_nothing(

@@ -225,7 +225,7 @@ def test_the_command_tells_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -
     content = json.loads(file.read_text())
     content["annotation"].append({**content["annotation"][0], "id": 77, "bbox": [5, 5, 0, 0]})
     file.write_text(json.dumps(content))
-    (image,) = api.read_dataset(data, splits=["test"]).images
+    (image,) = api.read_dataset(data, api.Reading(splits=["test"])).images
     key = f"test/{image.name}"
     found = detections([i.box_xyxy for i in image.instances], [0.9], [0])
     made = Predictions("detect", ("other vehicle",), {key: found}, {key: (640, 512)})
@@ -474,7 +474,7 @@ def test_weights_without_ultralytics(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_the_command(tmp_path: Path, write_tiny_hit_uav) -> None:
     data = write_tiny_hit_uav(tmp_path / "data")
-    dataset = api.read_dataset(data, splits=["test"])
+    dataset = api.read_dataset(data, api.Reading(splits=["test"]))
     labels = dataset.images[0].instances
     found = detections([i.box_xyxy for i in labels], [0.9], [0])
     key = f"test/{dataset.images[0].name}"

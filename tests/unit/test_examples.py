@@ -34,7 +34,9 @@ def test_every_example_is_listed():
 
 @pytest.mark.parametrize("name", RECIPES)
 def test_recipes_run_and_their_labels_can_be_read(name, backgrounds, tmp_path):
-    report = api.generate(EXAMPLES / name, backgrounds, tmp_path / "run", renderer="fake", in_process=True)
+    report = api.generate(
+        EXAMPLES / name, backgrounds, tmp_path / "run", execution=api.Execution(renderer="fake", in_process=True)
+    )
     assert report.ok
     assert report.counts["objects_inserted"] > 0
     done = subprocess.run(
@@ -49,5 +51,5 @@ def test_own_model(backgrounds, tmp_path, monkeypatch):
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
     recipe = EXAMPLES / "own_model" / "lanterns.yaml"
     assert load_recipe(recipe).objects[0].model.endswith("lantern.yaml")
-    report = api.generate(recipe, backgrounds, tmp_path / "run", limit=2, workers=1)
+    report = api.generate(recipe, backgrounds, tmp_path / "run", limit=2, execution=api.Execution(workers=1))
     assert report.counts["labels_inserted"] == {"lantern": 4}

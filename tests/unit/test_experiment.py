@@ -37,7 +37,7 @@ class Bench:
     def train(self, dataset: Path, out: Path, **said: Any) -> Any:
         self.stop("train")
         self.trained.append(Path(out))
-        data = api.read_dataset(dataset, options=said["options"])
+        data = api.read_dataset(dataset, api.Reading(options=said["options"]))
         images = [i for i in data.images if i.split == "train"]
         names = [c.name for c in data.categories if not c.ignore]
         objects = {n: sum(o.category == n for i in images for o in i.instances) for n in names}
@@ -49,7 +49,7 @@ class Bench:
             "task": said["task"],
             "seed": said["seed"],
             "classes": names,
-            "settings": json.loads(json.dumps(api._preset(said["preset"], said["settings"]))),
+            "settings": json.loads(json.dumps(api.experiment_inputs.preset_facts(said["preset"], said["settings"]))),
             "start_asked": said["weights"],
             "prepared": {
                 "images": 8,
@@ -71,7 +71,7 @@ class Bench:
         self.stop("evaluate")
         self.judged.append(Path(out))
         names, worth = json.loads(Path(weights).read_text())
-        data = api.read_dataset(dataset, options=said["options"])
+        data = api.read_dataset(dataset, api.Reading(options=said["options"]))
         images = [i for i in data.images if i.split == said["split"]]
         chosen = said["classes"] or names
         value = round(worth / 100, 6)
@@ -295,7 +295,7 @@ def killing(name, function):
         return function(*args, **kwargs)
     return call
 api.train, api.evaluate = killing("train", bench.train), killing("evaluate", bench.evaluate)
-api.generate = killing("generate", api.generate)
+api.experiment_inputs.generate = killing("generate", api.experiment_inputs.generate)
 api.compare_evaluations = killing("compare", bench.compare)
 api._require_training = lambda device: None
 api.experiment("pitch-alignment", {data!r}, {work!r}, {out!r}, scale="smoke", renderer="fake", workers=1)
@@ -757,8 +757,10 @@ def test_the_json_alone_makes_the_page(bench: Bench, data: Path, tmp_path: Path)
 def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = api.generate
-    monkeypatch.setattr(api, "generate", lambda *a, **k: made(*a, **{**k, "renderer": "fake", "in_process": True}))
+    made = api.experiment_inputs.generate
+    monkeypatch.setattr(
+        api.experiment_inputs, "generate", lambda *a, **k: made(*a, **{**k, "renderer": "fake", "in_process": True})
+    )
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
     assert main(["experiment", "--list"]) == 0
     assert "pitch-alignment" in capsys.readouterr().out

@@ -51,9 +51,12 @@ def test_bad_boxes_are_counted_and_empty_files_mean_no_drone(data: Path) -> None
 def test_colour_is_never_a_background(data: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="visible light") as caught:
         api.generate(
-            "hit-uav-drone", data, tmp_path / "run", renderer="fake", in_process=True,
+            "hit-uav-drone",
+            data,
+            tmp_path / "run",
+            execution=api.Execution(renderer="fake", in_process=True),
             settings=["camera.pitch={fixed_deg: 40}", "output.formats=[coco]"],
-        )  # fmt: skip
+        )
     assert sum(p.code == "image-visible" for p in caught.value.problems) == 4
     assert not (tmp_path / "run").exists()
 

@@ -448,7 +448,13 @@ def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
     for path in data.rglob("*.json"):
         path.write_text(path.read_text().replace('"width": 64, "height": 48', '"width": 800, "height": 600'))
     settings = {"output.formats": ["native"]}
-    report = api.generate("monet-deer", data, tmp_path / "run", renderer="fake", in_process=True, settings=settings)
+    report = api.generate(
+        "monet-deer",
+        data,
+        tmp_path / "run",
+        execution=api.Execution(renderer="fake", in_process=True),
+        settings=settings,
+    )
     assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (3, 1)
     again = detection.read(tmp_path / "run" / "native")
     assert [i.pitch_deg for i in again.images] == [35, -12.5, 90]

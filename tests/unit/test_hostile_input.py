@@ -29,7 +29,7 @@ def data(tmp_path, write_tiny_hit_uav):
 
 
 def generate(data, out, **kwargs):
-    options = {"renderer": "fake", "in_process": True, "settings": ["output.formats=[coco]"]}
+    options = {"execution": api.Execution(renderer="fake", in_process=True), "settings": ["output.formats=[coco]"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
 
 
@@ -180,7 +180,7 @@ def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
     other = sorted((data / "normal_json" / "test").glob("*.jpg"))[0]
     picture.write_bytes(other.read_bytes())
     with caplog.at_level(logging.WARNING):
-        generate(data, out, resume=True)
+        generate(data, out, existing="resume")
     assert "has changed" in caplog.text
     generate(data, fresh)
     assert digests(out) == digests(fresh) != before
@@ -197,7 +197,7 @@ def test_a_stop_while_labels_are_written_says_how_to_go_on(data, tmp_path, monke
         with pytest.raises(Interrupted, match="--resume"):
             generate(data, out)
     assert json.loads((out / "run.json").read_text())["status"] == "interrupted"
-    assert generate(data, out, resume=True).counts == generate(data, fresh).counts
+    assert generate(data, out, existing="resume").counts == generate(data, fresh).counts
 
 
 def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path):
@@ -206,7 +206,7 @@ def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path
     whole = digests(out)
     left = out / "images" / "train" / ".0_60_30_0_00001_c0.part.jpg"
     left.write_bytes(b"half")
-    generate(data, out, resume=True)
+    generate(data, out, existing="resume")
     assert not left.exists()
     assert digests(out) == whole
 

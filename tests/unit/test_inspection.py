@@ -113,7 +113,7 @@ def test_groups_are_runs_days_or_flights() -> None:
 
 
 def test_real_data_leaks_and_says_so(real_data: Path) -> None:
-    facts = api.inspect(real_data / "hit-uav", form="rotate_json")
+    facts = api.inspect(real_data / "hit-uav", reading=api.Reading(form="rotate_json"))
     test = facts.leakage[0]
     assert (test.split, test.other, test.images) == ("test", "train", 579)
     # 525 with all 2,029 training images; 1,000 of them are here.

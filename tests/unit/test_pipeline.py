@@ -64,7 +64,7 @@ def dataset(tmp_path) -> Path:
 
 
 def generate(data, out, **kwargs):
-    options = {"renderer": "fake", "in_process": True, "settings": ["output.image=png"]}
+    options = {"execution": api.Execution(renderer="fake", in_process=True), "settings": ["output.image=png"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
 
 
@@ -156,7 +156,7 @@ def test_worker_count_does_not_matter(dataset, tmp_path):
     generate(dataset, tmp_path / "a")
     for workers in (1, 2):
         out = tmp_path / f"w{workers}"
-        generate(dataset, out, workers=workers, in_process=False)
+        generate(dataset, out, execution=api.Execution(workers, renderer="fake"))
         assert hashes(out) == hashes(tmp_path / "a")
 
 
@@ -173,7 +173,7 @@ def test_interrupted_and_resumed_gives_the_same_bytes(dataset, tmp_path, monkeyp
     assert json.loads((run / "run.json").read_text())["status"] == "interrupted"
     made = {p: p.stat().st_mtime_ns for p in (run / "images").rglob("*.png")}
     assert 3 <= len(made) < 8
-    report = generate(dataset, run, resume=True)
+    report = generate(dataset, run, existing="resume")
     assert report.counts["frames"] == 8
     assert {p: p.stat().st_mtime_ns for p in made} == made  # not made again
     assert hashes(run) == hashes(tmp_path / "whole")
@@ -191,23 +191,25 @@ def test_resume_mends_damaged_frames(dataset, tmp_path):
     images[0].write_bytes(data[: len(data) // 2])
     images[1].unlink()
     scenes[4].write_text("{")
-    generate(dataset, run, resume=True)
+    generate(dataset, run, existing="resume")
     assert hashes(run) == whole
 
 
 def test_resume_refuses_another_run_and_says_what_differs(dataset, tmp_path):
     generate(dataset, tmp_path / "run")
     with pytest.raises(OutputError, match=r"recipe\.camera\.distance_m was \[1\.0, 10\.0\], is \[2\.0, 3\.0\]"):
-        generate(dataset, tmp_path / "run", resume=True, settings=["output.image=png", "camera.distance_m=[2, 3]"])
+        generate(
+            dataset, tmp_path / "run", existing="resume", settings=["output.image=png", "camera.distance_m=[2, 3]"]
+        )
     with pytest.raises(OutputError, match="seed was 0, is 5"):
-        generate(dataset, tmp_path / "run", resume=True, seed=5)
+        generate(dataset, tmp_path / "run", existing="resume", seed=5)
 
 
 def test_output_folder_rules(dataset, tmp_path):
     out = tmp_path / "full"
     out.mkdir()
     (out / "precious.txt").write_text("mine")
-    for options in ({}, {"overwrite": True}, {"resume": True}):
+    for options in ({}, {"existing": "overwrite"}, {"existing": "resume"}):
         with pytest.raises(OutputError):
             generate(dataset, out, **options)
     assert [p.name for p in out.iterdir()] == ["precious.txt"]
@@ -215,11 +217,11 @@ def test_output_folder_rules(dataset, tmp_path):
     (tmp_path / "run" / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match="--resume"):
         generate(dataset, tmp_path / "run", limit=1)
-    generate(dataset, tmp_path / "run", limit=2, overwrite=True)
+    generate(dataset, tmp_path / "run", limit=2, existing="overwrite")
     assert (tmp_path / "run" / "mine.txt").read_text() == "mine"
     assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 4
-    with pytest.raises(OutputError, match="exclude each other"):
-        generate(dataset, tmp_path / "run", resume=True, overwrite=True)
+    with pytest.raises(OutputError, match="refuse, resume or overwrite"):
+        generate(dataset, tmp_path / "run", existing="both")
     with pytest.raises(OutputError, match="holds the data"):
         generate(dataset, dataset.parent)
 
@@ -243,7 +245,7 @@ def test_a_bad_background_is_skipped_named_and_counted(dataset, tmp_path):
     assert len(labels) == 6
     assert not any(n.startswith(NAMES[0]) for n in labels)
     # Once mended, resume makes what is missing.
-    report = generate(dataset, tmp_path / "run", resume=True)
+    report = generate(dataset, tmp_path / "run", existing="resume")
     assert report.counts["frames"] == 6
 
 
@@ -263,7 +265,7 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path,
         generate(dataset, tmp_path / "run")
     assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 2
     monkeypatch.undo()
-    assert generate(dataset, tmp_path / "run", resume=True).counts["frames"] == 8
+    assert generate(dataset, tmp_path / "run", existing="resume").counts["frames"] == 8
 
 
 def test_original_labels_are_kept_or_listed(dataset, tmp_path):
@@ -359,9 +361,11 @@ def test_originals_groups_and_same_file_type(dataset, tmp_path):
 
 
 def test_limit_splits_and_plan(dataset, tmp_path):
-    facts = api.plan("hit-uav-drone", dataset, splits=["val", "test"]).to_json()
+    facts = api.plan("hit-uav-drone", dataset, reading=api.Reading(splits=["val", "test"])).to_json()
     assert (facts["frames"], facts["new_categories"]) == (4, ["drone"])
-    assert generate(dataset, tmp_path / "run", splits=["val"]).counts["images_per_split"] == {"val": 2}
+    assert generate(dataset, tmp_path / "run", reading=api.Reading(splits=["val"])).counts["images_per_split"] == {
+        "val": 2
+    }
     yaml = (tmp_path / "run" / "yolo" / "data.yaml").read_text()
     assert "train: images/val" in yaml
     with pytest.raises(DatasetError):
@@ -514,7 +518,9 @@ def test_partly_covered_originals_say_how_much_is_seen(dataset, tmp_path):
         if a["category_id"] == 0:
             a["bbox"], a["segmentation"] = [0, 0, 640, 512], [[0, 0, 640, 0, 640, 512, 0, 512]]
     file.write_text(json.dumps(top))
-    report = generate(dataset, tmp_path / "run", splits=["train"], settings={"output.formats": ["coco", "yolo"]})
+    report = generate(
+        dataset, tmp_path / "run", reading=api.Reading(splits=["train"]), settings={"output.formats": ["coco", "yolo"]}
+    )
     assert report.counts["labels_partly_covered"] >= 4
     by_image: dict[int, list[dict]] = {}
     for a in coco_of(report.out)["annotations"]:
@@ -525,5 +531,11 @@ def test_partly_covered_originals_say_how_much_is_seen(dataset, tmp_path):
         assert hidden > 0
         assert person["visibility"] == pytest.approx(1 - hidden / (640 * 512), abs=1e-6)
         assert person["bbox"] == [0, 0, 640, 512]
-    again = generate(dataset, tmp_path / "run", splits=["train"], resume=True, settings={"output.formats": ["coco"]})
+    again = generate(
+        dataset,
+        tmp_path / "run",
+        reading=api.Reading(splits=["train"]),
+        existing="resume",
+        settings={"output.formats": ["coco"]},
+    )
     assert again.counts["labels_partly_covered"] == report.counts["labels_partly_covered"]

@@ -117,7 +117,13 @@ def test_one_picture_is_enough_and_recipes_take_the_file(tmp_path):
     assert report.plot.read_bytes().startswith(b"\x89PNG")
     assert load_recipe("hit-uav-drone", {"sensor.profile": str(report.path)}).sensor.profile == report.profile
     settings = {"camera.pitch": {"fixed_deg": 40}, "sensor.profile": str(report.path)}
-    run = api.generate("hit-uav-drone", folder, tmp_path / "run", renderer="fake", in_process=True, settings=settings)
+    run = api.generate(
+        "hit-uav-drone",
+        folder,
+        tmp_path / "run",
+        execution=api.Execution(renderer="fake", in_process=True),
+        settings=settings,
+    )
     record = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())
     assert run.ok
     assert record["facts"]["sensor"]["profile"] == "mine"
@@ -223,7 +229,9 @@ def test_out_stays_outside_the_data(pictures):
 
 def test_hit_uavs_nights_are_found_as_measured_before(real_data, tmp_path):
     """The figures of the design's sections 4.1, 4.4, 4.5 and 3.2, with annotated objects left out here."""
-    report = api.profile(real_data / "hit-uav", tmp_path, splits=("train",), time="night", against="hit-uav")
+    report = api.profile(
+        real_data / "hit-uav", tmp_path, reading=api.Reading(splits=("train",)), time="night", against="hit-uav"
+    )
     m = report.profile.measured
     assert m["pictures"] == 64
     assert 0.6 <= m["edge_sigma_px"][1] <= 0.75

@@ -396,7 +396,12 @@ def crowd(tmp_path_factory):
     }
     run = root / "run"
     api.generate(
-        "hit-uav-drone", data.parent, run, splits=["train"], settings=settings, renderer="fake", in_process=True
+        "hit-uav-drone",
+        data.parent,
+        run,
+        reading=api.Reading(splits=["train"]),
+        settings=settings,
+        execution=api.Execution(renderer="fake", in_process=True),
     )
     return run, data.parent
 
@@ -404,7 +409,7 @@ def crowd(tmp_path_factory):
 def test_a_run_is_compared(crowd, tmp_path):
     run, data = crowd
     seen = []
-    report = api.realism(run, data, tmp_path / "a", in_process=True, on_progress=seen.append)
+    report = api.realism(run, data, tmp_path / "a", execution=api.Execution(in_process=True), on_progress=seen.append)
     facts = json.loads((tmp_path / "a" / "realism.json").read_text())
     person = facts["classes"]["Person"]
     assert person["n"] >= 20
@@ -427,7 +432,7 @@ def test_a_run_is_compared(crowd, tmp_path):
         "person_least_obvious.png",
         "person_random.png",
     }
-    api.realism(run, data, tmp_path / "b", in_process=True)
+    api.realism(run, data, tmp_path / "b", execution=api.Execution(in_process=True))
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
@@ -435,12 +440,14 @@ def test_a_run_is_compared(crowd, tmp_path):
 def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
     run, data = crowd
     with pytest.raises(DatasetError, match=r"Car: expected classes that are both inserted \(Person\) and annotated"):
-        api.realism(run, data, tmp_path, categories=["Car"], in_process=True)
+        api.realism(run, data, tmp_path, categories=["Car"], execution=api.Execution(in_process=True))
     with pytest.raises(DatasetError, match="no frame by day has an inserted object"):
-        api.realism(run, data, tmp_path, time_of_day="day", in_process=True)
+        api.realism(run, data, tmp_path, time_of_day="day", execution=api.Execution(in_process=True))
 
 
 def test_a_run_of_other_backgrounds_is_refused(crowd, tmp_path, write_tiny_hit_uav):
     run, _ = crowd
     with pytest.raises(DatasetError, match="does not hold 12 of the backgrounds"):
-        api.realism(run, write_tiny_hit_uav(tmp_path / "tiny"), tmp_path / "out", in_process=True)
+        api.realism(
+            run, write_tiny_hit_uav(tmp_path / "tiny"), tmp_path / "out", execution=api.Execution(in_process=True)
+        )

@@ -154,7 +154,9 @@ def test_convert_writes_a_selection_with_one_class_and_says_so(tmp_path):
 
 def test_pictures_drawn_again_are_written_under_names_of_their_own(tmp_path):
     data = written(tmp_path)
-    api.convert(data, tmp_path / "out", "coco", without=("Person", "DontCare"), like="Person", images=8)
+    api.convert(
+        data, tmp_path / "out", "coco", selection=api.Selection(without=("Person", "DontCare"), like="Person", images=8)
+    )
     again = api.read_dataset(tmp_path / "out")
     assert len({i.path for i in again.images}) == 8
     assert len({i.path.stat().st_ino for i in again.images}) == 3
@@ -189,7 +191,7 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
 @pytest.mark.realdata
 @pytest.mark.parametrize(("name", "pictures", "boxes"), [("Person", 417, 3095), ("Car", 450, 2400)])
 def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures, boxes):
-    data = api.read_dataset(real_data / "hit-uav", splits=["train"])
+    data = api.read_dataset(real_data / "hit-uav", api.Reading(splits=["train"]))
     free, facts = select(data, Selection(without=(name, "DontCare"), like=name))
     assert not any(o.category in (name, "DontCare") for i in free.images for o in i.instances)
     assert sum(n for n in facts["left_out"].values()) + facts["pictures"] == len(data.images)

@@ -277,7 +277,14 @@ def pictures(tmp_path):
 
 def generate(pictures, out, **settings):
     fields = {"camera.pitch": {"fixed_deg": 40}, **{k.replace("_", "."): v for k, v in settings.items()}}
-    api.generate("hit-uav-drone", pictures, out, seed=3, renderer="fake", in_process=True, settings=fields)
+    api.generate(
+        "hit-uav-drone",
+        pictures,
+        out,
+        seed=3,
+        execution=api.Execution(renderer="fake", in_process=True),
+        settings=fields,
+    )
     found = [(p, read_record(p)) for p in sorted((out / "scenes").rglob("*.json"))]
     return [(r, np.array(Image.open(out / "images" / r.image))) for _, r in found]
 

@@ -287,7 +287,14 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
 
     def generate(out, **settings):
         fields = {"camera.pitch": {"fixed_deg": 40}, **{k.replace("_", ".", 1): v for k, v in settings.items()}}
-        api.generate("hit-uav-drone", folder, out, seed=3, renderer="fake", in_process=True, settings=fields)
+        api.generate(
+            "hit-uav-drone",
+            folder,
+            out,
+            seed=3,
+            execution=api.Execution(renderer="fake", in_process=True),
+            settings=fields,
+        )
         return [read_record(p) for p in sorted((out / "scenes").rglob("*.json"))]
 
     still = generate(tmp_path / "still", sensor_profile="hit-uav")

@@ -45,7 +45,7 @@ def clips(root: Path) -> Path:
 def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
     root = clips(tmp_path / "data")
     before = tree(root)
-    report = api.split(root, tmp_path / "out", by="gap", shares=(0.5, 0.2, 0.3))
+    report = api.split(root, tmp_path / "out", api.SplitRule(by="gap", shares=(0.5, 0.2, 0.3)))
     assert len(report.groups) == 6 and len(set(report.groups.values())) == 3
     assert report.before[0].near > 0 and [one.near for one in report.after] == [0, 0, 0]
     assert sum(report.images.values()) == 60 and set(report.images.values()) <= {10, 20, 30, 40}
@@ -60,7 +60,7 @@ def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
     assert one.path.stat().st_nlink > 1  # a hard link
     record = json.loads((tmp_path / "out" / "split.json").read_text())
     assert record["groups"] == report.groups and record["image_shares"] == report.shares(report.images)
-    api.split(root, tmp_path / "second", by="gap", shares=(5, 2, 3))
+    api.split(root, tmp_path / "second", api.SplitRule(by="gap", shares=(5, 2, 3)))
     assert tree(tmp_path / "out") == tree(tmp_path / "second")
 
 
@@ -79,7 +79,7 @@ def test_every_sample_is_written_back_in_its_own_format(name: str, tmp_path: Pat
     root = SAMPLES[name](tmp_path / "data")
     source = api.read_dataset(root)
     try:
-        report = api.split(root, tmp_path / "out", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+        report = api.split(root, tmp_path / "out", api.SplitRule(by="gap", gap=1, shares=(0.5, 0.25, 0.25)))
     except DatasetError as error:  # a format that is read alone
         assert "written" in error.message or "group" in error.message
         return
@@ -95,7 +95,7 @@ def test_pictures_of_like_name_do_not_meet(tmp_path: Path) -> None:
     for k, split in enumerate(("train", "val", "test")):
         picture(root / split / "1.png", k).with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.1\n")
         picture(root / split / "50.png", k + 3).with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.1\n")
-    api.split(root, tmp_path / "out", by="gap", shares=(1, 0, 1))
+    api.split(root, tmp_path / "out", api.SplitRule(by="gap", shares=(1, 0, 1)))
     again = api.read_dataset(tmp_path / "out")
     assert len({i.path for i in again.images}) == 6 == sum(len(i.instances) for i in again.images)
 
@@ -116,15 +116,15 @@ def test_what_cannot_be_done_is_said_before_anything_is_written(tmp_path: Path) 
         assert run(root, tmp_path / "out", *words).exit_code == 2, words
     assert not (tmp_path / "out").exists()
     with pytest.raises(OutputError, match="inside the data folder"):
-        api.split(root, root / "out", by="gap")
+        api.split(root, root / "out", api.SplitRule(by="gap"))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").write_text("x")
     with pytest.raises(OutputError, match="not empty"):
-        api.split(root, tmp_path / "full", by="gap")
+        api.split(root, tmp_path / "full", api.SplitRule(by="gap"))
     plain = SAMPLES["folder:plain"](tmp_path / "plain")
     shutil.move(plain / "a.jpg", plain / "a1.jpg")
     with pytest.raises(DatasetError, match="own format"):
-        api.split(plain, tmp_path / "out", by="gap")
+        api.split(plain, tmp_path / "out", api.SplitRule(by="gap"))
 
 
 @given(st.integers(3, 40), st.integers(1, 5), st.integers(0, 3))
@@ -148,7 +148,13 @@ def test_a_share_of_nothing_gets_nothing() -> None:
 
 
 def test_hit_uav_without_neighbours(real_data: Path, tmp_path: Path) -> None:
-    report = api.split(real_data / "hit-uav", tmp_path / "out", by="gap", form="rotate_json", lists=True)
+    report = api.split(
+        real_data / "hit-uav",
+        tmp_path / "out",
+        api.SplitRule(by="gap"),
+        reading=api.Reading(form="rotate_json"),
+        lists=True,
+    )
     assert report.before[0].near == 403
     assert [one.near for one in report.after] == [0, 0, 0]
     for counts in (report.images, *report.objects.values()):

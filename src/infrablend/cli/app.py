@@ -56,11 +56,11 @@ def _tell(error: BaseException, ctx: Any) -> int:
     session = ctx.obj
     code = exits.tell(error, session.log_path if session else None)
     if session and session.json and code != exits.INTERRUPTED:
-        from infrablend.cli.results import say_json
+        from infrablend.cli.results import print_json
 
         problems = [p.to_json() for p in getattr(error, "problems", ())]
         message = getattr(error, "message", str(error))
-        say_json({"error": type(error).__name__, "message": message, "problems": problems, "exit_code": code})
+        print_json({"error": type(error).__name__, "message": message, "problems": problems, "exit_code": code})
     return code
 
 
@@ -92,7 +92,7 @@ def build_app() -> typer.Typer:
     app = typer.Typer(
         name="infrablend",
         cls=_Commands,
-        add_completion=False,
+        add_completion=True,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,

@@ -13,8 +13,8 @@ def infrared_effect(
 ) -> None:
     """Write the InfraredEffect node group as a .blend asset, for use by hand in the Shader Editor."""
     from infrablend import api
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
     if out.suffix.lower() != ".blend":
         raise typer.BadParameter(f"{out} must end in .blend", param_hint="--out")
-    say(str(api.write_infrared_effect(out)))
+    print_result(str(api.write_infrared_effect(out)))

@@ -1,4 +1,4 @@
-"""`infrablend check`: is everything right with a dataset?"""
+"""`infrablend check`: find problems in a dataset."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from infrablend.cli.options import (
     MetadataOption,
     ReadingOption,
     SplitsOption,
-    key_values,
-    split_list,
+    make_reading,
 )
 
 if TYPE_CHECKING:
@@ -27,40 +26,35 @@ SHOWN_EACH = 3
 def check(
     ctx: typer.Context,
     data: DatasetArgument,
-    strict: Annotated[bool, typer.Option("--strict", help="Warnings fail, too.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")] = False,
     no_decode: Annotated[bool, typer.Option("--no-decode", help="Read only the headers of the pictures.")] = False,
     split: SplitsOption = None,
     form: FormOption = None,
     format: FormatOption = None,
     metadata: MetadataOption = None,
-    reading: ReadingOption = None,
+    options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List every problem of a dataset's labels and pictures; exit code 1 if there are errors."""
     from infrablend import api
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import say, say_json
+    from infrablend.cli.results import print_json, print_result
 
     session = ctx.obj
     session.json = as_json
-    splits = split_list(split)
-    options = key_values(reading, "--read")
+    reading = make_reading(split, format, form, metadata, options)
     with shown_progress(session, "checking") as on_progress:
         report = api.check(
             data,
-            splits=splits,
-            form=form,
-            metadata=metadata,
-            format=format,
-            options=options,
+            reading=reading,
             decode=not no_decode,
             on_progress=on_progress,
         )
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
     else:
-        say("\n".join(_lines(report)))
+        print_result("\n".join(_lines(report)))
     if not report.ok(strict):
         raise typer.Exit(PARTIAL)
 

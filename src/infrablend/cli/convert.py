@@ -1,4 +1,4 @@
-"""`infrablend convert`: a dataset in another format."""
+"""`infrablend convert`: write a dataset in another format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from infrablend.cli.options import JsonOption, ReadingOption, comma_list, key_values, split_list
+from infrablend.cli.options import JsonOption, ReadingOption, comma_list, key_values, make_reading
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -30,14 +30,14 @@ class CategoryIds(StrEnum):
 
 
 class DontCare(StrEnum):
-    """What becomes of regions to ignore."""
+    """How to write regions to ignore."""
 
     DROP = "drop"
     KEEP = "keep"
 
 
 class WithoutMask(StrEnum):
-    """What becomes of objects without a mask."""
+    """How to write objects without a mask."""
 
     OMIT = "omit"
     OBB = "obb"
@@ -45,116 +45,110 @@ class WithoutMask(StrEnum):
 
 def convert(
     ctx: typer.Context,
-    source: Annotated[Path, typer.Argument(metavar="SRC", help="The dataset to read.")],
-    out: Annotated[Path, typer.Argument(metavar="DST", help="The folder to write.")],
+    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder of the dataset to read.")],
+    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
     to: Annotated[str, typer.Option(metavar="FORMAT", help="Format to write: yolo, coco, ... or native.")],
-    split: Annotated[str | None, typer.Option(metavar="LIST", help="Some of train,val,test [default: all].")] = None,
+    split: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Splits to read, from train,val,test [default: all].")
+    ] = None,
     format_in: Annotated[str | None, typer.Option(metavar="FORMAT", help="Format of SRC [default: detected].")] = None,
-    reading: ReadingOption = None,
+    options: ReadingOption = None,
     metadata: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude of the pictures.")
+        Path | None, typer.Option(metavar="FILE", help="CSV or JSON table of pitch and altitude.")
     ] = None,
     rename: Annotated[
         list[str] | None,
-        typer.Option(metavar="OLD=NEW,...", help="Other names for classes; several may become one; repeatable."),
+        typer.Option(metavar="OLD=NEW,...", help="Rename classes; several may become one; repeatable."),
     ] = None,
     drop: Annotated[
         str | None,
-        typer.Option("--drop-class", metavar="LIST", help="Classes to leave out, by their name after --rename."),
+        typer.Option("--drop-class", metavar="LIST", help="Leave out labels of these classes (names after --rename)."),
     ] = None,
     only: Annotated[
-        str | None, typer.Option("--only-class", metavar="NAME", help="Keep this class's labels alone.")
+        str | None, typer.Option("--only-class", metavar="NAME", help="Keep only the labels of this class.")
     ] = None,
     with_class: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Only pictures that show this class (name after --rename).")
+        str | None, typer.Option(metavar="NAME", help="Take only pictures that show this class (name after --rename).")
     ] = None,
     without: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Only pictures that show none of these classes.")
+        str | None, typer.Option(metavar="LIST", help="Take only pictures that show none of these classes.")
     ] = None,
-    images: Annotated[int | None, typer.Option(metavar="N", help="Draw so many of the pictures.")] = None,
+    images: Annotated[int | None, typer.Option(metavar="N", help="Draw N of the pictures at random.")] = None,
     objects: Annotated[
-        int | None, typer.Option(metavar="N", help="Draw them so that they show so many of --with-class.")
+        int | None, typer.Option(metavar="N", help="Draw pictures that together show N objects of --with-class.")
     ] = None,
     like: Annotated[
         str | None,
         typer.Option(
             "--like-class",
             metavar="NAME",
-            help="Draw pictures, some several times, with times of day, heights and pitches as of those that show this "
-            "class.",
+            help="Draw pictures, some several times, to match times of day, heights and pitches of those that show "
+            "this class.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the draw.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the draw.")] = 0,
     loosen: Annotated[
         float,
         typer.Option(
-            "--loosen-inserted", metavar="FACTOR", help="Inserted objects' boxes as much wider and higher, as by hand."
+            "--loosen-inserted",
+            metavar="FACTOR",
+            help="Enlarge boxes of inserted objects by this factor, to match hand-drawn ones.",
         ),
     ] = 1.0,
-    ids: Annotated[Ids, typer.Option(help="Ids numbered anew, or the source's, where the format has ids.")] = Ids.NEW,
+    ids: Annotated[Ids, typer.Option(help="New ids, or those of the source, where the format has ids.")] = Ids.NEW,
     category_ids: Annotated[
-        CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools take 0 for background.")
+        CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools read 0 as background.")
     ] = CategoryIds.SOURCE,
-    dont_care: Annotated[DontCare, typer.Option(help="YOLO: regions to ignore are left out, or a class.")] = (
+    dont_care: Annotated[DontCare, typer.Option(help="YOLO: drop regions to ignore, or keep them as a class.")] = (
         DontCare.DROP
     ),
     without_mask: Annotated[
-        WithoutMask, typer.Option(help="yolo-seg: objects without mask are left out, or their oriented box is written.")
+        WithoutMask, typer.Option(help="yolo-seg: omit objects without a mask, or write their oriented box.")
     ] = WithoutMask.OMIT,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier conversion in DST.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a dataset in another format; pictures are linked, every loss is counted and said."""
+    """Write a dataset in another format; pictures are linked, and every loss is counted and reported."""
     session: Session = ctx.obj
     session.json = as_json
 
     from infrablend import api
     from infrablend.cli.exits import PARTIAL
-    from infrablend.cli.results import facts, say, say_json, table, tell_problems
+    from infrablend.cli.results import facts, print_json, print_problems, print_result, table
     from infrablend.formats.losses import LOSSES
+    from infrablend.formats.writing import WriteSettings
+    from infrablend.pipeline.convert import ClassChanges
+    from infrablend.pipeline.select import Selection
 
     pairs = [pair for text in rename or () for pair in text.split(",")]
     report = api.convert(
         source,
         out,
         to,
-        splits=split_list(split),
-        format=format_in,
-        metadata=metadata,
-        options=key_values(reading, "--read"),
-        rename=key_values(pairs, "--rename"),
-        drop=comma_list(drop, "--drop-class") or (),
-        only=only,
-        with_class=with_class,
-        without=comma_list(without, "--without") or (),
-        images=images,
-        objects=objects,
-        like=like,
-        seed=seed,
+        reading=make_reading(split, format_in, metadata=metadata, options=options),
+        classes=ClassChanges(key_values(pairs, "--rename"), comma_list(drop, "--drop-class") or (), only),
+        selection=Selection(with_class, comma_list(without, "--without") or (), images, objects, like, seed),
         loosen=loosen,
-        ids=ids.value,
-        category_ids=category_ids.value,
-        dont_care=dont_care.value,
-        without_mask=without_mask.value,
+        writing=WriteSettings(ids.value, category_ids.value, dont_care.value, without_mask.value),
         overwrite=overwrite,
     )
-    tell_problems(report.problems, session.log_path, report.out / "convert.json")
+    print_problems(report.problems, session.log_path, report.out / "convert.json")
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
     else:
         rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
         if selection := report.counts.get("selection"):
-            rows["selection"] = _in_words(selection)
-        say(table(rows))
+            rows["selection"] = _selection_text(selection)
+        print_result(table(rows))
         for kind, n in report.losses.items():
-            say(f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}")
-        say(str(report.out))
+            print_result(f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}")
+        print_result(str(report.out))
     if not report.ok:
         raise typer.Exit(PARTIAL)
 
 
-def _in_words(selection: Mapping[str, Any]) -> str:
-    """What was asked for, and what was left out."""
+def _selection_text(selection: Mapping[str, Any]) -> str:
+    """Describe what was selected and what was left out."""
     named = selection["with_class"]
     parts = [f"pictures that show {named}"] if named is not None else []
     parts += [f"none that shows {' or '.join(selection['without'])}"] if selection["without"] else []

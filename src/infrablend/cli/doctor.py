@@ -11,16 +11,16 @@ def doctor(ctx: typer.Context, as_json: JsonOption = False) -> None:
     """Report Python, bpy, libraries, devices, torch, Ultralytics, disk; exit code 3 if a run would fail."""
     from infrablend import api
     from infrablend.cli.exits import ENVIRONMENT
-    from infrablend.cli.results import say, say_json, table
+    from infrablend.cli.results import print_json, print_result, table
 
     ctx.obj.json = as_json
     diagnosis = api.diagnose()
     if as_json:
-        say_json(diagnosis.to_json())
+        print_json(diagnosis.to_json())
     else:
-        say(table({f"{c.status:<7}  {c.name}": c.found for c in diagnosis.checks}))
+        print_result(table({f"{c.status:<7}  {c.name}": c.found for c in diagnosis.checks}))
         for c in diagnosis.checks:
             if c.todo:
-                say(f"-> {c.name}: {c.todo}")
+                print_result(f"-> {c.name}: {c.todo}")
     if not diagnosis.ok:
         raise typer.Exit(ENVIRONMENT)

@@ -87,7 +87,7 @@ def evaluate(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import say, say_json, tell_problems
+    from infrablend.cli.results import print_json, print_problems, print_result
 
     with shown_progress(session, "detecting") as on_progress:
         report = api.evaluate(
@@ -111,11 +111,11 @@ def evaluate(
             overwrite=overwrite,
             on_progress=on_progress,
         )
-    tell_problems(report.problems, session.log_path, report.out / "evaluation.json")
+    print_problems(report.problems, session.log_path, report.out / "evaluation.json")
     if as_json:
-        say_json({"out": str(report.out)} | report.to_json())
+        print_json({"out": str(report.out)} | report.to_json())
     else:
-        say("\n\n".join(_blocks(report)))
+        print_result("\n\n".join(_blocks(report)))
 
 
 def _blocks(report: EvaluationReport) -> list[str]:

@@ -81,14 +81,14 @@ def experiment(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import say, say_json, table
+    from infrablend.cli.results import print_json, print_result, table
     from infrablend.core.yaml_text import read_yaml
 
     if show_list:
         if as_json:
-            say_json(api.list_experiments())
+            print_json(api.list_experiments())
         else:
-            say(table(api.list_experiments()))
+            print_result(table(api.list_experiments()))
         return
     if name is None:
         raise typer.BadParameter("which experiment? --list shows the shipped ones", param_hint="NAME")
@@ -99,9 +99,9 @@ def experiment(
             only=only or [], adopt=key_values(adopt, "--adopt"),
         ).to_json()  # fmt: skip
         if as_json:
-            say_json(planned)
+            print_json(planned)
         else:
-            say("\n\n".join(_plan_blocks(planned)))
+            print_result("\n\n".join(_plan_blocks(planned)))
         return
 
     def tell(stage: str, news: str, k: int, n: int) -> None:
@@ -117,14 +117,14 @@ def experiment(
     for problem in report.problems:
         typer.echo(f"{problem.severity}: {problem}", err=True)
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
     else:
-        say("\n\n".join(_blocks(report.facts)))
+        print_result("\n\n".join(_blocks(report.facts)))
         if report.facts["missing"]:
-            say(f"\nmissing: {', '.join(report.facts['missing'])}")
+            print_result(f"\nmissing: {', '.join(report.facts['missing'])}")
         elif not report.made:
-            say("\nnothing to do: every stage was there")
-        say(f"\n{report.status}, scale {report.scale}: {report.page}")
+            print_result("\nnothing to do: every stage was there")
+        print_result(f"\n{report.status}, scale {report.scale}: {report.page}")
 
 
 _NEWS = {"there": "is there", "begins": "begins", "done": "done", "taken over": "is taken over"}

@@ -40,19 +40,19 @@ def fetch(
     from infrablend import api
     from infrablend.cli.exits import problem_lines
     from infrablend.cli.progress import shown_fetch
-    from infrablend.cli.results import facts, say, say_json, table
+    from infrablend.cli.results import facts, print_json, print_result, table
 
     if listing:
         sources = api.list_sources()
         if as_json:
-            say_json(sources)
+            print_json(sources)
         else:
-            say(table({s["name"]: _line(s) for s in sources}))
+            print_result(table({s["name"]: _line(s) for s in sources}))
         return
     if name is None:
         raise typer.BadParameter("give the NAME of a dataset, or --list", param_hint="NAME")
     if out is None:
-        say(api.describe_source(name))
+        print_result(api.describe_source(name))
         return
     typer.echo(api.describe_source(name, licence_only=True), err=True)
     with shown_fetch(session) as on_progress:
@@ -70,11 +70,11 @@ def fetch(
         lines = problem_lines(report.problems, session.log_path)
         typer.echo("\n".join([f"{len(report.problems)} warning(s):", *lines]), err=True)
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
     else:
         wanted = ("fetched", "present", "files", "size_bytes")
-        say(table(facts({k: v for k, v in report.to_json().items() if k in wanted})))
-        say(str(report.out))
+        print_result(table(facts({k: v for k, v in report.to_json().items() if k in wanted})))
+        print_result(str(report.out))
 
 
 def _line(source: dict[str, object]) -> str:

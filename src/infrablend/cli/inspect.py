@@ -1,4 +1,4 @@
-"""`infrablend inspect`: what is in a dataset?"""
+"""`infrablend inspect`: show what a dataset contains."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from infrablend.cli.options import (
     MetadataOption,
     ReadingOption,
     SplitsOption,
-    key_values,
-    split_list,
+    make_reading,
 )
 
 if TYPE_CHECKING:
@@ -36,30 +35,26 @@ def inspect(
     form: FormOption = None,
     format: FormatOption = None,
     metadata: MetadataOption = None,
-    reading: ReadingOption = None,
+    options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a dataset holds: splits, classes, sizes, pitch and altitude, sequences, leakage, problems."""
+    """Show what a dataset contains: splits, classes, sizes, pitch and altitude, sequences, leakage, problems."""
     from infrablend import api
-    from infrablend.cli.results import say, say_json
+    from infrablend.cli.results import print_json, print_result
 
     ctx.obj.json = as_json
     facts = api.inspect(
         data,
         out,
-        splits=split_list(split),
-        form=form,
-        metadata=metadata,
-        format=format,
-        options=key_values(reading, "--read"),
+        reading=make_reading(split, format, form, metadata, options),
         decode=decode,
     )
     if as_json:
-        say_json(facts.to_json())
+        print_json(facts.to_json())
         return
-    say("\n\n".join(_blocks(facts)))
+    print_result("\n\n".join(_blocks(facts)))
     if out is not None:
-        say(f"\n{out / 'inspect.png'}\n{out / 'inspect.json'}")
+        print_result(f"\n{out / 'inspect.png'}\n{out / 'inspect.json'}")
 
 
 def _blocks(facts: Inspection) -> list[str]:

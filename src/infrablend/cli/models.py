@@ -11,9 +11,9 @@ import typer
 def list_models() -> None:
     """List the object models."""
     from infrablend import api
-    from infrablend.cli.results import say, table
+    from infrablend.cli.results import print_result, table
 
-    say(table(api.list_models()))
+    print_result(table(api.list_models()))
 
 
 def show_model(
@@ -24,6 +24,6 @@ def show_model(
 ) -> None:
     """Render a sheet of a model over pitch and yaw."""
     from infrablend import api
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
-    say(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"))))
+    print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"))))

@@ -1,12 +1,15 @@
-"""Options that several commands share, and texts that hold lists."""
+"""Options that several commands share, and parsing of options that contain lists."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from infrablend.formats.reading import Reading
 
 
 class Device(StrEnum):
@@ -21,35 +24,31 @@ class Device(StrEnum):
     ONEAPI = "oneapi"
 
 
-DeviceOption = Annotated[Device, typer.Option(help="Where Cycles renders; auto takes a GPU if there is one.")]
-WorkersOption = Annotated[int | None, typer.Option(min=1, help="Render processes [default: one per core].")]
+DeviceOption = Annotated[Device, typer.Option(help="Device that Cycles renders on; auto uses a GPU if there is one.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Number of worker processes [default: one per core].")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="The result as JSON on stdout.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 ReadingOption = Annotated[
     list[str] | None,
-    typer.Option("--read", metavar="KEY=VALUE", help="Option of the dataset's reader (docs/formats); repeatable."),
+    typer.Option("--read", metavar="KEY=VALUE", help="Option of the dataset reader (docs/formats); repeatable."),
 ]
-DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="The dataset's folder.")]
+DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
 FormatOption = Annotated[
-    str | None, typer.Option("--format", metavar="NAME", help="Read it as this format [default: detected].")
+    str | None, typer.Option("--format", metavar="NAME", help="Format of the dataset [default: detected].")
 ]
-FormOption = Annotated[
-    str | None, typer.Option(help="Read only this form of the dataset, e.g. rotate_json [default: all].")
-]
-MetadataOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="CSV or JSON of pitch and altitude, for a folder of images.")
-]
+FormOption = Annotated[str | None, typer.Option(help="Annotation form to read, e.g. rotate_json [default: all].")]
+MetadataOption = Annotated[Path | None, typer.Option(metavar="FILE", help="CSV or JSON table of pitch and altitude.")]
 SplitsOption = Annotated[
-    str | None, typer.Option("--split", metavar="LIST", help="Some of train,val,test [default: all].")
+    str | None, typer.Option("--split", metavar="LIST", help="Splits to read, from train,val,test [default: all].")
 ]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder that `generate` wrote.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `generate` wrote.")]
 
 
 def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
-    """`"a, b"` as `("a", "b")`, without repeats; None for None.
+    """Parse `"a, b"` into `("a", "b")` without repeats; None stays None.
 
     Raises:
-        typer.BadParameter: If an item is empty; it names `option`.
+        typer.BadParameter: An item is empty; the message names `option`.
     """
     if text is None:
         return None
@@ -60,10 +59,10 @@ def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
 
 
 def split_list(text: str | None) -> tuple[str, ...] | None:
-    """The splits that `--split` names; None for None.
+    """Parse the value of `--split`; None stays None.
 
     Raises:
-        typer.BadParameter: For a name that is no split.
+        typer.BadParameter: A name is not a split.
     """
     from infrablend.core.dataset import SPLITS
 
@@ -77,10 +76,10 @@ def split_list(text: str | None) -> tuple[str, ...] | None:
 
 
 def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
-    """`["a=1", "b=x=y"]` as `{"a": "1", "b": "x=y"}`.
+    """Parse `["a=1", "b=x=y"]` into `{"a": "1", "b": "x=y"}`.
 
     Raises:
-        typer.BadParameter: For an item without `=`, or a key given twice; it names `option`.
+        typer.BadParameter: An item has no `=`, or a key is given twice; the message names `option`.
     """
     found: dict[str, str] = {}
     for pair in pairs or ():
@@ -89,3 +88,16 @@ def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
             raise typer.BadParameter(f"{pair!r}: write KEY=VALUE, each key once", param_hint=option)
         found[key] = value
     return found
+
+
+def make_reading(
+    split: str | None = None,
+    format: str | None = None,
+    form: str | None = None,
+    metadata: Path | None = None,
+    options: list[str] | None = None,
+) -> Reading:
+    """Return how to read a dataset, from the options `--split`, `--format`, `--form`, `--metadata` and `--read`."""
+    from infrablend.formats.reading import Reading
+
+    return Reading(split_list(split), format, form, metadata, key_values(options, "--read"))

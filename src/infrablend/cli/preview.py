@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from infrablend.cli.options import RunArgument
 
+if TYPE_CHECKING:
+    from infrablend.report.preview import Draw
+
 
 def preview(
     run: RunArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Where to write it [default: RUN/preview.png].")
+        Path | None, typer.Option(metavar="PNG", help="Picture to write [default: RUN/preview.png].")
     ] = None,
-    count: Annotated[int, typer.Option(min=1, max=400, help="How many frames.")] = 12,
+    count: Annotated[int, typer.Option(min=1, max=400, help="Number of frames.")] = 12,
     boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
     obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
@@ -23,12 +26,13 @@ def preview(
         bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
     ] = False,
 ) -> None:
-    """Write a picture with frames of a run and their labels; all kinds of labels unless some are chosen."""
+    """Write a contact sheet of a run with its labels: all kinds of labels, unless some are chosen."""
     from infrablend import api
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
     if ground:
-        say(str(api.preview_ground(run, out or run / "ground.png", min(count, 6))))
+        print_result(str(api.preview_ground(run, out or run / "ground.png", min(count, 6))))
         return
-    chosen = tuple(name for name, on in (("boxes", boxes), ("obb", obb), ("masks", masks)) if on)
-    say(str(api.preview(run, out or run / "preview.png", count, chosen or ("boxes", "obb", "masks"))))
+    kinds: tuple[tuple[Draw, bool], ...] = (("boxes", boxes), ("obb", obb), ("masks", masks))
+    chosen = tuple(name for name, on in kinds if on)
+    print_result(str(api.preview(run, out or run / "preview.png", count, chosen or ("boxes", "obb", "masks"))))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from infrablend.cli.options import JsonOption, ReadingOption, RunArgument, WorkersOption, comma_list, key_values
+from infrablend.cli.options import JsonOption, ReadingOption, RunArgument, WorkersOption, comma_list, make_reading
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -36,7 +36,7 @@ def realism(
     time: Annotated[TimeOfDay, typer.Option(help="Only images of that time.")] = TimeOfDay.ALL,
     pairs: Annotated[int, typer.Option(min=10, help="At most so many pairs of each class.")] = 1000,
     workers: WorkersOption = None,
-    reading: ReadingOption = None,
+    options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare inserted objects with the real ones of their class: classifiers, controls, medians, sheets of crops."""
@@ -46,7 +46,8 @@ def realism(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import say, say_json, table
+    from infrablend.cli.results import print_json, print_result, table
+    from infrablend.pipeline.request import Execution
 
     with shown_progress(session, "comparing") as on_progress:
         report = api.realism(
@@ -56,16 +57,16 @@ def realism(
             categories=chosen,
             time_of_day=time.value,
             pairs=pairs,
-            workers=workers,
-            options=key_values(reading, "--read"),
+            reading=make_reading(options=options),
+            execution=Execution(workers),
             on_progress=on_progress,
         )
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
         return
     for name, facts in report.facts["classes"].items():
-        say(table({name: "", **_lines(facts)}))
-    say(str(report.out / "realism.html"))
+        print_result(table({name: "", **_lines(facts)}))
+    print_result(str(report.out / "realism.html"))
 
 
 def _lines(facts: dict[str, Any]) -> dict[str, str]:

@@ -10,14 +10,14 @@ import typer
 def list_recipes() -> None:
     """List the shipped recipes."""
     from infrablend import api
-    from infrablend.cli.results import say, table
+    from infrablend.cli.results import print_result, table
 
-    say(table(api.list_recipes()))
+    print_result(table(api.list_recipes()))
 
 
 def show_recipe(name: Annotated[str, typer.Argument(metavar="NAME", help="Of a shipped recipe.")]) -> None:
     """Print a recipe, to be saved and changed."""
     from infrablend import api
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
-    say(api.show_recipe(name).rstrip("\n"))
+    print_result(api.show_recipe(name).rstrip("\n"))

@@ -1,4 +1,4 @@
-"""`infrablend rerender`: one frame of a run again, from its scene file."""
+"""`infrablend rerender`: render one frame of a run again, from its scene file."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from infrablend.cli.options import RunArgument
 def rerender(
     run: RunArgument,
     frame: Annotated[
-        str, typer.Argument(metavar="FRAME", help="Its id, e.g. test/1_60_80_0_06117_c0 (see RUN/scenes).")
+        str, typer.Argument(metavar="FRAME", help="Id of the frame, e.g. test/1_60_80_0_06117_c0 (see RUN/scenes).")
     ],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Picture to write; .png is lossless [default: the frame's file name, here]."),
     ] = None,
-    data: Annotated[Path | None, typer.Option(metavar="DIR", help="The backgrounds' folder, if it has moved.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the backgrounds, if it has moved.")
+    ] = None,
 ) -> None:
-    """Make one frame of a run again, alone."""
+    """Render one frame of a run again."""
     from infrablend import api
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
-    say(str(api.rerender(run, frame, out, data=data)))
+    print_result(str(api.rerender(run, frame, out, data=data)))

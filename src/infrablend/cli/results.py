@@ -1,4 +1,4 @@
-"""Results on stdout: for people as aligned lines, for programs as JSON."""
+"""Results on stdout: aligned lines for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ SHOWN_WARNINGS = 5
 log = logging.getLogger(__name__)
 
 
-def say(text: str) -> None:
-    """A line of result on stdout."""
+def print_result(text: str) -> None:
+    """Print a line of the result on stdout."""
     typer.echo(text)
 
 
-def say_json(data: Any) -> None:
-    """A result as JSON on stdout; paths become text."""
+def print_json(data: Any) -> None:
+    """Print a result as JSON on stdout; paths become text."""
     typer.echo(json.dumps(data, indent=2, default=str, ensure_ascii=False))
 
 
-def tell_problems(problems: Iterable[Problem], log_path: Path | None, record: Path) -> None:
-    """Problems on stderr: errors first, then a few warnings; `record` is the file that holds them all."""
+def print_problems(problems: Iterable[Problem], log_path: Path | None, record: Path) -> None:
+    """Print problems on stderr: errors first, then a few warnings; `record` is the file that lists them all."""
     found = list(problems)
     for p in found:
         log.info("%s: %s", p.severity, p)
@@ -45,13 +45,13 @@ def tell_problems(problems: Iterable[Problem], log_path: Path | None, record: Pa
 
 
 def table(rows: Mapping[str, str]) -> str:
-    """Lines of two aligned columns; empty for no rows."""
+    """Return lines of two aligned columns; empty for no rows."""
     width = max((len(k) for k in rows), default=0)
     return "\n".join(f"{k:<{width}}  {v}".rstrip() for k, v in rows.items())
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lines of aligned columns under a header: the first to the left, the others to the right."""
+    """Return lines of aligned columns under a header: the first column left-aligned, the others right-aligned."""
     lines = [[str(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
     return "\n".join(
@@ -63,9 +63,9 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def facts(data: Mapping[str, Any]) -> dict[str, str]:
-    """What a mapping of plain values says, for `table`: units from the names, lists as their lengths.
+    """Return the rows for `table` of a mapping of plain values: units come from the names, lists become lengths.
 
-    Nested mappings are joined into one line; None and what is empty are left out.
+    Nested mappings are joined into one line; None and empty values are left out.
     """
     rows = {}
     for key, value in data.items():
@@ -99,7 +99,7 @@ def _words(key: str) -> str:
 
 
 def human_bytes(n: float) -> str:
-    """`1.4 GiB` and the like."""
+    """Format a number of bytes, e.g. `1.4 GiB`."""
     for unit in ("B", "KiB", "MiB", "GiB"):
         if abs(n) < 1024:
             return f"{n:.0f} {unit}" if unit == "B" else f"{n:.1f} {unit}"
@@ -108,7 +108,7 @@ def human_bytes(n: float) -> str:
 
 
 def human_seconds(s: float) -> str:
-    """`8.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    """Format a duration, e.g. `8.2 s`, `3 min 05 s`, `2 h 10 min`."""
     if s < 60:
         return f"{s:.1f} s"
     whole = round(s)

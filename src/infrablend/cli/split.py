@@ -16,7 +16,7 @@ from infrablend.cli.options import (
     MetadataOption,
     ReadingOption,
     SeedOption,
-    key_values,
+    make_reading,
 )
 
 if TYPE_CHECKING:
@@ -34,23 +34,25 @@ class By(StrEnum):
 def split(
     ctx: typer.Context,
     data: DatasetArgument,
-    out: Annotated[Path, typer.Argument(metavar="DST", help="The folder to write, new or empty.")],
-    by: Annotated[By, typer.Option(help="What stays together: a flight, a day, a run of frame numbers.")],
+    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write, new or empty.")],
+    by: Annotated[By, typer.Option(help="What stays in one split: a flight, a day, or a run of frame numbers.")],
     gap: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="A run ends where the next frame is over N away [default: 5]."),
+        typer.Option(min=1, metavar="N", help="End a run where the next frame is more than N away [default: 5]."),
     ] = None,
-    shares: Annotated[str, typer.Option(metavar="LIST", help="Of train, val and test.")] = "0.7,0.1,0.2",
+    shares: Annotated[str, typer.Option(metavar="LIST", help="Shares of train, val and test.")] = "0.7,0.1,0.2",
     seed: SeedOption = 0,
-    to: Annotated[str | None, typer.Option(metavar="FORMAT", help="Format to write [default: its own].")] = None,
-    lists: Annotated[bool, typer.Option("--list", help="Write three lists of pictures and split.json alone.")] = False,
+    to: Annotated[
+        str | None, typer.Option(metavar="FORMAT", help="Format to write [default: that of the dataset].")
+    ] = None,
+    lists: Annotated[bool, typer.Option("--list", help="Write only three lists of pictures and split.json.")] = False,
     form: FormOption = None,
     format: FormatOption = None,
     metadata: MetadataOption = None,
-    reading: ReadingOption = None,
+    options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a dataset with new splits that share no neighbouring frames; pictures are hard links."""
+    """Write a dataset with new splits that do not share neighbouring frames; pictures are hard links."""
     if gap is not None and by is not By.GAP:
         raise typer.BadParameter("--gap goes with --by gap", param_hint="--gap")
     if to is not None and lists:
@@ -58,29 +60,24 @@ def split(
     wanted = _three(shares)
 
     from infrablend import api
-    from infrablend.cli.results import say, say_json
+    from infrablend.cli.results import print_json, print_result
+    from infrablend.pipeline.split import SplitRule
 
     ctx.obj.json = as_json
     report = api.split(
         data,
         out,
-        by=by.value,
-        gap=gap,
-        shares=wanted,
-        seed=seed,
-        to=to,
+        SplitRule(by.value, gap, wanted, seed),
+        to=to or "native",
         lists=lists,
-        form=form,
-        metadata=metadata,
-        format=format,
-        options=key_values(reading, "--read"),
+        reading=make_reading(None, format, form, metadata, options),
     )
     for problem in report.problems:
         typer.echo(f"{problem.severity}: {problem}", err=True)
     if as_json:
-        say_json({"out": str(report.out)} | report.to_json())
+        print_json({"out": str(report.out)} | report.to_json())
     else:
-        say("\n\n".join(_blocks(report)))
+        print_result("\n\n".join(_blocks(report)))
 
 
 def _three(text: str) -> list[float]:

@@ -70,7 +70,7 @@ def train(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import human_bytes, human_seconds, say, say_json, table
+    from infrablend.cli.results import human_bytes, human_seconds, print_json, print_result, table
 
     settings = {k: _value(k, v) for k, v in key_values(setting, "--set").items()}
     chosen: dict[str, Any] = {
@@ -94,9 +94,9 @@ def train(
             "disk, about": human_bytes(p.disk_bytes),
         }
         if as_json:
-            say_json(asdict(p))
+            print_json(asdict(p))
         else:
-            say(table(rows))
+            print_result(table(rows))
         return
     with shown_progress(session, "training") as on_progress:
         report = api.train(
@@ -111,7 +111,7 @@ def train(
             **chosen,
         )
     if as_json:
-        say_json(report.to_json())
+        print_json(report.to_json())
         return
     r = report.record
     start = r["start"]
@@ -124,8 +124,8 @@ def train(
     }
     if r["left_out"]:
         rows["labels left out"] = ", ".join(f"{k} {n}" for k, n in r["left_out"].items())
-    say(table(rows))
-    say(str(report.weights))
+    print_result(table(rows))
+    print_result(str(report.weights))
 
 
 def _used(prepared: dict[str, Any]) -> dict[str, str]:

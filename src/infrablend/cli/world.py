@@ -29,8 +29,8 @@ def world(
     """Render a background dataset of a virtual thermal world, in the layout of HIT-UAV or MONET."""
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import say
+    from infrablend.cli.results import print_result
 
     with shown_progress(ctx.obj, "rendering") as on_progress:
         folder = api.make_world(out, count, seed, layout=layout.value, workers=workers, on_progress=on_progress)
-    say(str(folder))
+    print_result(str(folder))

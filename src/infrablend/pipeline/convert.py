@@ -7,7 +7,7 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,13 @@ from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import output_error, write_json
 from infrablend.core.format_table import NATIVE, find_writer, written_names
+from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.select import Selection, select
+from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
 
 RECORD_FILE = "convert.json"
@@ -66,47 +67,63 @@ class ConvertReport:
         }
 
 
+@dataclass(frozen=True)
+class ClassChanges:
+    """Classes to rename and to leave out.
+
+    Attributes:
+        rename: New names of classes, by old name; several classes may become one.
+        drop: Classes whose labels to leave out, by the name after renaming.
+        only: The one class whose labels to keep, instead of `drop`.
+    """
+
+    rename: Mapping[str, str] = field(default_factory=dict)
+    drop: Sequence[str] = ()
+    only: str | None = None
+
+
+KEEP_CLASSES = ClassChanges()
+
+
 def convert_dataset(
     dataset: Dataset,
     to: str,
     out: Path,
     *,
-    rename: Mapping[str, str] | None = None,
-    drop: Sequence[str] = (),
-    only: str | None = None,
-    selection: Selection | None = None,
+    classes: ClassChanges = KEEP_CLASSES,
+    selection: Selection = SELECT_ALL,
     loosen: float = 1.0,
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
-    """Write a dataset in the format `to`, and `convert.json` that says how.
+    """Write a dataset in the format `to`, and `convert.json`, the record of how.
 
     Args:
-        dataset: As read.
-        to: A name in `written_names()`, or `native`.
-        out: Folder; new or empty, or with `overwrite` one that an earlier call wrote.
-        rename: Other names for classes; several may become one.
-        drop: Classes to leave out, by the name after renaming.
-        only: The one class to keep, instead of `drop`.
-        selection: Which pictures to take, by the names after renaming and before `drop`; all by default.
-        loosen: Make the axis-aligned boxes of inserted objects so many times as wide and as high, as far as the picture
-            goes: annotators by hand leave room, rendered boxes leave none. Oriented boxes and masks stay.
-        settings: What the writer lets one choose.
-        overwrite: Delete what the earlier call wrote first.
+        dataset: Dataset as read.
+        to: Name of a format that can be written, or `native`.
+        out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
+        classes: Classes to rename and to leave out.
+        selection: Pictures to take, by class names after renaming and before dropping.
+        loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, up to the border of the picture:
+            boxes drawn by hand leave a margin, rendered ones do not. Oriented boxes and masks stay as they are.
+        settings: Choices of the writer.
+        overwrite: First delete what the earlier call wrote.
 
     Raises:
-        UnknownFormatError: No such format to write.
+        UnknownFormatError: There is no such format to write.
         DatasetError: A class does not exist, ids cannot be kept, or no picture has a size.
         OutputError: The folder cannot be used or written.
     """
+    require_apart(dataset.root, out)
+    rename, drop, only = classes.rename, classes.drop, classes.only
     settings = settings or WriteSettings()
     writer = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if writer is None:
         problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
-    _require_classes(dataset, rename or {}, "--rename")
-    _require_names(dataset, (rename or {}).values())
-    renamed = rename_classes(dataset, rename or {})
+    _require_classes(dataset, rename, "--rename")
+    _require_names(dataset, rename.values())
+    renamed = rename_classes(dataset, rename)
     _require_classes(renamed, drop, "--drop-class")
     if only is not None:
         _require_classes(renamed, [only], "--only-class")
@@ -149,7 +166,7 @@ def convert_dataset(
             "source": str(dataset.root),
             "source_format": dataset.format,
             "format": writer.name,
-            "rename": dict(rename or {}),
+            "rename": dict(rename),
             "drop": sorted(drop),
             "ids": settings.ids,
             "category_ids": settings.category_ids,
@@ -165,7 +182,7 @@ def convert_dataset(
                 raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
             raise
         problems += written.problems
-        changes = _changes(writer.name, rename or {}, counts["labels_dropped"], problems, chosen)
+        changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if loosen > 1:
             changes.append(
                 f"The axis-aligned boxes of {loosened} inserted objects are {loosen:g} times as wide and high as the "

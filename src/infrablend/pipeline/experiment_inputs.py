@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.cores import available_cores
+from infrablend.core.dataset import Dataset
+from infrablend.formats import detection
+from infrablend.formats.reading import Reading
+from infrablend.pipeline.generate import generate_run
+from infrablend.pipeline.request import Execution, RunRequest
+from infrablend.pipeline.run import RunReport
+from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
 from infrablend.pipeline.train import choose_preset, require_settings
 
 
@@ -48,3 +55,31 @@ def require_training(device: str) -> None:
 def require_training_settings(scale: str, settings: Mapping[str, Any]) -> None:
     """Check the settings of a training; without Ultralytics only our own fields can be checked."""
     require_settings(choose_preset(scale, settings))
+
+
+def read_dataset(
+    data: Path, *, splits: Sequence[str] | None = None, options: Mapping[str, str] | None = None
+) -> Dataset:
+    """Read a dataset in the words of a stage."""
+    return detection.read(data, Reading(splits=splits, options=options or {}))
+
+
+def generate(recipe: str | Path, data: Path, out: Path, **said: Any) -> RunReport:
+    """Run the generator in the words of a stage."""
+    request = RunRequest(
+        recipe,
+        data,
+        out,
+        seed=said["seed"],
+        settings={**said["settings"], "output.formats": said["formats"]},
+        reading=Reading(splits=said["splits"], options=said["options"] or {}),
+        execution=Execution(said["workers"], renderer=said["renderer"], in_process=said["in_process"]),
+        existing="resume" if said["resume"] else "refuse",
+    )
+    return generate_run(request, said["on_progress"])
+
+
+def split(data: Path, out: Path, **said: Any) -> SplitReport:
+    """Write new splits in the words of a stage."""
+    dataset = read_dataset(data, options=said["options"])
+    return split_dataset(dataset, out, SplitRule(said["by"], said["gap"], said["shares"], said["seed"]), to=said["to"])

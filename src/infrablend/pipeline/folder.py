@@ -8,7 +8,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from infrablend.core.files import claimed_folder, write_json
 from infrablend.core.format_table import NATIVE, written_names
@@ -75,6 +75,8 @@ class RunFolder(RunLayout):
             OutputError: The folder contains a run and `existing` is `refuse`, it contains something else, or it
                 cannot be written.
         """
+        if existing not in get_args(Existing):
+            raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
         if self.root.exists() and not self.root.is_dir():
             raise OutputError(f"{self.root}: is a file; expected a folder, or a name that does not exist yet")
         if self.root.is_dir() and not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):

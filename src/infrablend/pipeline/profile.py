@@ -7,7 +7,7 @@ import io
 import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Readings, Surve
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json
+from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
@@ -88,6 +89,7 @@ def profile_dataset(
         RecipeError: No shipped profile of the name `against`.
         OutputError: `out` cannot be written.
     """
+    require_apart(dataset.root, out)
     reference = None if against is None else find_profile(against)
     total = len(dataset.images)
     images = [dataset.images[i * total // min(count, total)] for i in range(min(count, total))]
@@ -119,6 +121,18 @@ def profile_dataset(
     return ProfileReport(
         fit.profile, path, write_bytes(out / PLOT_FILE, plot.getvalue()), columns, rows, tuple(problems)
     )
+
+
+def taken_by(dataset: Dataset, time: str) -> Dataset:
+    """Return the dataset with only the pictures known to be taken by `day` or by `night`.
+
+    Raises:
+        DatasetError: There are none.
+    """
+    chosen = tuple(i for i in dataset.images if i.time_of_day == time)
+    if not chosen:
+        raise DatasetError(f"{dataset.root}: none of {len(dataset.images)} picture(s) is known to be taken by {time}")
+    return replace(dataset, images=chosen)
 
 
 def _levels(

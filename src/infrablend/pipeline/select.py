@@ -58,6 +58,9 @@ class Selection:
         }
 
 
+SELECT_ALL = Selection()
+
+
 def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:
     """The part of a dataset that a selection asks for, and what it left out, counted by reason.
 

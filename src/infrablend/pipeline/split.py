@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_json, write_text
 from infrablend.core.format_table import NATIVE, find_writer
+from infrablend.core.output import require_apart
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import sort_images
-from infrablend.formats.groups import NEAR, Grouping, Leakage, group_images, leakage
+from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, read_size
 from infrablend.report.card import dataset_card, write_card
 
@@ -91,16 +92,25 @@ class SplitReport:
         }
 
 
+@dataclass(frozen=True)
+class SplitRule:
+    """How to split a dataset.
+
+    Attributes:
+        by: What stays together: a `sequence`, a `date`, or (`gap`) runs of frame numbers.
+        gap: For `by="gap"`: a run ends where the next frame number is more than this many away; None for 5.
+        shares: Shares of train, val and test; they are scaled to a sum of 1. A share of 0 leaves that split empty.
+        seed: Seed of the order in which groups are assigned.
+    """
+
+    by: Grouping
+    gap: int | None = None
+    shares: Sequence[float] = SHARES
+    seed: int = 0
+
+
 def split_dataset(
-    dataset: Dataset,
-    out: Path,
-    *,
-    by: Grouping,
-    gap: int = NEAR,
-    shares: Sequence[float] = SHARES,
-    seed: int = 0,
-    to: str = NATIVE,
-    lists: bool = False,
+    dataset: Dataset, out: Path, rule: SplitRule, *, to: str = NATIVE, lists: bool = False
 ) -> SplitReport:
     """Deal whole groups of images out to train, val and test and write the dataset so.
 
@@ -110,10 +120,7 @@ def split_dataset(
     Args:
         dataset: As read; its own splits are only used for the leakage before.
         out: Folder to write, new or empty.
-        by: Keep together a `sequence`, a `date`, or runs of frame numbers without a `gap` of more than so many.
-        gap: See `by`.
-        shares: Of train, val, test; they are scaled to a sum of 1. A share of 0 leaves that split out.
-        seed: For the order in which groups are dealt out.
+        rule: What stays together, and the share of each split.
         to: The format to write; `native` is the dataset's own.
         lists: Write `train.txt`, `val.txt`, `test.txt` (paths as in the dataset, one a line) and the record alone.
 
@@ -122,7 +129,11 @@ def split_dataset(
             none.
         OutputError: `out` is not empty or cannot be written.
     """
-    wanted = check_shares(shares)
+    require_apart(dataset.root, out)
+    if rule.by not in GROUPINGS:
+        raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(GROUPINGS)}")
+    by, gap, seed = rule.by, NEAR if rule.gap is None else rule.gap, rule.seed
+    wanted = check_shares(rule.shares)
     if gap < 1:
         raise DatasetError(f"gap: found {gap}, expected a number of frames above 0")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

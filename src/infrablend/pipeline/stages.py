@@ -31,7 +31,7 @@ from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem, RenderError
 from infrablend.pipeline.content import json_digest
-from infrablend.pipeline.convert import convert_dataset
+from infrablend.pipeline.convert import ClassChanges, convert_dataset
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.select import Selection, select
@@ -340,7 +340,7 @@ def _convert(stage: Stage, out: Path, before: Mapping[str, Made], setting: Setti
         images += select(part, wanted)[0].images if part.images and wanted else part.images
     dataset = replace(dataset, images=tuple(images))
     report = convert_dataset(
-        dataset, "coco", out, rename=spec.rename, drop=spec.drop, only=spec.only, loosen=spec.loosen
+        dataset, "coco", out, classes=ClassChanges(spec.rename, spec.drop, spec.only), loosen=spec.loosen
     )
     loosened = {k: report.counts[k] for k in ("boxes_loosened", "loosened_by") if k in report.counts}
     return {**facts_of(setting.tools.read_dataset(out)), **loosened, "dataset": "out", "there": ["out"]}
