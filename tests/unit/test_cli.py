@@ -24,6 +24,8 @@ from infrablend.cli.results import facts, human_bytes, human_seconds, table
 from infrablend.cli.session import LOG_SIZE_BYTES, Session
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
+from infrablend.formats.reading import Reading
+from infrablend.pipeline.request import Execution
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,27 +126,21 @@ def test_generate_passes_its_options_on(api, capsys):
     assert callable(kwargs.pop("on_progress"))
     assert kwargs == {
         "limit": 5,
-        "splits": ("test", "train"),
         "seed": 0,
-        "workers": 2,
-        "device": "cpu",
-        "formats": ("coco", "yolo-obb"),
-        "form": "rotate_json",
-        "metadata": None,
-        "options": {},
-        "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}"],
-        "resume": True,
-        "overwrite": False,
+        "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}", "output.formats=[coco, yolo-obb]"],
+        "reading": Reading(("test", "train"), form="rotate_json"),
+        "execution": Execution(2, "cpu"),
+        "existing": "resume",
     }
-    assert type(kwargs["device"]) is str
+    assert type(kwargs["execution"].device) is str
     assert capsys.readouterr().out.splitlines() == ["inserted  8", "skipped   0", "runs/a"]
 
 
 def test_generate_defaults(api):
     assert main(GENERATE) == 0
     kwargs = api.calls["generate"][1]
-    assert kwargs["limit"] is kwargs["splits"] is kwargs["workers"] is kwargs["formats"] is kwargs["form"] is None
-    assert (kwargs["seed"], kwargs["device"], kwargs["settings"]) == (0, "auto", [])
+    assert (kwargs["limit"], kwargs["seed"], kwargs["settings"], kwargs["existing"]) == (None, 0, [], "refuse")
+    assert (kwargs["reading"], kwargs["execution"]) == (Reading(), Execution())
 
 
 @pytest.mark.parametrize(
@@ -383,6 +379,21 @@ def test_starting_is_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shell_completion_is_offered(shell):
+    done = subprocess.run(
+        [sys.executable, "-m", "infrablend"],
+        env={
+            **os.environ,
+            "_INFRABLEND_COMPLETE": f"source_{shell}",
+            "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1",
+        },
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "_INFRABLEND_COMPLETE" in done.stdout, done.stderr
 
 
 def test_python_m_infrablend():
