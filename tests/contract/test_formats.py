@@ -18,6 +18,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FORMATS
 from infrablend.core.masks import Mask
 from infrablend.formats import coco, detection, hit_uav, monet, voc, yolo
+from infrablend.formats.base import sort_images
 from infrablend.formats.losses import LOSSES, Written
 
 CATEGORIES = (*hit_uav.CATEGORIES, Category(5, "drone"))
@@ -72,7 +73,7 @@ def golden_images(folder: Path) -> tuple[ImageRecord, ...]:
                 name,
             )
         )
-    return hit_uav.sort_images(images)
+    return sort_images(images)
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 from tests.samples import SAMPLES, picture
 from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
-from infrablend.core.format_table import written_names
+from infrablend.core.format_table import WRITERS, written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
+from infrablend.formats import detection, writing
 from infrablend.formats.losses import LOSSES
+from infrablend.formats.pictures import read_size
 
 
 def run(*words: object):
@@ -215,3 +219,38 @@ def test_the_selection_is_told_in_plain_words(words: list[str], said: str, data:
     result = run("convert", data, tmp_path / "out", "--to", "coco", *words)
     (line,) = [x for x in result.output.splitlines() if x.startswith("selection")]
     assert said in line and "None" not in line and "_" not in line
+
+
+def test_a_converted_wisard_is_read_without_a_new_warning(tmp_path: Path) -> None:
+    """WiSARD has one split: data.yaml of Ultralytics needs two, and the second one only points to the first."""
+    source = SAMPLES["wisard"](tmp_path / "data")
+    before = {p.code for p in api.read_dataset(source).problems}
+    for to in ("native", "yolo", "yolo-obb", "coco", "voc"):
+        api.convert(source, tmp_path / to, to)
+        again = api.read_dataset(tmp_path / to)
+        assert {p.code for p in again.problems} <= before, to
+        assert {i.split for i in again.images} == {"train"}
+    assert yaml.safe_load((tmp_path / "yolo" / "data.yaml").read_text())["stand_ins"] == ["val"]
+
+
+def test_the_lost_mark_of_inserted_objects_is_counted(tmp_path: Path) -> None:
+    marked = []
+    for image in api.read_dataset(SAMPLES["coco"](tmp_path / "data")).images:
+        with_size = image if image.size_wh else replace(image, size_wh=read_size(image.path, image.id)[0])
+        marked.append(replace(with_size, instances=tuple(replace(o, inserted=True) for o in image.instances)))
+    categories = api.read_dataset(tmp_path / "data").categories
+    count = sum(len(i.instances) for i in marked)
+    for writer in WRITERS:
+        losses = writing.write(writer.name, tmp_path / writer.name, marked, categories).losses
+        assert losses.get("inserted_dropped", 0) == (count if "inserted" in writer.lacks else 0), writer.name
+        again = detection.read(tmp_path / writer.name)
+        kept = any(o.inserted for i in again.images for o in i.instances)
+        assert kept == ("inserted" not in writer.lacks), writer.name
+
+
+def test_regions_to_ignore_that_become_objects_are_a_warning(data: Path, tmp_path: Path) -> None:
+    report = api.convert(data, tmp_path / "joined", "coco", rename={"DontCare": "Car"})
+    (warning,) = [p for p in report.problems if p.code == "ignore-renamed"]
+    assert (warning.where, warning.severity) == ("Car", "warning") and "DontCare" in warning.found
+    report = api.convert(data, tmp_path / "named", "coco", rename={"DontCare": "crowd", "Car": "vehicle"})
+    assert not [p for p in report.problems if p.code == "ignore-renamed"]

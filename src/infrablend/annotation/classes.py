@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from infrablend.core.dataset import Category, Dataset
+from infrablend.errors import Problem
 
 
 def unknown_classes(dataset: Dataset, names: Collection[str]) -> list[str]:
@@ -47,6 +49,24 @@ def rename_classes(dataset: Dataset, names: Mapping[str, str]) -> Dataset:
         for image in dataset.images
     )
     return replace(dataset, categories=tuple(categories.values()), images=images)
+
+
+def ignored_turned_objects(dataset: Dataset, names: Mapping[str, str]) -> list[Problem]:
+    """Return a warning for every region-to-ignore class that `rename_classes` turns into a class of objects."""
+    renamed = {c.name: c for c in rename_classes(dataset, names).categories}
+    count = Counter(i.category for image in dataset.images for i in image.instances)
+    return [
+        Problem(
+            names[c.name],
+            "ignore-renamed",
+            f"{count[c.name]} region(s) to ignore ({c.name}) become objects of this class",
+            "only objects in a class of objects",
+            f"leave {c.name} its name, or drop it",
+            "warning",
+        )
+        for c in dataset.categories
+        if c.ignore and c.name in names and not renamed[names[c.name]].ignore
+    ]
 
 
 def drop_classes(dataset: Dataset, names: Collection[str]) -> Dataset:

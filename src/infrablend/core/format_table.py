@@ -34,6 +34,7 @@ FIELDS: Mapping[str, tuple[str, str]] = {
     "fractions": ("fractions of a pixel", "fraction_truncated"),
     "telemetry": ("pitch, altitude, time of day", "telemetry_dropped"),
     "sequence": ("sequence, date", "sequence_dropped"),
+    "inserted": ("mark of inserted objects", "inserted_dropped"),
 }
 """What a format may be unable to hold: in words, and the loss (a key of `formats.losses.LOSSES`) that counts it."""
 
@@ -134,7 +135,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "birdsai", "birdsai", "BIRDSAI: one CSV of tracks per sequence",
-                lacks=frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult"}),
+                lacks=frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult", "inserted"}),
                 takes=frozenset({"dont_care", "pictures"}),
             ),
         ),
@@ -152,7 +153,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "dota", "dota", "DOTA text files: four corners in pixels",
-                lacks=frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence"}),
+                lacks=frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence", "inserted"}),
                 takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
             ),
         ),

@@ -184,12 +184,13 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
-    """What formats lose alike, counted here: upright boxes, tracks, telemetry, sequence."""
+    """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, sequence."""
     # HIT-UAV's reader makes sequence and date of what its own files say.
     dated = writer.reader == "hit-uav"
     found = {
         "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
         "tracks": sum(o.track_id is not None for i in images for o in i.instances),
+        "inserted": sum(o.inserted for i in images for o in i.instances),
         "telemetry": sum(_unsaid(i) is not None for i in images),
         "sequence": sum(
             (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images

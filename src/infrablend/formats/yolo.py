@@ -214,13 +214,15 @@ def write_frame(
 def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
     """Text of a `data.yaml` and warnings.
 
-    It names no `path`: Ultralytics then takes the file's own folder, so the data set can be moved. Ultralytics insists
-    on `train` and `val`: an absent val points to train, an absent train to what there is, each with a warning.
+    It has no `path`: Ultralytics then uses the file's own folder, so that the dataset can be moved. Ultralytics
+    requires `train` and `val`: a missing val points to train, a missing train to an existing split, each with a
+    warning. `stand_ins` lists such splits for our reader; Ultralytics ignores the key.
     """
     present = [s for s in SPLITS if s in set(splits)]
     if not present:
         raise ValueError("data.yaml needs at least one split")
     problems = []
+    stand_ins = []
     lines = ["# InfraBlend; paths are relative to this file\n"]
     for split in SPLITS:
         stand_in: str = split
@@ -228,12 +230,15 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
             if split == "test":
                 continue
             stand_in = "train" if "train" in present else present[0]
+            stand_ins.append(split)
             found = f"no split {split}; it points to {stand_in}"
-            todo = f"do not read results on {split} as independent"
+            todo = f"do not treat results on {split} as independent"
             problems.append(
                 Problem("data.yaml", f"{split}-absent", found, f"pictures of split {split}", todo, severity="warning")
             )
         lines.append(f"{split}: images/{stand_in}\n")
+    if stand_ins:
+        lines.append(f"stand_ins: [{', '.join(stand_ins)}]\n")
     names = {number: name for name, number in sorted(classes.items(), key=lambda item: item[1])}
     lines.append(yaml.safe_dump({"names": names}, sort_keys=True, allow_unicode=True, default_flow_style=False))
     return "".join(lines), tuple(problems)
@@ -554,10 +559,13 @@ def _split_places(
     base = top.get("path")
     if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
         home = root / base
-    # A folder may stand in for a split that is absent (ours do): its own name then says what it is.
+    # Splits that are missing and only point to another one, see `data_yaml`.
+    stand_ins = top.get("stand_ins")
+    absent = stand_ins if isinstance(stand_ins, list) else []
+    # In other files a folder may also stand in for a missing split: its own name then decides.
     said: dict[Path, list[Split]] = {}
     for split in SPLITS:
-        value = top.get(split)
+        value = None if split in absent else top.get(split)
         entries = value if isinstance(value, list) else [value] if value else []
         for entry in entries:
             here = f"{where}: {split}"

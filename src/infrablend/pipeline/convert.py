@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from infrablend import __version__
-from infrablend.annotation.classes import drop_classes, rename_classes, unknown_classes
+from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -135,7 +135,7 @@ def convert_dataset(
     if not 1 <= loosen <= 2:
         factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
         raise DatasetError(f"{dataset.root}: boxes cannot be made so loose", [factor])
-    problems = list(dataset.problems)
+    problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = _with_sizes(wanted, problems)
     loosened = 0
     if loosen > 1:

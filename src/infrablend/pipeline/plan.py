@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
-from infrablend.annotation.classes import rename_classes, unknown_classes
+from infrablend.annotation.classes import ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import Recipe
@@ -143,11 +143,12 @@ def make_plan(
     _require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
     ignored = tuple(c.name for c in dataset.categories if c.ignore)
     renamed = rename_classes(dataset, recipe.labels.rename)
+    turned = ignored_turned_objects(dataset, recipe.labels.rename)
     as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
     dataset = renamed
     _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
-    problems = list(dataset.problems)
+    problems = [*dataset.problems, *turned]
     usable = []
     for image in images:
         if not is_text(image.path.name) or not is_text(image.id):
