@@ -211,7 +211,8 @@ def test_classes_of_hit_uav_with_a_drone() -> None:
 def test_data_yaml_of_one_split_names_it_three_times() -> None:
     text, problems = yolo.data_yaml({"a": 0, "yes": 1}, ["test"])
     assert text.splitlines()[1:] == [
-        "train: images/test", "val: images/test", "test: images/test", "stand_ins: [train, val]", "names:", "  0: a", "  1: 'yes'",
+        "train: images/test", "val: images/test", "test: images/test", "stand_ins: [train, val]", "names:",
+        "  0: a", "  1: 'yes'",
     ]  # fmt: skip
     assert [p.code for p in problems] == ["train-absent", "val-absent"]
     text, problems = yolo.data_yaml({"a": 0}, ["train"])
