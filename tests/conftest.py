@@ -1,12 +1,15 @@
-"""Fixtures and rules for all tests: where the real data lie, how hypothesis draws."""
+"""Fixtures and rules for all tests: real data, optional tools, parallel runs, how hypothesis draws."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -24,29 +27,54 @@ settings.register_profile(
 )
 settings.load_profile("repeatable")
 
+ROOT = Path(__file__).resolve().parents[1]
 REAL_DATA_VARIABLE = "INFRABLEND_REAL_DATA"
-_skipped_without_real_data: list[str] = []
+# First word of the reason where the environment lacks what a test needs: the summary counts these skips.
+NEEDS = "NEEDS"
+WORKER_MEMORY_BYTES = 3 * 1024**3
+"""Memory of one parallel test worker with the processes that its tests start: torch and Blender at most."""
 
 
 @pytest.fixture(scope="session")
 def real_data_or_none() -> Path | None:
-    """The folder of real data that the environment names, or None. Fails if it is named but not there."""
+    """Return the folder of real data that the environment names, or None; fail if it is named but missing."""
     named = os.environ.get(REAL_DATA_VARIABLE, "")
     if not named:
         return None
     folder = Path(named)
     if not folder.is_dir():
-        pytest.fail(f"{REAL_DATA_VARIABLE}={named}: no such folder; name the one that holds hit-uav, or unset it")
+        pytest.fail(f"{REAL_DATA_VARIABLE}={named}: no such folder; name the one that contains hit-uav, or unset it")
     return folder.resolve()
 
 
 @pytest.fixture
-def real_data(real_data_or_none: Path | None, request: pytest.FixtureRequest) -> Path:
-    """The folder of real data (it holds `hit-uav/`, read-only); skips, loudly, where none is named."""
+def real_data(real_data_or_none: Path | None) -> Path:
+    """Return the folder of real data, which contains `hit-uav/` and is read-only; skip the test without one."""
     if real_data_or_none is None:
-        _skipped_without_real_data.append(request.node.nodeid)
-        pytest.skip(f"NEEDS REAL DATA: set {REAL_DATA_VARIABLE} to the folder that holds hit-uav")
+        pytest.skip(f"{NEEDS} REAL DATA: set {REAL_DATA_VARIABLE} to the folder that contains hit-uav")
     return real_data_or_none
+
+
+@pytest.fixture(scope="session")
+def ultralytics() -> None:
+    """Skip the test where Ultralytics is not installed; fail it where it should be."""
+    if find_spec("ultralytics") is None:
+        _skip_or_fail(f"{NEEDS} Ultralytics: run `make train`, which first shows the download size")
+
+
+@pytest.fixture(scope="session")
+def tools_python() -> Path:
+    """Return the Python of .venv-tools, which has Supervision and Datumaro; skip or fail the test without it."""
+    python = ROOT / ".venv-tools" / "bin" / "python"
+    if not python.exists():
+        _skip_or_fail(f"{NEEDS} .venv-tools: run `make tools`, which first shows the download size")
+    return python
+
+
+def _skip_or_fail(message: str) -> NoReturn:
+    if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
+        pytest.fail(message)
+    pytest.skip(message)
 
 
 HIT_UAV_CATEGORIES = ("Person", "Car", "Bicycle", "OtherVehicle", "DontCare")
@@ -119,20 +147,49 @@ def _tiny_annotation(form: str, box: list[float]) -> dict[str, object]:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks follow from fixtures and folders, so that `-m "not blender"` leaves out what it says."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark tests by their fixtures and folders, and prepare parallel runs.
+
+    With `-n`, tests that share a fixture of their module stay in one worker, so that the fixture is made once. Modules
+    with slow tests begin first, so that no worker is left with one at the end.
+    """
     for item in items:
-        if "real_data" in getattr(item, "fixturenames", ()):
+        if {"real_data", "real_data_or_none"} & set(getattr(item, "fixturenames", ())):
             item.add_marker("realdata")
-        if "blender" in item.path.parent.parts[-1:]:
+        if "blender" in item.path.relative_to(ROOT).parts:
             item.add_marker("blender")
+    if not (hasattr(config, "workerinput") or getattr(config.option, "numprocesses", None)):
+        return
+    for item in items:
+        if _has_module_fixture(item):
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    slow = {item.path for item in items if item.get_closest_marker("slow") or item.get_closest_marker("blender")}
+    items.sort(key=lambda item: item.path not in slow)  # stable: the order is kept otherwise
+
+
+def _has_module_fixture(item: pytest.Item) -> bool:
+    """Return True if the test uses a fixture of module scope that its own module defines."""
+    info = getattr(item, "_fixtureinfo", None)
+    definitions = info.name2fixturedefs.values() if info is not None else ()
+    return any(one.scope == "module" for found in definitions for one in found)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return the workers of `-n auto`: one per usable core, as far as the memory allows."""
+    from infrablend.core.machine import usable_cores, usable_memory_bytes
+
+    return max(1, min(int(usable_cores()), usable_memory_bytes() // WORKER_MEMORY_BYTES))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say in the summary what was not tested for lack of data."""
-    if _skipped_without_real_data:
-        terminalreporter.section("not tested on real data", yellow=True, bold=True)
-        terminalreporter.line(
-            f"{len(_skipped_without_real_data)} tests were skipped: {REAL_DATA_VARIABLE} names no folder.",
-            yellow=True,
-        )
+    """List what was not tested because data or tools are missing."""
+    reasons: Counter[str] = Counter()
+    for report in terminalreporter.stats.get("skipped", ()):
+        reason = str(report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr)
+        reason = reason.removeprefix("Skipped: ")
+        if reason.startswith(NEEDS):
+            reasons[reason] += 1
+    if reasons:
+        terminalreporter.section("not tested for lack of data or tools", yellow=True, bold=True)
+        for reason, count in sorted(reasons.items()):
+            terminalreporter.line(f"{count} tests were skipped. {reason}", yellow=True)

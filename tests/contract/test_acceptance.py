@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 from pathlib import Path
@@ -18,7 +17,6 @@ from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.format_table import NATIVE, find_writer, written_names
 
 ROOT = Path(__file__).resolve().parents[2]
-TOOLS_PYTHON = ROOT / ".venv-tools" / "bin" / "python"
 # What a library keeps of a coordinate: Datumaro two decimals, Supervision 32 bits.
 ATOL_PX = {"supervision": 1e-3, "datumaro": 0.006}
 
@@ -41,16 +39,11 @@ def run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> Path:
 
 
 @pytest.fixture(scope="module")
-def load():
+def load(tools_python: Path):
     """Load a folder with another library: (tool, format, folder) -> its images by (split, stem)."""
-    if not TOOLS_PYTHON.exists():
-        message = "NEEDS .venv-tools: run `make tools` (its download size is said first)"
-        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
-            pytest.fail(message)
-        pytest.skip(message)
 
     def loaded(tool: str, format_: str, folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-        command = [TOOLS_PYTHON, "-W", "ignore", ROOT / "scripts" / "load_with_tools.py", tool, format_, folder]
+        command = [tools_python, "-W", "ignore", ROOT / "scripts" / "load_with_tools.py", tool, format_, folder]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stderr
         # Datumaro takes VOC's list trainval for a split of its own.

@@ -9,7 +9,6 @@ import json
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CLASSES = ("person", "car", "lorry")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _with_ultralytics() -> None:
-    if find_spec("ultralytics") is None:
-        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
-        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
-            pytest.fail(message)
-        pytest.skip(message)
+pytestmark = pytest.mark.usefixtures("ultralytics")
 
 
 def python(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +13,6 @@ from infrablend.config.experiment import list_experiments
 from infrablend.pipeline.stages import Setting, Stage
 
 pytestmark = [pytest.mark.slow, pytest.mark.blender]
-
-
-@pytest.fixture(scope="module")
-def ultralytics() -> None:
-    """Skips, loudly, where Ultralytics is not installed."""
-    if find_spec("ultralytics") is None:
-        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
-        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
-            pytest.fail(message)
-        pytest.skip(message)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import time
 import zipfile
 from dataclasses import replace
 from importlib import metadata
-from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -29,16 +28,6 @@ from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
 from infrablend.training.presets import PRESETS
 from infrablend.training.trainer import Turns
-
-
-@pytest.fixture(scope="session")
-def ultralytics() -> None:
-    """Skips, loudly, where Ultralytics is not installed."""
-    if find_spec("ultralytics") is None:
-        message = "NEEDS Ultralytics: run `make train` (the download size is said first)"
-        if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
-            pytest.fail(message)
-        pytest.skip(message)
 
 
 def yolo(
