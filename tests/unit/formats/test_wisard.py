@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.samples import picture
 
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
 from infrablend.formats import coco, detection, wisard, yolo
 from infrablend.formats.reading import Reading
+from tests.samples import picture
 
 IR, FLIR, VIS = (
     "210529_Carnation_Enterprise_IR_0024",

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.samples import SAMPLES
 from typer.testing import CliRunner
 
 from infrablend import api
@@ -17,6 +16,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
 from infrablend.formats.groups import frame_place, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
+from tests.samples import SAMPLES
 
 
 def image(name: str, split: str = "train", **fields: object) -> ImageRecord:

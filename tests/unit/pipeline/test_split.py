@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.samples import SAMPLES, picture
 from typer.testing import CliRunner, Result
 
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.split import check_shares, deal_out
+from tests.samples import SAMPLES, picture
 
 
 def run(*words: object) -> Result:

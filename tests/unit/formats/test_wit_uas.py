@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.samples import SAMPLES, picture
 
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, wit_uas, yolo
 from infrablend.formats.images import load_background
 from infrablend.formats.reading import Reading
+from tests.samples import SAMPLES, picture
 
 RUN = "2022-05-11_FIRE-SGL-111-Confluence_M600/2022-04-27-10-00-00"
 

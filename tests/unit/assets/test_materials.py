@@ -35,7 +35,7 @@ def test_the_table_is_physical() -> None:
 
 
 def test_the_manual_shows_the_table() -> None:
-    page = (Path(__file__).parents[2] / "docs/how_to/infrared_effect.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/how_to/infrared_effect.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     expected = [
         f"| `{name}` | {m.emissivity[0]:g} to {m.emissivity[1]:g} | {'metal' if m.metal else f'{m.ior:g}'} | "

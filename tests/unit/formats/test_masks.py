@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.samples import SAMPLES, picture
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import masks
+from tests.samples import SAMPLES, picture
 
 BOX = np.array([10.0, 20.0, 18.0, 25.0])
 

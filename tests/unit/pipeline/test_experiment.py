@@ -282,7 +282,7 @@ KILLED = """
 import os, signal, sys
 from infrablend import api
 sys.path.insert(0, {tests!r})
-from tests.unit.test_experiment import Bench
+from tests.unit.pipeline.test_experiment import Bench
 bench = Bench()
 real = {{n: getattr(api, n) for n in ("generate", "split")}}
 calls = []
@@ -305,7 +305,7 @@ api.experiment("pitch-alignment", {data!r}, {work!r}, {out!r}, scale="smoke", re
 @pytest.mark.parametrize("at", ["generate", "train", "evaluate", "compare"])
 def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
     work = tmp_path / "work"
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work), out=str(work / "results"))
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
     assert done.returncode == -9, done.stderr
@@ -805,7 +805,7 @@ def test_wrong_commands_are_told(
 
 @pytest.fixture(autouse=True)
 def _no_results_in_the_checkout() -> Iterator[None]:
-    folder = Path(__file__).resolve().parents[2] / "docs" / "results"
+    folder = Path(__file__).resolve().parents[3] / "docs" / "results"
     before = sorted(folder.iterdir()) if folder.is_dir() else []
     yield
     assert (sorted(folder.iterdir()) if folder.is_dir() else []) == before

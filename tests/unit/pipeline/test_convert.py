@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.samples import SAMPLES, picture
 from typer.testing import CliRunner
 
 from infrablend import api
@@ -18,6 +17,7 @@ from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.formats import detection, writing
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
+from tests.samples import SAMPLES, picture
 
 
 def run(*words: object):

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.samples import SAMPLES
 from typer.testing import CliRunner, Result
 
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.report.checking import check_objects
+from tests.samples import SAMPLES
 
 
 def run(*words: object) -> Result:

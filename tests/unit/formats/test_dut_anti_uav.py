@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.unit.test_formats_voc import box, codes, xml
 
 from infrablend import api
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, dut_anti_uav
+from tests.unit.formats.test_voc import box, codes, xml
 
 UAV = "<name>UAV</name><pose>Unspecified</pose><truncated>0</truncated><difficult>0</difficult>"
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.samples import picture
 
 from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import birdsai, detection, yolo
 from infrablend.formats.reading import Reading
+from tests.samples import picture
 
 SEQ = "0000000067_0000000025"
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.samples import picture
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, dota
+from tests.samples import picture
 
 GOOD = "2 3 12 3 12 9 2 9 ship 0\n"
 
