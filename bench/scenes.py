@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.config.loading import load_recipe
+from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.camera import object_to_world
 from infrablend.formats import hit_uav
@@ -38,7 +39,7 @@ class Work:
     @property
     def recipe(self) -> Recipe:
         """The recipe of the frames."""
-        return Recipe.model_validate_json(self.settings.recipe_json)
+        return recipe_from_json(self.settings.recipe_json)
 
     def into(self, out: Path) -> Work:
         """The same work with another output folder."""

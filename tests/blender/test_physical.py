@@ -16,7 +16,7 @@ from infrablend.thermal.surface import leaving_radiance
 from .conftest import box_mesh, scene, thing
 
 AIR_K = 283.15
-CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, 1.0, AIR_K + 2)
+CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
 
 
 def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, surface=None, **camera):
@@ -53,7 +53,7 @@ def test_isothermal_cavity(blender, emissivity, ior, surface):
     is sampled at random: grainy in single pixels, right on the whole.
     """
     kelvin = 290.0
-    uniform = Weather(kelvin, 280.0, 1.0, kelvin, 0.0, kelvin)
+    uniform = Weather(kelvin, 280.0, 1.0, kelvin, kelvin)
     seen = render(blender, kelvin, emissivity, ior, uniform, surface=surface)
     contrast = np.abs(seen / float(band_radiance(kelvin)) - 1)
     if surface.get("roughness", 0) <= 0.1:
@@ -135,7 +135,7 @@ def test_bare_metal_is_black_from_above_and_anodised_metal_is_not(blender):
 
 def test_a_metals_emissivity_is_the_same_at_all_angles(blender):
     """In a uniform world a hot bare panel is as bright edge-on as straight on; a painted one is darker there."""
-    uniform = Weather(AIR_K, 280.0, 1.0, AIR_K, 0.0, AIR_K)
+    uniform = Weather(AIR_K, 280.0, 1.0, AIR_K, AIR_K)
     panel = box_mesh((1.0, 1.0, 0.01))
 
     def hot(ior, pitch_deg, **surface):

@@ -18,7 +18,7 @@ from infrablend.thermal.surface import leaving_radiance
 from .conftest import box_mesh, paste, scene, thing
 
 AIR_K = 283.15
-CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, 1.0, AIR_K + 2)
+CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
 LEVEL = {"pitch_rad": np.pi / 2, "roll_rad": 0.0}
 
 

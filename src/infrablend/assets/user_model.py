@@ -137,7 +137,7 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
             raise ModelError(f"model {path}: found {type(data).__name__}, expected a mapping of fields")
         described = UserModel.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems = field_problems(error, data, "model", "see docs/how_to/own_model.md for all fields")
+        problems = field_problems(error, data, UserModel, "model", "see docs/how_to/own_model.md for all fields")
         raise ModelError(f"model {path}: {len(problems)} field(s) are wrong", problems) from error
     file = (path.parent / described.file).resolve()
     if file.suffix.lower() not in SUFFIXES:

@@ -396,7 +396,9 @@ def parse_experiment(text: str, where: str, folder: Path | None = None) -> Exper
     try:
         return Experiment.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems += field_problems(error, data, "experiment", "see docs/how_to/experiments.md for all fields")
+        problems += field_problems(
+            error, data, Experiment, "experiment", "see docs/how_to/experiments.md for all fields"
+        )
     except (TypeError, ValueError) as error:
         problems.append(Problem(where, "experiment-value", str(error), "plain numbers, texts, lists and mappings"))
     raise RecipeError(f"experiment {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))

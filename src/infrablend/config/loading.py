@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from infrablend.config.modes import (
+    drop_fields_of_other_modes,
+    explain_unknown,
+    modes_of,
+    recipe_class,
+    wrong_modes,
+)
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
 from infrablend.core.wording import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
+
+log = logging.getLogger(__name__)
+
+Settings = Sequence[str] | Mapping[str, Any]
 
 
 def list_recipes() -> list[str]:
@@ -38,8 +52,40 @@ def recipe_text(name: str) -> str:
     return (resources.files("infrablend.config") / "recipes" / f"{name}.yaml").read_text("utf-8")
 
 
-def load_recipe(recipe: str | Path, settings: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
-    """The recipe of that name or file, with `settings` laid over it.
+@dataclass(frozen=True)
+class LoadedRecipe:
+    """A recipe and what reading it changed.
+
+    Attributes:
+        recipe: The recipe.
+        dropped: One warning per field that was dropped because a setting changed the mode.
+    """
+
+    recipe: Recipe
+    dropped: tuple[Problem, ...] = ()
+
+
+def load_recipe(recipe: str | Path, settings: Settings = ()) -> Recipe:
+    """Return the recipe of that name or file, with `settings` applied.
+
+    Fields that a setting of a mode makes meaningless are dropped, each with a warning in the log; `read_recipe` lists
+    them.
+
+    Args:
+        recipe: A shipped name, or a path (anything with a suffix or a folder in it).
+        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values.
+
+    Raises:
+        RecipeError: With every unknown key and bad value at once.
+    """
+    loaded = read_recipe(recipe, settings)
+    for problem in loaded.dropped:
+        log.warning("%s", problem)
+    return loaded.recipe
+
+
+def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
+    """Return the recipe of that name or file, with `settings` applied, and the fields that these dropped.
 
     Args:
         recipe: A shipped name, or a path (anything with a suffix or a folder in it).
@@ -64,10 +110,18 @@ def load_recipe(recipe: str | Path, settings: Sequence[str] | Mapping[str, Any] 
     return parse_recipe(text, str(recipe), settings, folder)
 
 
-def parse_recipe(
-    text: str, where: str, settings: Sequence[str] | Mapping[str, Any] = (), folder: Path | None = None
-) -> Recipe:
-    """The recipe in a YAML text; `where` names it in errors, `folder` is what paths in it are relative to."""
+def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | None = None) -> LoadedRecipe:
+    """Return the recipe in a YAML text.
+
+    Args:
+        text: The YAML text.
+        where: Name of the recipe in errors.
+        settings: As of `load_recipe`.
+        folder: Folder that paths in the recipe are relative to.
+
+    Raises:
+        RecipeError: With every unknown key and bad value at once.
+    """
     try:
         data = read_yaml(text)
     except ValueError as error:
@@ -77,23 +131,40 @@ def parse_recipe(
     if not isinstance(data, dict):
         raise RecipeError(f"recipe {where}: found {type(data).__name__}, expected a mapping of fields")
     problems: list[Problem] = []
-    for key, value in _pairs(settings, problems):
+    pairs = _pairs(settings, problems)
+    dropped = _drop(data, pairs)
+    for key, value in pairs:
         _set(data, key, value, problems)
     if folder is not None and isinstance(data.get("objects"), list):
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
                 item["model"] = str((folder / item["model"]).resolve())
     _read_profile(data, folder)
+    problems += wrong_modes(data)
+    modes = modes_of(data)
+    model = recipe_class(modes)
     try:
         # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
-        recipe = Recipe.model_validate_json(json.dumps(data))
+        recipe = model.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems += field_problems(error, data, "recipe", "see docs/reference/recipe.md for all fields")
+        see = "see docs/reference/recipe.md for all fields"
+        known = {p.where for p in problems}
+        found = field_problems(error, data, model, "recipe", see, lambda path: explain_unknown(path, modes))
+        problems += [p for p in found if p.where not in known]
     except (TypeError, ValueError) as error:
         problems.append(Problem(where, "recipe-value", str(error), "plain numbers, texts, lists and mappings"))
     if problems:
-        raise RecipeError(f"recipe {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))
-    return recipe
+        raise RecipeError(f"recipe {where}: {len(set(problems))} field(s) are wrong", sorted(set(problems)))
+    return LoadedRecipe(recipe, tuple(dropped))
+
+
+def _drop(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> list[Problem]:
+    """Drop the fields that have no meaning in the modes that the settings choose; the settings' own stay, as errors."""
+    result = copy.deepcopy(data)
+    for key, value in pairs:
+        _set(result, key, value, [])
+    old, new = modes_of(data), modes_of(result)
+    return drop_fields_of_other_modes(data, old, new) if old != new else []
 
 
 def _read_profile(data: dict[str, Any], folder: Path | None) -> None:
@@ -110,7 +181,7 @@ def _is_path(model: str) -> bool:
     return model.lower().endswith((".yaml", ".yml"))
 
 
-def _pairs(settings: Sequence[str] | Mapping[str, Any], problems: list[Problem]) -> list[tuple[str, Any]]:
+def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]:
     if isinstance(settings, Mapping):
         return list(settings.items())
     pairs = []

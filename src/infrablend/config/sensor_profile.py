@@ -129,7 +129,9 @@ def read_profile(path: Path) -> SensorProfile:
         # Through JSON, as recipes are: strict mode then takes lists for tuples.
         return SensorProfile.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        problems = field_problems(error, data, "profile", "see sensor.profile in docs/reference/recipe.md")
+        problems = field_problems(
+            error, data, SensorProfile, "profile", "see sensor.profile in docs/reference/recipe.md"
+        )
     except (TypeError, ValueError) as error:
         problems = [Problem(path.name, "profile-value", str(error), "plain numbers, texts, lists and mappings")]
     raise RecipeError(f"sensor profile {path}: {len(problems)} field(s) are wrong", problems)

@@ -78,7 +78,6 @@ class Weather:
         dew_point_k: At most the air temperature; how much the clear sky shines.
         cloud: Covered share of the sky, in [0, 1].
         cloud_base_k: Temperature of the clouds.
-        wind_m_s: Wind.
         ground_k: Apparent temperature of the ground.
     """
 
@@ -86,7 +85,6 @@ class Weather:
     dew_point_k: float
     cloud: float
     cloud_base_k: float
-    wind_m_s: float
     ground_k: float
 
 
@@ -174,7 +172,9 @@ class SceneSpec:
         camera["size_wh"] = tuple(camera["size_wh"])
         d["camera"] = CameraSpec(**camera)
         d["appearance"] = Appearance(**d["appearance"])
-        d["weather"] = Weather(**d["weather"]) if d.get("weather") else None
+        if weather := d.get("weather"):
+            # Scenes of earlier versions also have the wind, which never had an effect.
+            d["weather"] = Weather(**{k: v for k, v in weather.items() if k != "wind_m_s"})
         dx, dy = d.get("motion_px", (0.0, 0.0))
         d["motion_px"] = (dx, dy)
         d["view"] = View(**d["view"]) if d.get("view") else None

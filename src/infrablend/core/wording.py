@@ -1,72 +1,98 @@
-"""What pydantic found wrong with a text of ours, in words for the one who wrote it."""
+"""Turns pydantic's validation errors into problems for the author of the text."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from infrablend.errors import Problem
 
+Path = tuple[int | str, ...]
+
+# Pydantic's own messages speak of JSON where the user wrote YAML.
 _EXPECTED = {
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "int_parsing_size": "a smaller whole number",
-    "float_type": "a number",
-    "bool_type": "true or false",
-    "string_type": "a text",
-    "tuple_type": "a list",
-    "list_type": "a list",
     "model_type": "a mapping",
     "model_attributes_type": "a mapping",
     "dict_type": "a mapping",
-    "none_required": "null",
-    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "list_type": "a list",
     "missing": "a value",
-    "greater_than": "a number above {gt:g}",
-    "greater_than_equal": "a number of at least {ge:g}",
-    "less_than": "a number below {lt:g}",
-    "less_than_equal": "a number of at most {le:g}",
-    "string_too_short": "a text that is not empty",
-    "string_pattern_mismatch": "a text that matches {pattern}",
-    "literal_error": "{expected}",
 }
+_SPACE = "write a space after the colon: {key: value}"
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """`Did you mean X?` if one of the names is close, else nothing."""
+    """Return `Did you mean X?` if one of the names is close, else an empty text."""
     close = get_close_matches(name, sorted(names), 1)
     return f"Did you mean {close[0]}?" if close else ""
 
 
-_SPACE = "write a space after the colon: {key: value}"
+def shorten(value: Any) -> str:
+    """Return a value as JSON of at most 60 characters."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
-def field_problems(error: ValidationError, data: Any, code: str, see: str) -> list[Problem]:
-    """One problem for each wrong field, sorted; `code` begins their codes, `see` says where fields are described.
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the model classes inside an annotation, in order."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from models_in(inner)
+
+
+def field_problems(
+    error: ValidationError,
+    data: Any,
+    model: type[BaseModel],
+    code: str,
+    see: str,
+    explain: Callable[[Path], tuple[str, str] | None] = lambda path: None,
+) -> list[Problem]:
+    """Return one problem per wrong field, sorted.
 
     Args:
-        error: What validation raised.
-        data: What was validated, plain values.
-        code: `recipe` gives `recipe-value` and `recipe-unknown-key`.
-        see: What to do about an unknown key.
+        error: Error that validation raised.
+        data: Plain values that were validated.
+        model: Class that they were validated against.
+        code: Start of the problems' codes: `recipe` gives `recipe-value` and `recipe-unknown-key`.
+        see: What to do about an unknown key that resembles none that exists.
+        explain: What is wrong with an unknown key at a path and what to do about it, if more is known.
     """
-    alternatives: dict[tuple[int | str, ...], dict[str, list[tuple[tuple[int | str, ...], ErrorDetails]]]] = {}
-    single: list[tuple[tuple[int | str, ...], ErrorDetails]] = []
+    alternatives: dict[Path, dict[str, list[tuple[Path, ErrorDetails]]]] = {}
+    found: list[Problem] = []
+
+    def add(path: Path, e: ErrorDetails) -> None:
+        found.append(_unknown(path, e) if e["type"] == "extra_forbidden" else _problem(path, e, code))
+
+    def _unknown(path: Path, e: ErrorDetails) -> Problem:
+        where, value = _dotted(path), shorten(e["input"])
+        if explained := explain(path):
+            return Problem(where, f"{code}-unknown-key", explained[0], "", explained[1])
+        todo = did_you_mean(str(path[-1]), _known_names(model, path)) or see
+        todo = _SPACE if ":" in where and e["input"] is None else todo
+        return Problem(where, f"{code}-unknown-key", f"unknown key (value {value})", "a known field", todo)
+
     for e in error.errors(include_url=False):
         path, at, member = _locate(e, data)
         if member is None:
-            single.append((path, e))
+            add(path, e)
         else:
             alternatives.setdefault(at, {}).setdefault(member, []).append((path, e))
-    found = [_problem(path, e, code, see) for path, e in single]
     for at, members in alternatives.items():
-        found += _of_alternatives(at, members, _value(data, at), code, see)
+        meant = _meant(at, members, _value(data, at))
+        if meant is not None:
+            for path, e in meant:
+                add(path, e)
+        else:
+            found.append(_none_fits(at, members, _value(data, at), code, see))
     # A list is "too short" only because its items are wrong: the items say it better.
     wrong = {p.where for p in found}
     return sorted(
@@ -78,10 +104,10 @@ def field_problems(error: ValidationError, data: Any, code: str, see: str) -> li
     )
 
 
-def _locate(e: ErrorDetails, data: Any) -> tuple[tuple[int | str, ...], tuple[int | str, ...], str | None]:
-    """The field's path as the user wrote it; and, of a field with alternatives, its path and the alternative."""
+def _locate(e: ErrorDetails, data: Any) -> tuple[Path, Path, str | None]:
+    """Return the field's path as the user wrote it and, in a union, the union's path and the member's name."""
     path: list[int | str] = []
-    at: tuple[int | str, ...] = ()
+    at: Path = ()
     member: str | None = None
     node = data
     for k, step in enumerate(e["loc"]):
@@ -93,7 +119,7 @@ def _locate(e: ErrorDetails, data: Any) -> tuple[tuple[int | str, ...], tuple[in
         elif last and e["type"] == "missing":
             pass
         else:
-            # Not a field: pydantic's name for an alternative, or an end of the range that a number stands for.
+            # Not a field: the name of a union's member, or an end of the range that a single number stands for.
             if isinstance(step, str) and member is None:
                 at, member = tuple(path), step
             continue
@@ -101,68 +127,69 @@ def _locate(e: ErrorDetails, data: Any) -> tuple[tuple[int | str, ...], tuple[in
     return tuple(path), at, member
 
 
-def _of_alternatives(
-    at: tuple[int | str, ...],
-    members: Mapping[str, list[tuple[tuple[int | str, ...], ErrorDetails]]],
-    value: Any,
-    code: str,
-    see: str,
-) -> list[Problem]:
-    """The problems of a field that may be one thing or another: of the one the user meant, else what it may be."""
+def _meant(
+    at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any
+) -> list[tuple[Path, ErrorDetails]] | None:
+    """Return the errors of the union's member that the user meant; None if that cannot be known."""
+    if len(members) == 1:
+        return next(iter(members.values()))
+    if not isinstance(value, Mapping):
+        return None
+    fitting = [
+        m
+        for m in members.values()
+        if any(len(path) > len(at) for path, _ in m)
+        and not any(e["type"] in {"extra_forbidden", "missing"} for _, e in m)
+    ]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _none_fits(
+    at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any, code: str, see: str
+) -> Problem:
+    """Return the problem of a value that fits no member of a union: it lists what the value may be."""
+    errors = [(path, e) for m in members.values() for path, e in m]
     if isinstance(value, Mapping):
-        meant = [
-            m
-            for m in members.values()
-            if any(len(path) > len(at) for path, _ in m)
-            and not any(e["type"] in {"extra_forbidden", "missing"} for _, e in m)
-        ]
-        if len(meant) == 1:
-            return [_problem(path, e, code, see) for path, e in meant[0]]
-        odd = {"extra_forbidden", "missing"}
-        fields = sorted({str(p[-1]) for m in members.values() for p, e in m if e["type"] == "missing"})
-        fields = fields or sorted({str(p[-1]) for m in members.values() for p, e in m if e["type"] in odd})
+        fields = sorted({str(p[-1]) for p, e in errors if e["type"] == "missing"})
+        fields = fields or sorted({str(p[-1]) for p, e in errors if e["type"] == "extra_forbidden"})
         if fields:
             expected = "a mapping with " + " or ".join(fields) + (" alone" if len(fields) > 1 else "")
             todo = _SPACE if any(":" in k and v is None for k, v in value.items()) else see
-            return [Problem(_dotted(at), f"{code}-value", f"found {_short(value)}", expected, todo)]
-    texts = []
-    for m in members.values():
-        texts += [_expected(e) for path, e in m if path == at]
-    return [Problem(_dotted(at), f"{code}-value", f"found {_short(value)}", " or ".join(dict.fromkeys(texts)))]
+            return Problem(_dotted(at), f"{code}-value", f"found {shorten(value)}", expected, todo)
+    texts = dict.fromkeys(_expected(e) for path, e in errors if path == at)
+    return Problem(_dotted(at), f"{code}-value", f"found {shorten(value)}", " or ".join(texts))
 
 
-def _problem(path: tuple[int | str, ...], e: ErrorDetails, code: str, see: str) -> Problem:
+def _problem(path: Path, e: ErrorDetails, code: str) -> Problem:
     where = _dotted(path)
-    if e["type"] == "extra_forbidden":
-        todo = _SPACE if ":" in where and e["input"] is None else see
-        return Problem(where, f"{code}-unknown-key", f"unknown key (value {_short(e['input'])})", "a known field", todo)
     if e["type"] == "value_error" and isinstance(e["input"], Mapping):  # fields that do not go together
         return Problem(where or code, f"{code}-value", _expected(e))
-    found = "nothing" if e["type"] == "missing" else _short(e["input"])
+    found = "nothing" if e["type"] == "missing" else shorten(e["input"])
     kind = "length" if e["type"] in {"too_short", "too_long"} else "value"
     return Problem(where, f"{code}-{kind}", f"found {found}", _expected(e))
 
 
 def _expected(e: ErrorDetails) -> str:
-    kind, context = e["type"], e.get("ctx", {})
-    if kind in {"too_short", "too_long"}:
-        limit = context.get("min_length" if kind == "too_short" else "max_length")
-        return f"a list of at {'least' if kind == 'too_short' else 'most'} {limit} item(s)"
-    if kind in _EXPECTED:
-        return _EXPECTED[kind].format(**context)
-    return re.sub(r"^(Value error, |Input should be )", "", e["msg"])
+    if e["type"] in _EXPECTED:
+        return _EXPECTED[e["type"]]
+    text = re.sub(r"^(Value error, |Input should be |\w+ should have )|( after validation, not \d+)$", "", e["msg"])
+    return re.sub(r"^String should match ", "a text of the ", text)
 
 
-def _value(data: Any, path: tuple[int | str, ...]) -> Any:
+def _known_names(model: type[BaseModel], path: Path) -> set[str]:
+    """Return the names of the fields that exist where `path` leads, less its last step."""
+    models = [model]
+    for step in path[:-1]:
+        inner = [m for o in models if step in o.model_fields for m in models_in(o.model_fields[str(step)].annotation)]
+        models = inner or models  # an item of a list or a key of a mapping leads no deeper
+    return {name for m in models for name in m.model_fields}
+
+
+def _value(data: Any, path: Path) -> Any:
     for step in path:
         data = data[step]
     return data
 
 
-def _dotted(path: tuple[int | str, ...]) -> str:
+def _dotted(path: Path) -> str:
     return ".".join(str(p) for p in path)
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -24,7 +24,8 @@ from infrablend.compositing.local import GainPrior, Insert, expected_contrast, g
 from infrablend.compositing.mapping import GreyImage, GreyMapping, Mapper, PercentileMapper, Place
 from infrablend.compositing.overlay import compose, flat_layer, make_layer
 from infrablend.compositing.sensor import Sensor, SensorStrength, apply_sensor, fit_sensor
-from infrablend.config.recipe import Overlay, Recipe
+from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import LocalMatching, MetricSensor, NoSensor, Overlay, PercentileMatching, Recipe
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
@@ -61,7 +62,7 @@ class FrameSettings:
         data_root: Folder that background paths are recorded against.
         recipe_json: The recipe.
         seed: The run's seed.
-        levels: Darkest and brightest level that the dataset uses; for `matching.mode: local` and the sensor.
+        levels: Darkest and brightest level that the dataset uses; for `appearance.mode: physical` and the sensor.
         renderer: Name in `RENDERERS`.
         device: Where Cycles computes.
         pin_cores: Keep each worker on a processor core of its own.
@@ -97,7 +98,7 @@ class FrameMaker:
             take_core()
         self._settings = settings
         self._folder = RunFolder(settings.out)
-        self._recipe = Recipe.model_validate_json(settings.recipe_json)
+        self._recipe = recipe_from_json(settings.recipe_json)
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
         self._mapper = make_mapper(self._recipe)
         self._renderer = make_renderer(settings.renderer, settings.device)
@@ -109,7 +110,7 @@ class FrameMaker:
             return self._copy_original(frame)
         source = frame.background
         background = load_background(source.path, source.size_wh)
-        if self._recipe.matching.mode == "local":
+        if self._recipe.appearance.mode == "physical":
             require_readable_levels(background)
         site = self._site(frame.as_read, background)
         sampled = sample_scene(frame.key(background.size_wh), self._recipe, self._models, self._settings.seed, site)
@@ -177,11 +178,11 @@ class FrameMaker:
     ) -> tuple[SampledScene, GreyMapping, dict[str, Any]]:
         """The scene less what nobody would see, its grey levels, and what was estimated of the background."""
         m = self._recipe.matching
-        while m.mode == "local" and sampled.spec.objects:
+        while isinstance(m, LocalMatching) and sampled.spec.objects:
             mapping, facts = self._local_mapping(source, background, sampled)
             weather, grounds = sampled.spec.weather, facts["ground_grey"]
             assert weather is not None
-            least = self._recipe.placement.min_contrast_grey
+            least = m.min_contrast_grey
             if least > 0:
                 least *= grey_unit(background.pixels, facts["levels"])
             places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
@@ -200,6 +201,7 @@ class FrameMaker:
     ) -> tuple[GreyMapping, dict[str, Any]]:
         """Grey levels by radiance, from the ground around each object."""
         m, spec = self._recipe.matching, sampled.spec
+        assert isinstance(m, LocalMatching)
         assert self._settings.levels is not None
         assert spec.weather is not None
         low, high = m.gain_grey_per_k
@@ -222,11 +224,12 @@ class FrameMaker:
     def _sensor(self, background: Background, sampled: SampledScene) -> Sensor | None:
         """The camera to imitate, fitted to this background; None if the recipe wants none."""
         s = self._recipe.sensor
-        if s.profile == "off" or not sampled.spec.objects:
+        if isinstance(s, NoSensor) or not sampled.spec.objects:
             return None
         assert self._settings.levels is not None
         seed = integer_seed(self._settings.seed, sampled.spec.frame_id, "sensor")
-        strength = SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, s.defocus)
+        defocus = s.defocus if isinstance(s, MetricSensor) else 0.0
+        strength = SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, defocus)
         return fit_sensor(
             background.pixels,
             s.profile,
@@ -375,7 +378,7 @@ def require_readable_levels(background: Background) -> None:
             "image-colour-mapped",
             "colours: grey levels made of them do not follow temperature",
             "a grey picture, as physical matching needs",
-            "export it from the camera in white-hot grey, or use matching.mode: percentile",
+            "export it from the camera in white-hot grey, or use appearance.mode: artistic",
         )
         raise DatasetError(f"{background.path}: colour-mapped", [problem])
     low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
@@ -385,14 +388,16 @@ def require_readable_levels(background: Background) -> None:
             "image-no-contrast",
             f"grey levels {low:g} to {high:g}",
             f"a picture of at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles",
-            "leave it out, or use matching.mode: percentile",
+            "leave it out, or use appearance.mode: artistic",
         )
         raise DatasetError(f"{background.path}: no contrast", [problem])
 
 
 def make_mapper(recipe: Recipe) -> Mapper:
-    """The mapping of `matching.mode: percentile`."""
+    """Return the mapping by percentiles: of the artistic look, and of physical frames without objects."""
     m = recipe.matching
+    if not isinstance(m, PercentileMatching):
+        m = PercentileMatching(polarity=m.polarity)
     return PercentileMapper(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.loading import load_recipe
+from infrablend.config.loading import read_recipe
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
@@ -43,7 +43,7 @@ def prepare_run(request: RunRequest) -> RunPlan:
     Raises:
         RecipeError, DatasetError, ModelError, OutputError: See `infrablend.errors`.
     """
-    recipe = load_recipe(request.recipe, request.settings)
+    loaded = read_recipe(request.recipe, request.settings)
     for option, path in (("--data", request.data), ("--out", request.out or Path())):
         if not is_text(str(path)) or "\0" in str(path):
             raise OutputError(
@@ -53,4 +53,11 @@ def prepare_run(request: RunRequest) -> RunPlan:
     if request.out is not None:
         require_apart(request.data, request.out)
     dataset = detection.read(request.data, request.reading)
-    return make_plan(recipe, dataset, request.seed, splits=request.reading.splits, limit=request.limit)
+    return make_plan(
+        loaded.recipe,
+        dataset,
+        request.seed,
+        splits=request.reading.splits,
+        limit=request.limit,
+        dropped=loaded.dropped,
+    )

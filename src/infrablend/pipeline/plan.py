@@ -14,7 +14,7 @@ from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import MetricSections, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
@@ -121,7 +121,13 @@ class RunPlan:
 
 
 def make_plan(
-    recipe: Recipe, dataset: Dataset, seed: int, *, splits: Sequence[str] | None = None, limit: int | None = None
+    recipe: Recipe,
+    dataset: Dataset,
+    seed: int,
+    *,
+    splits: Sequence[str] | None = None,
+    limit: int | None = None,
+    dropped: Sequence[Problem] = (),
 ) -> RunPlan:
     """The plan of a run.
 
@@ -131,6 +137,7 @@ def make_plan(
         seed: The run's seed.
         splits: For the record only: what was asked for.
         limit: Only the first so many backgrounds, in sorted order.
+        dropped: Fields that reading the recipe dropped.
 
     Raises:
         DatasetError: If no background is left.
@@ -148,7 +155,7 @@ def make_plan(
     dataset = renamed
     _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
-    problems = [*dataset.problems, *turned]
+    problems = [*dropped, *dataset.problems, *turned]
     usable = []
     for image in images:
         if not is_text(image.path.name) or not is_text(image.id):
@@ -250,8 +257,7 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
     """What the recipe needs to know of a picture's camera and nobody says."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
-    metric = recipe.placement.mode == "metric"
-    height = metric and recipe.camera.altitude == "metadata" and image.altitude_m is None
+    height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
     if not pitch and not height:
         return None
     found = ["no camera pitch known"] * pitch + ["no camera height known, which metric placement needs"] * height

@@ -23,7 +23,7 @@ from infrablend.annotation.classes import rename_classes
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
-from infrablend.config.recipe import Recipe
+from infrablend.config.modes import recipe_from_json
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Instance
 from infrablend.core.files import write_bytes, write_json, write_text
@@ -154,7 +154,7 @@ class Worker:
         if settings.pin_cores:
             take_core()
         self._settings = settings
-        self._recipe = Recipe.model_validate_json(settings.recipe_json)
+        self._recipe = recipe_from_json(settings.recipe_json)
         self._renderer: Renderer | None = None
 
     def __call__(self, task: Task) -> Found:
@@ -362,7 +362,7 @@ def gather(
     """
     folder = RunFolder(run)
     about = folder.read_run()
-    recipe = Recipe.model_validate_json(recipe_json(about))
+    recipe = recipe_from_json(recipe_json(about))
     for o in recipe.objects:
         ready_model(o.model)
     dataset = rename_classes(dataset, recipe.labels.rename)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.recipe import Recipe
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes
 from infrablend.core.tasks import Task
@@ -62,7 +62,7 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     if sha256_of(background) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the picture the frame was made from (its sha256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
-    recipe = Recipe.model_validate_json(recipe_json(record_run))
+    recipe = recipe_from_json(recipe_json(record_run))
     for o in recipe.objects:
         ready_model(o.model)
     job = Rerender(
@@ -79,7 +79,7 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
 
 def recipe_json(record_run: dict[str, Any]) -> str:
     """The recipe of a run, from its record."""
-    recipe = dict(record_run["recipe"])
+    recipe = upgrade_recorded(record_run["recipe"])
     recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
     return json.dumps(recipe)
 
@@ -90,7 +90,7 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
 
     def run(task: Task) -> str:
         job: Rerender = task.payload
-        recipe = Recipe.model_validate_json(job.recipe_json)
+        recipe = recipe_from_json(job.recipe_json)
         record = FrameRecord.from_json(job.record)
         background = load_background(job.background)
         models = {o.model: ready_model(o.model) for o in recipe.objects}

@@ -193,7 +193,7 @@ def run_plan(
 
 def _needs_levels(plan: RunPlan) -> bool:
     r = plan.recipe
-    return r.matching.mode == "local" or r.sensor.profile != "off" or r.placement.mode == "metric"
+    return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:

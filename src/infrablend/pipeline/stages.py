@@ -24,6 +24,7 @@ from infrablend import __version__
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Scale, Training
 from infrablend.config.loading import load_recipe
+from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import claimed_folder, link_or_copy, write_json
@@ -526,7 +527,7 @@ def _require_run(stage: Stage, before: Mapping[str, Made], setting: Setting, fol
     record = _read_record(folder / RUN_FILE, "a folder that `infrablend generate` wrote")
     spec: Generate = stage.spec
     recipe = load_recipe(spec.recipe, spec.settings)
-    theirs = Recipe.model_validate_json(recipe_json(record))
+    theirs = recipe_from_json(recipe_json(record))
     dataset = setting.tools.read_dataset(before["of"].dataset, options=_options(before["of"]))
     keys = []
     for splits in (spec.splits, SPLITS):  # with the splits that are needed, or with all

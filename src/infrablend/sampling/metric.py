@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import FixedAltitude, Object, RandomAltitude, Recipe
+from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
@@ -57,7 +57,7 @@ class Site:
 
 
 def real_camera(
-    recipe: Recipe, pitch_rad: float, size_wh: tuple[int, int], site: Site, rng: np.random.Generator
+    recipe: MetricRecipe, pitch_rad: float, size_wh: tuple[int, int], site: Site, rng: np.random.Generator
 ) -> tuple[CameraSpec, View]:
     """The background's own camera over the ground; height and roll drawn where the recipe says so."""
     c = recipe.camera
@@ -85,7 +85,7 @@ def real_camera(
 def place_metric(
     camera: CameraSpec,
     view: View,
-    recipe: Recipe,
+    recipe: MetricRecipe,
     wanted: Sequence[Wanted],
     site: Site,
     rng: np.random.Generator,
@@ -101,7 +101,7 @@ def place_metric(
     poses: list[Pose | None] = []
     for number, item in enumerate(wanted):
         found = None
-        group = item.kind.group
+        group = _kind(item).group
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
             mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
@@ -117,7 +117,7 @@ def place_metric(
             box = None if reason else box_px(camera, world, item)
             if reason is None:
                 near = group.max_overlap if company and group is not None else MAX_OVERLAP
-                if rules.clear_of_ignored is not False and overlaps(box, ignored):
+                if rules.clear_of_ignored and overlaps(box, ignored):
                     reason = "on_ignored"
                 elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):
                     reason = "on_annotated"
@@ -136,9 +136,14 @@ def place_metric(
     return poses
 
 
+def _kind(item: Wanted) -> MetricObject:
+    assert isinstance(item.kind, MetricObject)
+    return item.kind
+
+
 def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator) -> Pose | str:
     """A pose, or why this draw gives none. Always takes the same number of draws."""
-    kind: Object = item.kind
+    kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
     yaw = math.radians(rng.uniform(*kind.yaw_deg))
@@ -159,7 +164,8 @@ def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator
 
 def _beside(item: Wanted, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
     """A pose beside one of those that are there, on the same ground."""
-    kind, group = item.kind, item.kind.group
+    kind = _kind(item)
+    group = kind.group
     assert group is not None
     x, y, z, mate_yaw = mates[int(rng.integers(len(mates)))]
     away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())

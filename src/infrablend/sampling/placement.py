@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Object, Placement, Recipe
+from infrablend.config.recipe import Object, PaperObject, PaperRecipe, Placement
 from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
@@ -64,7 +64,7 @@ class Tally:
 
 def place_as_paper(
     camera_of: CameraSpec,
-    recipe: Recipe,
+    recipe: PaperRecipe,
     wanted: Sequence[Wanted],
     labels: Sequence[Instance],
     ignored: frozenset[str],
@@ -99,6 +99,7 @@ def place_as_paper(
         )
 
     def draw_pose(kind: Object) -> Pose:
+        assert isinstance(kind, PaperObject)
         x, y, z = (float(rng.uniform(*r)) for r in (kind.x_m, kind.y_m, kind.z_m))
         return x, y, z, math.radians(rng.uniform(*kind.yaw_deg))
 

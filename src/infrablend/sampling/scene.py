@@ -9,7 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, PartRange
-from infrablend.config.recipe import Count, FixedPitch, Object, RandomPitch, Recipe
+from infrablend.config.recipe import (
+    ArtisticAppearance,
+    Count,
+    FixedPitch,
+    MetricSections,
+    NoSensor,
+    Object,
+    PhysicalSections,
+    RandomPitch,
+    Recipe,
+)
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import TimeOfDay
 from infrablend.core.mesh import Mesh
@@ -78,7 +88,7 @@ def sample_scene(
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
     tally = Tally()
     c, view = recipe.camera, None
-    if recipe.placement.mode == "metric":
+    if isinstance(recipe, MetricSections):
         if site is None:
             raise ValueError(f"{frame.frame_id}: metric placement needs the background")
         camera, view = real_camera(recipe, pitch_rad, frame.size_wh, site, stream(seed, frame.frame_id, "camera"))
@@ -107,6 +117,8 @@ def sample_scene(
             )
         )
     look = recipe.appearance
+    # The stand-in renderer and the turntable show temperatures between these ends in every mode.
+    ends = look if isinstance(look, ArtisticAppearance) else ArtisticAppearance()
     spec = SceneSpec(
         frame_id=frame.frame_id,
         background_id=frame.background_id,
@@ -117,9 +129,9 @@ def sample_scene(
         ambient_k=air_k,
         appearance=Appearance(
             mode=look.mode,
-            cold_k=air_k - look.cold_below_air_k,
-            hot_k=air_k + look.hot_above_air_k,
-            surroundings_k=air_k - look.surroundings_below_air_k,
+            cold_k=air_k - ends.cold_below_air_k,
+            hot_k=air_k + ends.hot_above_air_k,
+            surroundings_k=air_k - ends.surroundings_below_air_k,
             texture_k=look.texture_k,
         ),
         samples=recipe.samples,
@@ -132,17 +144,18 @@ def sample_scene(
             "rejected": dict(sorted(tally.rejected.items())),
             "absent": dict(sorted(tally.absent.items())),
         },
-        weather=_weather(frame, recipe, air_k, seed) if look.mode == "physical" else None,
+        weather=_weather(frame, recipe, air_k, seed) if isinstance(recipe, PhysicalSections) else None,
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
         view=view,
     )
     return SampledScene(spec, tuple(meshes))
 
 
-def _weather(frame: FrameKey, recipe: Recipe, air_k: float, seed: int) -> Weather:
+def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int) -> Weather:
     """What the frame's surfaces stand in and mirror; from a stream of its own."""
     rng, e = stream(seed, frame.frame_id, "weather"), recipe.environment
-    below, wind = (float(rng.uniform(*r)) for r in (e.dew_point_below_air_k, e.wind_m_s))
+    below = float(rng.uniform(*e.dew_point_below_air_k))
+    rng.random()  # takes the place of a removed quantity, so that the draws after it stay as they were
     clear, cover, base = (float(v) for v in rng.random(3))
     ground = e.ground_above_air_day_k if frame.time_of_day == "day" else e.ground_above_air_night_k
     return Weather(
@@ -150,7 +163,6 @@ def _weather(frame: FrameKey, recipe: Recipe, air_k: float, seed: int) -> Weathe
         dew_point_k=air_k - below,
         cloud=0.0 if clear < e.clear_share else cover,
         cloud_base_k=air_k - (5 + 5 * base),
-        wind_m_s=wind,
         ground_k=air_k + float(rng.uniform(*ground)),
     )
 
@@ -158,8 +170,10 @@ def _weather(frame: FrameKey, recipe: Recipe, air_k: float, seed: int) -> Weathe
 def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
     """Mean displacement by the motion tail: its length, in any direction; from a stream of its own."""
     length, turn = stream(seed, frame.frame_id, "motion").random(2)
+    if isinstance(recipe.sensor, NoSensor):
+        return 0.0, 0.0
     low, high = recipe.sensor.motion_px
-    if recipe.sensor.profile == "off" or high == 0:
+    if high == 0:
         return 0.0, 0.0
     length_px = low + (high - low) * float(length)
     return length_px * math.cos(2 * math.pi * turn), length_px * math.sin(2 * math.pi * turn)

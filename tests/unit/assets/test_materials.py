@@ -116,8 +116,8 @@ def frame(time_of_day: str | None) -> FrameKey:
 
 
 def recipe(model: str, *overrides: str, look: str = "physical"):
-    both = [f"appearance.mode={look}", f"matching.mode={'local' if look == 'physical' else 'percentile'}"]
-    return load_recipe("hit-uav-drone", [f"objects.0.model={model}", "placement.on_miss=keep", *both, *overrides])
+    settings = [f"appearance.mode={look}", *overrides]
+    return load_recipe("hit-uav-drone", [f"objects.0.model={model}", "placement.on_miss=keep", *settings])
 
 
 @pytest.mark.parametrize("model", ["car", "person", "deer"])

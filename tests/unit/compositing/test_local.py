@@ -10,7 +10,7 @@ from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 
 AIR_K = 283.15
-WEATHER = Weather(AIR_K, AIR_K - 6, 0.0, AIR_K - 7, 1.0, AIR_K + 2)
+WEATHER = Weather(AIR_K, AIR_K - 6, 0.0, AIR_K - 7, AIR_K + 2)
 LEVELS = (16.0, 235.0)
 INSERT = [Insert(np.array([300.0, 250.0, 340.0, 280.0]))]
 

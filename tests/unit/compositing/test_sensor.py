@@ -254,7 +254,7 @@ def test_a_record_keeps_the_whole_chain():
 
 def test_the_recipe_names_the_profiles_there_are():
     names, _ = get_args(SensorFields.model_fields["profile"].annotation)
-    assert set(get_args(names)) == {"off", *PROFILES}
+    assert set(get_args(names)) == {*PROFILES}
 
 
 def test_nothing_to_lay_over():

@@ -114,8 +114,11 @@ def test_an_unquoted_off_is_the_sensors_off():
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        (["overlay.flat=true"], "overlay.flat does not go with a sensor"),
-        (["placement.mode=paper", "objects.0.group={share: 0.5}"], r"objects\.group needs placement\.mode metric"),
+        (["overlay.flat=true"], r"overlay\.flat needs sensor\.profile: off"),
+        (
+            ["placement.mode=paper", "objects.0.group={share: 0.5}"],
+            r"objects\.0\.group: this field has a meaning only with placement\.mode metric; this recipe has paper",
+        ),
     ],
 )
 def test_what_does_not_go_together_is_said(settings, match):

@@ -198,7 +198,7 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
     data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS[:1])})
     off = "sensor.profile=off"
     looks = {"whole": [], "no-sensor": [off], "flat": [off, "overlay.flat=true"]}
-    looks["artistic"] = ["appearance.mode=artistic", "matching.mode=percentile"]
+    looks["artistic"] = ["appearance.mode=artistic"]
     for name, settings in looks.items():
         generate(data, tmp_path / name, recipe, ["placement.min_contrast_grey=0", "objects.0.count=3", *settings])
     found = {name: records(tmp_path / name) for name in looks}

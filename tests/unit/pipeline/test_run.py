@@ -403,7 +403,7 @@ def test_rerender_gives_the_same_bytes(dataset, tmp_path):
 
 
 def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_path):
-    settings = {"appearance.mode": "physical", "matching.mode": "local", "output.image": "png"}
+    settings = {"appearance.mode": "physical", "output.image": "png"}
     generate(dataset, tmp_path / "run", settings=settings)
     for record in records(tmp_path / "run"):
         weather = record.scene.weather
@@ -425,7 +425,7 @@ def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_p
 def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_path):
     """Looks differ in grey levels alone: boxes and masks are the same."""
     generate(dataset, tmp_path / "a")
-    settings = {"appearance.mode": "physical", "matching.mode": "local", "output.image": "png"}
+    settings = {"appearance.mode": "physical", "output.image": "png"}
     generate(dataset, tmp_path / "p", settings=settings)
     for a, p in zip(records(tmp_path / "a"), records(tmp_path / "p"), strict=True):
         assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))

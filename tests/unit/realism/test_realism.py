@@ -388,7 +388,6 @@ def crowd(tmp_path_factory):
         "objects": [person],
         "configurations": 1,
         "appearance.mode": "physical",
-        "matching.mode": "local",
         "sensor.profile": "hit-uav",
         "camera.focal_length_mm": 35.0,
         "camera.sensor_width_mm": 10.88,

@@ -1,0 +1,201 @@
+"""Which recipe fields have a meaning in which mode, and what to do with those that have none.
+
+`placement.mode`, `appearance.mode` and whether `sensor.profile` is `off` decide the classes of a recipe's sections.
+A field of another mode's class is an error where its author wrote it. Only a setting that changes a mode
+(`--set placement.mode=paper`) drops the fields that the recipe had for the old one.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from infrablend.config.recipe import (
+    MetricArtisticRecipe,
+    MetricPhysicalRecipe,
+    NoSensor,
+    PaperArtisticRecipe,
+    PaperPhysicalRecipe,
+    Recipe,
+)
+from infrablend.core.wording import models_in, shorten
+from infrablend.errors import Problem
+
+# Fields of older recipes, by `section.field`: what became of them. A dotted name is the field's new place.
+MOVED: Mapping[str, str] = {"placement.min_contrast_grey": "matching.min_contrast_grey"}
+REMOVED: Mapping[str, str] = {
+    "environment.wind_m_s": "it never had an effect; remove it",
+    "matching.mode": "appearance.mode decides it, physical is local and artistic is percentile; remove it",
+}
+
+Field = tuple[str, str]  # section and field; the section of an object's field is `objects`
+
+
+class Modes(NamedTuple):
+    """The modes of a recipe.
+
+    Attributes:
+        placement: `placement.mode`.
+        look: `appearance.mode`.
+        sensor: Whether `sensor.profile` names a camera: `on` or `off`.
+    """
+
+    placement: str = "paper"
+    look: str = "artistic"
+    sensor: str = "off"
+
+
+CHOICES: Mapping[str, tuple[str, ...]] = {
+    "placement.mode": ("paper", "metric"),
+    "appearance.mode": ("artistic", "physical"),
+}
+_RECIPES: Mapping[tuple[str, str], type[Recipe]] = {
+    ("paper", "artistic"): PaperArtisticRecipe,
+    ("paper", "physical"): PaperPhysicalRecipe,
+    ("metric", "artistic"): MetricArtisticRecipe,
+    ("metric", "physical"): MetricPhysicalRecipe,
+}
+
+
+def modes_of(data: Mapping[str, Any]) -> Modes:
+    """Return the modes of a recipe's plain data; an unknown mode counts as the default one."""
+    words = []
+    for key, choices in CHOICES.items():
+        section, field = key.split(".")
+        word = _section(data, section).get(field)
+        words.append(word if word in choices else choices[0])
+    off = _section(data, "sensor").get("profile", "off") == "off"
+    return Modes(words[0], words[1], "off" if off else "on")
+
+
+def wrong_modes(data: Mapping[str, Any]) -> list[Problem]:
+    """Return one problem per mode that is none of the choices."""
+    found = []
+    for key, choices in CHOICES.items():
+        section, field = key.split(".")
+        word = _section(data, section).get(field, choices[0])
+        if word not in choices:
+            expected = " or ".join(f"'{c}'" for c in choices)
+            found.append(Problem(key, "recipe-value", f"found {shorten(word)}", expected))
+    return found
+
+
+def recipe_class(modes: Modes) -> type[Recipe]:
+    """Return the class of a recipe in these modes."""
+    return _RECIPES[modes.placement, modes.look]
+
+
+def recipe_from_json(text: str) -> Recipe:
+    """Return the recipe that `model_dump_json` wrote.
+
+    Raises:
+        ValidationError: If the text is no recipe.
+    """
+    return recipe_class(modes_of(json.loads(text))).model_validate_json(text)
+
+
+@functools.cache
+def fields_of(modes: Modes) -> frozenset[Field]:
+    """Return the fields of all sections of a recipe in these modes."""
+    found = set()
+    for section, info in recipe_class(modes).model_fields.items():
+        classes = list(models_in(info.annotation))
+        if section == "sensor":
+            classes = [c for c in classes if (c is NoSensor) == (modes.sensor == "off")]
+        found |= {(section, field) for c in classes for field in c.model_fields}
+    return frozenset(found)
+
+
+def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> list[Problem]:
+    """Remove the fields of `data` that have a meaning in the modes `old` and none in `new`.
+
+    Returns:
+        One warning per field removed.
+    """
+    dropped = []
+    for section, at, values in _sections(data):
+        for field in [f for f in values if (section, f) in fields_of(old) - fields_of(new)]:
+            value = values.pop(field)
+            found = f"{shorten(value)} is not used: {_explained((section, field), new)[0]}"
+            dropped.append(Problem(f"{at}.{field}", "recipe-dropped", found, severity="warning"))
+    return dropped
+
+
+def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the recipe in a run's record without the fields that have no meaning in its modes.
+
+    Records of earlier versions contain every field in every mode, and fields that have since been moved or removed.
+    """
+    upgraded: dict[str, Any] = json.loads(json.dumps(data))
+    for old, place in MOVED.items():
+        section, field = old.split(".")
+        if field in _section(upgraded, section):
+            value = upgraded[section].pop(field)
+            new_section, new_field = place.split(".")
+            upgraded.setdefault(new_section, {})[new_field] = value
+    fields = fields_of(modes_of(upgraded))
+    for section, _, values in _sections(upgraded):
+        for field in [f for f in values if (section, f) not in fields and (_is_known((section, f)))]:
+            del values[field]
+    return upgraded
+
+
+def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str] | None:
+    """Return why a recipe in these modes has no field at `path` and what to do about it; None for a misspelt field.
+
+    Args:
+        path: Steps of the field's dotted name, such as `("objects", 0, "group")`.
+        modes: Modes of the recipe.
+    """
+    steps = [s for s in path if isinstance(s, str)]
+    if len(steps) != 2:
+        return None
+    field, name = (steps[0], steps[1]), ".".join(steps)
+    if name in MOVED:
+        return f"this field is now {MOVED[name]}", f"move it to {MOVED[name]}"
+    if name in REMOVED:
+        return "this field was removed", REMOVED[name]
+    if not any(field in fields_of(m) for m in _all_modes()):
+        return None
+    return _explained(field, modes)
+
+
+def _explained(field: Field, modes: Modes) -> tuple[str, str]:
+    """Return which modes a field needs that the recipe does not have, and what to do."""
+    meaningful = [m for m in _all_modes() if field in fields_of(m)]
+    nearest = min(meaningful, key=lambda m: sum(a != b for a, b in zip(m, modes, strict=True)))
+    needed = [
+        (key, wanted, given)
+        for key, wanted, given in zip((*CHOICES, "sensor.profile"), nearest, modes, strict=True)
+        if wanted != given
+    ]
+    needs = " and ".join("sensor.profile other than off" if w == "on" else f"{k} {w}" for k, w, _ in needed)
+    has = " and ".join(given for _, _, given in needed)
+    settings = " and ".join(f"{k} to {'a camera' if w == 'on' else w}" for k, w, _ in needed)
+    return f"this field has a meaning only with {needs}; this recipe has {has}", f"remove it, or set {settings}"
+
+
+def _all_modes() -> Iterator[Modes]:
+    for placement, look, sensor in itertools.product(*CHOICES.values(), ("off", "on")):
+        yield Modes(placement, look, sensor)
+
+
+def _is_known(field: Field) -> bool:
+    return ".".join(field) in REMOVED or any(field in fields_of(m) for m in _all_modes())
+
+
+def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = data.get(name)
+    return section if isinstance(section, Mapping) else {}
+
+
+def _sections(data: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield each mapping of fields with its section and its dotted name; each item of `objects` is one."""
+    for section, values in data.items():
+        if isinstance(values, dict):
+            yield section, section, values
+        elif section == "objects" and isinstance(values, list):
+            yield from ((section, f"objects.{k}", item) for k, item in enumerate(values) if isinstance(item, dict))
