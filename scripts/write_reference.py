@@ -14,59 +14,127 @@ from typing import Annotated, Any, Literal, Union
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from infrablend.core.wording import models_in
+
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
+# Order of the sections on the page about recipes.
+SECTIONS = (
+    "objects", "placement", "camera", "environment", "appearance", "matching", "overlay", "sensor", "render", "labels",
+    "output",
+)  # fmt: skip
 
 
 def recipe_page() -> str:
-    """The page on all recipe fields."""
+    """Return the page on all recipe fields."""
     from infrablend.config import loading
-    from infrablend.config.recipe import Recipe
+    from infrablend.config.modes import MOVED, REMOVED, Modes, sections_of
+    from infrablend.config.recipe import PaperArtisticRecipe
 
+    sections = sorted(sections_of(Modes()), key=SECTIONS.index)
     lines = [
         "# Recipe fields",
         "",
         "Written from `src/infrablend/config/recipe.py` by `make reference`: change the code, not this page.",
         "",
-        "A recipe is a YAML file. Unknown keys and bad values are errors; all of them are reported at once, each with",
-        "its field. Any field can be set from the command line: `--set camera.distance_m='[2, 8]'`,",
-        "`--set objects.0.count=3`, `--set output.image=png`. A range is `[low, high]`; a number alone means that",
-        "number. Draws are uniform unless the field says otherwise. Degrees and °C are used here and in the command",
-        "line only; run folders and scene files hold radians and kelvin.",
+        "A recipe is a YAML 1.2 file. Unknown keys and bad values are errors; all of them are reported at once, each",
+        "with its field. Any field can be set on the command line: `--set camera.distance_m='[2, 8]'`,",
+        "`--set objects.0.count=3`, `--set output.image=png`. A range is `[low, high]`, drawn uniformly unless the",
+        "field says otherwise; a number `n` means `[n, n]`. Recipes and the command line use degrees and °C; run",
+        "folders and scene files use radians and kelvin.",
         "",
         "Shipped recipes (`infrablend recipes list`, `infrablend recipes show NAME`):",
         "",
+        *(f"* `{name}`: {loading.load_recipe(name).description}" for name in loading.list_recipes()),
+        "",
+        "## Modes",
+        "",
+        "| setting | values | decides which fields exist in |",
+        "|---|---|---|",
+        "| `placement.mode` | `paper` (default), `metric` | `objects`, `camera`, `placement`, `sensor` |",
+        "| `appearance.mode` | `artistic` (default), `physical` | `environment`, `appearance`, `matching` |",
+        "| `sensor.profile` | `off` (default), a camera | `sensor` |",
+        "",
+        "A field that has no meaning in the modes of the recipe is an error that names the mode it belongs to. A",
+        "setting that changes a mode, such as `--set placement.mode=paper`, drops the fields that the recipe has for",
+        "the old mode, and lists them on the screen, in `generate --plan` and in `run.json`.",
+        "",
+        "Fields of earlier versions:",
+        "",
+        *(f"* `{old}` is now `{new}`." for old, new in MOVED.items()),
+        *(f"* `{old}` was removed: {reason}." for old, reason in REMOVED.items()),
+        "",
+        "## Top level",
+        "",
+        *_table("", {n: f for n, f in PaperArtisticRecipe.model_fields.items() if n not in sections}),
+        "| section | contents |",
+        "|---|---|",
+        *(f"| [`{n}`](#{n}) | {_cell(PaperArtisticRecipe.model_fields[n].description or '')} |" for n in sections),
+        "",
     ]
-    for name in loading.list_recipes():
-        lines.append(f"* `{name}`: {loading.load_recipe(name).description}")
-    lines.append("")
-    queue: list[tuple[str, type[BaseModel]]] = [("", Recipe)]
-    done: set[type[BaseModel]] = set()
-    while queue:
-        prefix, model = queue.pop(0)
-        if model in done:
-            continue
-        done.add(model)
-        title = f"`{prefix.rstrip('.')}`: {model.__name__}" if prefix else "Top level"
-        lines += [
-            f"## {title}",
-            "",
-            _first(model.__doc__),
-            "",
-            "| field | values | default | meaning |",
-            "|---|---|---|---|",
-        ]
-        for name, field in model.model_fields.items():
-            inner = list(_models(field.annotation))
-            values = _type_text(field.annotation, list(field.metadata))
-            lines.append(f"| `{prefix}{name}` | {values} | {_default(field)} | {_cell(field.description or '')} |")
-            listed = "tuple" in str(field.annotation)
-            for m in inner:
-                queue.append(
-                    (f"{prefix}{name}.{'N.' if listed else '<part>.' if 'dict' in str(field.annotation) else ''}", m)
-                )
-        lines.append("")
+    for section in sections:
+        lines += _section(section)
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _section(section: str) -> list[str]:
+    """Return the lines on one section: the fields of all modes, those of single modes, and the models inside."""
+    from infrablend.config.modes import CHOICES, Modes, all_modes, sections_of
+
+    prefix = f"{section}.N." if section == "objects" else f"{section}."
+    modes_of_field: dict[tuple[str, str, str], list[Modes]] = {}
+    fields: dict[tuple[str, str, str], FieldInfo] = {}
+    for modes in all_modes():
+        for name, field in sections_of(modes)[section].model_fields.items():
+            key = (name, field.description or "", _default(field))
+            modes_of_field.setdefault(key, []).append(modes)
+            fields[key] = field
+    groups: dict[str, dict[str, FieldInfo]] = {"": {}}
+    for key, where in modes_of_field.items():
+        fixed = [values.pop() if len(values := set(axis)) == 1 else None for axis in zip(*where, strict=True)]
+        words = [f"`{name}: {value}`" for name, value in zip(CHOICES, fixed, strict=False) if value]
+        if fixed[2]:
+            words.append("`sensor.profile: off`" if fixed[2] == "off" else "a camera in `sensor.profile`")
+        groups.setdefault(" and ".join(words), {})[key[0]] = fields[key]
+    base = sections_of(Modes())[section]
+    plain = base.__mro__[1] if base.__mro__[1].__name__ != "Strict" else base
+    lines = [
+        f"## `{section}`",
+        "",
+        _first(plain.__doc__ if len(groups) > 1 and section != "sensor" else base.__doc__),
+        "",
+    ]
+    for words, group in groups.items():
+        if group:
+            lines += [f"Only with {words}:", ""] if words else []
+            lines += _table(prefix, group)
+    inner: dict[type[BaseModel], str] = {}
+    for group in groups.values():
+        for name, field in group.items():
+            _nested(f"{prefix}{name}", field, inner)
+    for model, path in inner.items():
+        lines += [f"### `{path.rstrip('.')}`: {model.__name__}", "", _first(model.__doc__), ""]
+        lines += _table(path, model.model_fields)
+    return lines
+
+
+def _nested(path: str, field: FieldInfo, found: dict[type[BaseModel], str]) -> None:
+    """Add the models inside a field to `found`, with the dotted names that lead to their fields."""
+    for model in models_in(field.annotation):
+        if model not in found:
+            step = "N." if "tuple" in str(field.annotation) else "<part>." if "dict" in str(field.annotation) else ""
+            found[model] = f"{path}.{step}"
+            for name, inner in model.model_fields.items():
+                _nested(f"{found[model]}{name}", inner, found)
+
+
+def _table(prefix: str, fields: dict[str, FieldInfo]) -> list[str]:
+    rows = [
+        f"| `{prefix}{name}` | {_type_text(field.annotation, list(field.metadata))} | {_default(field)} "
+        f"| {_cell(field.description or '')} |"
+        for name, field in fields.items()
+    ]
+    return ["| field | values | default | meaning |", "|---|---|---|---|", *rows, ""]
 
 
 def _first(doc: str | None) -> str:
@@ -75,14 +143,6 @@ def _first(doc: str | None) -> str:
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
-
-
-def _models(annotation: Any) -> typing.Iterator[type[BaseModel]]:
-    """Models inside an annotation, in order."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in typing.get_args(annotation):
-        yield from _models(inner)
 
 
 def _bounds(metadata: list[Any]) -> str:
@@ -134,6 +194,8 @@ def _default(field: FieldInfo) -> str:
         return "see below"
     if value is None:
         return "none"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     if isinstance(value, tuple):
         return "`[" + ", ".join(f"{v:g}" if isinstance(v, int | float) else str(v) for v in value) + "]`"
     return f"`{value:g}`" if isinstance(value, float) else f"`{value}`" if value not in ("", {}) else "empty"

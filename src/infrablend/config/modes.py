@@ -13,6 +13,8 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from pydantic import BaseModel
+
 from infrablend.config.recipe import (
     MetricArtisticRecipe,
     MetricPhysicalRecipe,
@@ -30,6 +32,9 @@ REMOVED: Mapping[str, str] = {
     "environment.wind_m_s": "it never had an effect; remove it",
     "matching.mode": "appearance.mode decides it, physical is local and artistic is percentile; remove it",
 }
+
+DROPPED = "recipe-dropped"
+"""Code of the warnings about fields that a change of mode dropped."""
 
 Field = tuple[str, str]  # section and field; the section of an object's field is `objects`
 
@@ -98,15 +103,22 @@ def recipe_from_json(text: str) -> Recipe:
 
 
 @functools.cache
-def fields_of(modes: Modes) -> frozenset[Field]:
-    """Return the fields of all sections of a recipe in these modes."""
-    found = set()
+def sections_of(modes: Modes) -> Mapping[str, type[BaseModel]]:
+    """Return the class of each section of a recipe in these modes; that of `objects` is the class of its items."""
+    found = {}
     for section, info in recipe_class(modes).model_fields.items():
         classes = list(models_in(info.annotation))
         if section == "sensor":
             classes = [c for c in classes if (c is NoSensor) == (modes.sensor == "off")]
-        found |= {(section, field) for c in classes for field in c.model_fields}
-    return frozenset(found)
+        if classes:
+            (found[section],) = classes
+    return found
+
+
+@functools.cache
+def fields_of(modes: Modes) -> frozenset[Field]:
+    """Return the fields of all sections of a recipe in these modes."""
+    return frozenset((section, field) for section, c in sections_of(modes).items() for field in c.model_fields)
 
 
 def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> list[Problem]:
@@ -120,7 +132,7 @@ def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> 
         for field in [f for f in values if (section, f) in fields_of(old) - fields_of(new)]:
             value = values.pop(field)
             found = f"{shorten(value)} is not used: {_explained((section, field), new)[0]}"
-            dropped.append(Problem(f"{at}.{field}", "recipe-dropped", found, severity="warning"))
+            dropped.append(Problem(f"{at}.{field}", DROPPED, found, severity="warning"))
     return dropped
 
 
@@ -158,33 +170,34 @@ def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str
         return f"this field is now {MOVED[name]}", f"move it to {MOVED[name]}"
     if name in REMOVED:
         return "this field was removed", REMOVED[name]
-    if not any(field in fields_of(m) for m in _all_modes()):
+    if not any(field in fields_of(m) for m in all_modes()):
         return None
     return _explained(field, modes)
 
 
 def _explained(field: Field, modes: Modes) -> tuple[str, str]:
     """Return which modes a field needs that the recipe does not have, and what to do."""
-    meaningful = [m for m in _all_modes() if field in fields_of(m)]
+    meaningful = [m for m in all_modes() if field in fields_of(m)]
     nearest = min(meaningful, key=lambda m: sum(a != b for a, b in zip(m, modes, strict=True)))
     needed = [
         (key, wanted, given)
         for key, wanted, given in zip((*CHOICES, "sensor.profile"), nearest, modes, strict=True)
         if wanted != given
     ]
-    needs = " and ".join("sensor.profile other than off" if w == "on" else f"{k} {w}" for k, w, _ in needed)
+    needs = " and ".join("a camera in sensor.profile" if w == "on" else f"{k} {w}" for k, w, _ in needed)
     has = " and ".join(given for _, _, given in needed)
     settings = " and ".join(f"{k} to {'a camera' if w == 'on' else w}" for k, w, _ in needed)
     return f"this field has a meaning only with {needs}; this recipe has {has}", f"remove it, or set {settings}"
 
 
-def _all_modes() -> Iterator[Modes]:
+def all_modes() -> Iterator[Modes]:
+    """Yield every combination of modes."""
     for placement, look, sensor in itertools.product(*CHOICES.values(), ("off", "on")):
         yield Modes(placement, look, sensor)
 
 
 def _is_known(field: Field) -> bool:
-    return ".".join(field) in REMOVED or any(field in fields_of(m) for m in _all_modes())
+    return ".".join(field) in REMOVED or any(field in fields_of(m) for m in all_modes())
 
 
 def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:

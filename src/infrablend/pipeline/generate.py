@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.loading import read_recipe
+from infrablend.config.modes import DROPPED
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
@@ -34,6 +35,7 @@ def describe_run(request: RunRequest) -> dict[str, Any]:
         "device": request.execution.device,
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
+        "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
     }
 
 

@@ -299,7 +299,9 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
 
     still = generate(tmp_path / "still", sensor_profile="hit-uav")
     moving = generate(tmp_path / "moving", sensor_profile="hit-uav", sensor_motion_px=[2, 6])
-    off = generate(tmp_path / "off", sensor_motion_px=[2, 6])
+    off = generate(tmp_path / "off")
+    with pytest.raises(RecipeError, match=r"sensor\.motion_px: .* only with a camera in sensor\.profile"):
+        generate(tmp_path / "none", sensor_motion_px=[2, 6])
     drawn = [r.scene.motion_px for r in moving]
     assert all(2 <= math.hypot(*m) <= 6 for m in drawn)
     assert len(set(drawn)) == len(drawn) == 4

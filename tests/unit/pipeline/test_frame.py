@@ -133,7 +133,7 @@ def test_realism_says_which_times_of_day_there_are(tmp_path):
 
 def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
-    report = generate(data, tmp_path / "run", settings=["placement.min_contrast_grey=5000"])
+    report = generate(data, tmp_path / "run", settings=["matching.min_contrast_grey=5000"])
     assert report.counts["frames_without_object"] == 1
     assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
 
@@ -200,7 +200,8 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
     looks = {"whole": [], "no-sensor": [off], "flat": [off, "overlay.flat=true"]}
     looks["artistic"] = ["appearance.mode=artistic"]
     for name, settings in looks.items():
-        generate(data, tmp_path / name, recipe, ["placement.min_contrast_grey=0", "objects.0.count=3", *settings])
+        contrast = [] if name == "artistic" else ["matching.min_contrast_grey=0"]
+        generate(data, tmp_path / name, recipe, ["objects.0.count=3", *contrast, *settings])
     found = {name: records(tmp_path / name) for name in looks}
     for name in ("no-sensor", "flat", "artistic"):
         for a, b in zip(found["whole"], found[name], strict=True):

@@ -1,0 +1,228 @@
+"""Every mode has its own fields: fields of other modes are errors, and a change of mode drops and lists them."""
+
+import json
+
+import pytest
+
+from infrablend import api
+from infrablend.config.loading import list_recipes, load_recipe, parse_recipe, read_recipe
+from infrablend.config.modes import (
+    MOVED,
+    REMOVED,
+    Modes,
+    all_modes,
+    fields_of,
+    modes_of,
+    recipe_class,
+    recipe_from_json,
+    upgrade_recorded,
+)
+from infrablend.config.recipe import (
+    LocalMatching,
+    MetricPhysicalRecipe,
+    NoSensor,
+    PaperArtisticRecipe,
+    PercentileMatching,
+)
+from infrablend.core.scene import SceneSpec
+from infrablend.errors import RecipeError
+
+DRONE = "name: d\nobjects: [{model: drone}]\n"
+OF_ONE_MODE = {
+    "camera.distance_m=5": ("placement.mode paper", "metric"),
+    "objects.0.x_m=5": ("placement.mode paper", "metric"),
+    "objects.0.y_m=5": ("placement.mode paper", "metric"),
+    "placement.on_miss=keep": ("placement.mode paper", "metric"),
+    "camera.altitude={fixed_m: 50}": ("placement.mode metric", "paper"),
+    "camera.calibrate=false": ("placement.mode metric", "paper"),
+    "objects.0.range_m=20": ("placement.mode metric", "paper"),
+    "objects.0.group={share: 0.5}": ("placement.mode metric", "paper"),
+    "placement.clear_of_labels=true": ("placement.mode metric", "paper"),
+    "placement.max_relief_grey=3": ("placement.mode metric", "paper"),
+    "appearance.cold_below_air_k=5": ("appearance.mode artistic", "physical"),
+    "appearance.hot_above_air_k=5": ("appearance.mode artistic", "physical"),
+    "appearance.surroundings_below_air_k=5": ("appearance.mode artistic", "physical"),
+    "matching.low_percentile=5": ("appearance.mode artistic", "physical"),
+    "matching.high_percentile=95": ("appearance.mode artistic", "physical"),
+    "matching.min_span=0.5": ("appearance.mode artistic", "physical"),
+    "environment.dew_point_below_air_k=5": ("appearance.mode physical", "artistic"),
+    "environment.clear_share=0.5": ("appearance.mode physical", "artistic"),
+    "environment.ground_above_air_day_k=5": ("appearance.mode physical", "artistic"),
+    "environment.ground_above_air_night_k=5": ("appearance.mode physical", "artistic"),
+    "matching.gain_grey_per_k=5": ("appearance.mode physical", "artistic"),
+    "matching.gain_prior_grey_per_k=5": ("appearance.mode physical", "artistic"),
+    "matching.gain_prior_day_grey_per_k=5": ("appearance.mode physical", "artistic"),
+    "matching.gain_prior_spread=0.5": ("appearance.mode physical", "artistic"),
+    "matching.clothing_above_air_k=5": ("appearance.mode physical", "artistic"),
+    "matching.min_contrast_grey=5": ("appearance.mode physical", "artistic"),
+    "sensor.optics=1": ("a camera in sensor.profile", "off"),
+    "sensor.motion_px=3": ("a camera in sensor.profile", "off"),
+}
+
+
+@pytest.mark.parametrize("setting", OF_ONE_MODE)
+def test_a_field_of_another_mode_is_an_error_that_names_its_mode(setting):
+    needs, has = OF_ONE_MODE[setting]
+    name = setting.split("=")[0]
+    modes = [m for m in ("placement.mode=metric", "appearance.mode=physical") if m.endswith(f"={has}")]
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(DRONE, "d", [*modes, setting])
+    (problem,) = caught.value.problems
+    assert problem.where == name and problem.code == "recipe-unknown-key"
+    assert str(problem).startswith(f"{name}: this field has a meaning only with {needs}; this recipe has {has}. Remove")
+    right = needs.replace("a camera in sensor.profile", "sensor.profile hit-uav").replace(" ", "=")
+    parse_recipe(DRONE, "d", [right, setting])
+
+
+def test_a_field_may_need_two_modes():
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(DRONE, "d", ["sensor.defocus=1"])
+    assert "only with placement.mode metric and a camera in sensor.profile" in str(caught.value)
+    assert "set placement.mode to metric and sensor.profile to a camera" in str(caught.value)
+    with pytest.raises(RecipeError, match=r"only with placement\.mode metric; this recipe has paper"):
+        parse_recipe(DRONE, "d", ["sensor.defocus=1", "sensor.profile=monet"])
+    parse_recipe(DRONE, "d", ["sensor.defocus=1", "sensor.profile=monet", "placement.mode=metric"])
+
+
+def test_fields_of_other_modes_in_the_file_are_errors_too():
+    with pytest.raises(
+        RecipeError, match=r"camera\.altitude: this field has a meaning only with placement\.mode metric"
+    ):
+        parse_recipe(DRONE + "camera: {altitude: metadata}", "d")
+
+
+def test_an_unknown_mode_is_one_problem():
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(DRONE, "d", ["placement.mode=metrical", "appearance.mode=3"])
+    assert [str(p) for p in caught.value.problems] == [
+        "appearance.mode: found 3; expected 'artistic' or 'physical'",
+        "placement.mode: found \"metrical\"; expected 'paper' or 'metric'",
+    ]
+
+
+def test_setting_a_mode_drops_the_fields_of_the_old_mode_and_lists_them(caplog):
+    loaded = read_recipe("hit-uav-people", {"placement.mode": "paper", "camera.distance_m": [30, 300]})
+    assert [p.where for p in loaded.dropped] == ["objects.0.group", "camera.altitude", "placement.max_relief_grey"]
+    assert {(p.code, p.severity) for p in loaded.dropped} == {("recipe-dropped", "warning")}
+    assert str(loaded.dropped[2]) == (
+        "placement.max_relief_grey: 18 is not used: this field has a meaning only with placement.mode metric; "
+        "this recipe has paper"
+    )
+    assert loaded.recipe.camera.distance_m == (30, 300)
+    assert loaded.recipe.placement.size_px == (8, 160)  # fields of both modes stay
+
+    load_recipe("hit-uav-person", ["appearance.mode=artistic"])
+    assert [r.getMessage().split(":")[0] for r in caplog.records] == [
+        "environment.clear_share",
+        "environment.ground_above_air_night_k",
+        "matching.gain_grey_per_k",
+        "matching.gain_prior_grey_per_k",
+        "matching.gain_prior_spread",
+        "matching.clothing_above_air_k",
+    ]
+
+
+def test_turning_the_sensor_off_drops_its_strengths():
+    loaded = read_recipe("hit-uav-person", ["sensor.profile=off"])
+    assert loaded.recipe.sensor == NoSensor()
+    assert [p.where for p in loaded.dropped] == ["sensor.optics", "sensor.codec"]
+
+
+def test_a_setting_of_the_old_mode_stays_an_error_beside_a_change_of_mode():
+    with pytest.raises(RecipeError) as caught:
+        read_recipe("hit-uav-people", ["placement.mode=paper", "placement.max_relief_grey=3"])
+    assert [p.where for p in caught.value.problems] == ["placement.max_relief_grey"]
+    with pytest.raises(RecipeError, match=r"camera\.altitude"):
+        read_recipe("hit-uav-people", {"placement.mode": "paper", "camera": {"altitude": "metadata"}})
+
+
+def test_without_a_change_of_mode_nothing_is_dropped():
+    assert read_recipe("hit-uav-people", ["placement.mode=metric", "sensor.profile=monet"]).dropped == ()
+    with pytest.raises(RecipeError, match=r"objects\.0\.x_m"):
+        read_recipe("hit-uav-people", ["objects.0.x_m=3"])
+
+
+def test_misspelt_fields_are_not_dropped():
+    with pytest.raises(RecipeError, match=r"placement\.max_releif_grey: unknown key .* Did you mean max_relief_grey\?"):
+        parse_recipe(DRONE + "placement: {mode: metric, max_releif_grey: 3}", "d")
+    with pytest.raises(RecipeError, match=r"objects\.0\.modle: unknown key"):
+        parse_recipe(DRONE.replace("{model", "{modle: x, model"), "d", ["placement.mode=metric"])
+
+
+@pytest.mark.parametrize(
+    ("old", "todo"),
+    [
+        (
+            "placement: {min_contrast_grey: 4}",
+            r"placement\.min_contrast_grey: .*Move it to matching\.min_contrast_grey",
+        ),
+        ("environment: {wind_m_s: 3}", r"environment\.wind_m_s: .*It never had an effect; remove it"),
+        ("matching: {mode: percentile}", r"matching\.mode: .*Appearance\.mode decides it"),
+    ],
+)
+def test_fields_of_older_recipes_are_errors_that_say_what_became_of_them(old, todo):
+    with pytest.raises(RecipeError, match=todo):
+        parse_recipe(DRONE + old, "d")
+
+
+def test_no_moved_or_removed_field_exists():
+    existing = {".".join(f) for m in all_modes() for f in fields_of(m)}
+    assert not existing & {*MOVED, *REMOVED}
+    assert set(MOVED.values()) <= existing
+
+
+def test_recipes_have_the_class_of_their_modes():
+    assert isinstance(load_recipe("hit-uav-drone"), PaperArtisticRecipe)
+    assert isinstance(load_recipe("hit-uav-person"), MetricPhysicalRecipe)
+    assert isinstance(load_recipe("hit-uav-person").matching, LocalMatching)
+    assert isinstance(load_recipe("hit-uav-drone").matching, PercentileMatching)
+    assert {recipe_class(m) for m in all_modes()} == {recipe_class(Modes(p, a)) for p in ("paper", "metric")
+                                                      for a in ("artistic", "physical")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list_recipes())
+def test_recipes_keep_their_modes_through_json(name):
+    recipe = load_recipe(name)
+    text = recipe.model_dump_json()
+    assert recipe_from_json(text) == recipe
+    # What a card and a stage's key hold.
+    short = json.loads(recipe.model_dump_json(exclude_defaults=True))
+    assert modes_of(short) == modes_of(json.loads(text))
+    assert recipe_class(modes_of(short)).model_validate_json(json.dumps(short)) == recipe
+
+
+def test_records_of_earlier_versions_are_read():
+    recipe = load_recipe("hit-uav-person")
+    recorded = json.loads(recipe.model_dump_json())
+    # Earlier records have all fields in every mode.
+    recorded["camera"]["distance_m"] = [1, 10]
+    recorded["objects"][0] |= {"x_m": [-3, 3], "y_m": [-3, 3]}
+    recorded["environment"]["wind_m_s"] = [0, 4]
+    recorded["appearance"]["hot_above_air_k"] = 20
+    recorded["matching"] |= {"mode": "local", "low_percentile": 1}
+    recorded["placement"] |= {"on_miss": "redraw", "min_contrast_grey": recorded["matching"].pop("min_contrast_grey")}
+    assert recipe_from_json(json.dumps(upgrade_recorded(recorded))) == recipe
+
+
+def test_scenes_of_earlier_versions_are_read(tmp_path, write_tiny_hit_uav):
+    data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
+    settings = {"appearance.mode": "physical", "matching.min_contrast_grey": 0}
+    run = {"renderer": "fake", "in_process": True, "settings": settings}
+    api.generate("hit-uav-drone", data, tmp_path / "run", **run)
+    scene = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())["scene"]
+    assert "wind_m_s" not in scene["weather"]
+    older = {**scene, "weather": {**scene["weather"], "wind_m_s": 1.5}}
+    assert SceneSpec.from_json(older) == SceneSpec.from_json(scene)
+
+
+def test_plan_and_run_record_list_dropped_fields(tmp_path, write_tiny_hit_uav):
+    data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
+    settings = {"placement.mode": "metric", "camera.altitude": {"fixed_m": 50}, "placement.max_relief_grey": 0}
+    dropped = ["objects.0.x_m", "objects.0.y_m", "camera.distance_m"]
+    plan = api.plan("hit-uav-drone", data, settings=settings)
+    assert [text.split(":")[0] for text in plan.to_json()["dropped_fields"]] == dropped
+    report = api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, renderer="fake", in_process=True)
+    assert report.ok
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    found = [p["where"] for p in record["problems"] if p["code"] == "recipe-dropped"]
+    assert sorted(found) == sorted(dropped)
