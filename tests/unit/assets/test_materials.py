@@ -224,15 +224,15 @@ def test_a_material_made_by_hand_keeps_its_surface(tmp_path) -> None:
     [
         ("delta_t_k: 3, kind: fur_coat", "kind", "one of .*antler, asphalt.*wood"),
         ("delta_t_k: 3", "emissivity", "expected a value"),
-        ("delta_t_k: 3, emissivity: 1.2", "emissivity", "at most 1"),
-        ("delta_t_k: 3, emissivity: [-0.1, 0.5]", "emissivity", "at least 0"),
+        ("delta_t_k: 3, emissivity: 1.2", "emissivity", "less than or equal to 1"),
+        ("delta_t_k: 3, emissivity: [-0.1, 0.5]", "emissivity", "greater than or equal to 0"),
         ("delta_t_k: 3, emissivity: [0.9, 0.8]", "emissivity", "low end is not above"),
         ("delta_t_k: [5, 4], kind: fur", "delta_t_k", "low end is not above"),
-        ("delta_t_k: -290, kind: fur", "delta_t_k", "at least -100"),
-        ("delta_t_k: 4000, kind: fur", "delta_t_k", "at most 1000"),
+        ("delta_t_k: -290, kind: fur", "delta_t_k", "greater than or equal to -100"),
+        ("delta_t_k: 4000, kind: fur", "delta_t_k", "less than or equal to 1000"),
         ("delta_t_k: .nan, kind: fur", "delta_t_k", "number"),
-        ("delta_t_k: 3, kind: fur, opacity: 0", "opacity", "above 0"),
-        ("delta_t_k: 3, kind: fur, opacity: 2, label: false", "opacity", "at most 1"),
+        ("delta_t_k: 3, kind: fur, opacity: 0", "opacity", "greater than 0"),
+        ("delta_t_k: 3, kind: fur, opacity: 2, label: false", "opacity", "less than or equal to 1"),
         ("delta_t_k: 3, kind: fur, opacity: 0.5", "opacity", "label: false"),
     ],
 )
@@ -245,11 +245,11 @@ def test_a_users_nonsense_is_named(tmp_path, parts: str, field: str, expected: s
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("{delta_t_k: -280}", "at least -100"),
-        ("{delta_t_k: [0, 1e4]}", "at most 1000"),
+        ("{delta_t_k: -280}", "greater than or equal to -100"),
+        ("{delta_t_k: [0, 1e4]}", "less than or equal to 1000"),
         ("{delta_t_k: [5, 4]}", "low end is not above"),
-        ("{emissivity: 1.01}", "at most 1"),
-        ("{emissivity: [-0.2, 1]}", "at least 0"),
+        ("{emissivity: 1.01}", "less than or equal to 1"),
+        ("{emissivity: [-0.2, 1]}", "greater than or equal to 0"),
         ("{emissivity: [0.9, 0.1]}", "low end is not above"),
     ],
 )
