@@ -1,12 +1,14 @@
-"""Unpacking an archive that nobody vouches for: zip, tar or tar.gz into a new folder, regular files only.
+"""Unpack an untrusted zip, tar or tar.gz archive into a new folder, regular files only.
 
-Nothing is ever written outside the folder. Links and devices are refused, not followed; so are names that climb, and
-archives that would grow beyond reason.
+Nothing is ever written outside the folder. Links, devices, names that lead out of the folder, and archives that would
+grow beyond the limits are refused.
 """
 
 from __future__ import annotations
 
 import contextlib
+import gzip
+import io
 import os
 import re
 import shutil
@@ -17,6 +19,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -24,15 +27,15 @@ from infrablend.core.files import output_error
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, Problem
 from infrablend.formats.base import shorten
 
-CHUNK_BYTES = 1 << 20
-_DIRECTORY_BYTES = 64 << 20  # of a zip's own list, which is read whole
-_HEADER_BYTES = 64 << 10  # of a tar's long names, which are read whole
-_TRAILING_BYTES = 64 << 20  # after a tar's end: padding
+CHUNK_BYTES = 1 << 20  # of a single read; longer headers of a tar are refused
+_DIRECTORY_BYTES = 64 << 20  # of a zip's list of entries, which is read whole
+_GLOBAL_HEADERS = 100  # of a tar, which are kept
+_TRAILING_BYTES = 64 << 20  # of padding after a tar's end
 _ZIP_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
-# What packing on other systems leaves beside the one folder that wraps everything.
+# Files that other systems add beside the one folder that wraps everything.
 _LITTER = re.compile(r"\.DS_Store|__MACOSX|\._.*|Thumbs\.db")
 
-# What the libraries raise on bytes that are no archive, or no longer one.
+# Exceptions of the libraries on bytes that are not an archive, or a damaged one.
 _DAMAGE = (
     zipfile.BadZipFile,
     tarfile.TarError,
@@ -46,18 +49,18 @@ _DAMAGE = (
 )
 
 OnFiles = Callable[[int, int | None], None]
-"""Called with the files written and their number, None if the archive does not say it."""
+"""Called with the number of files written and of all files, None if the archive does not state it."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What an archive may become.
+    """Limits on the contents of an archive.
 
     Attributes:
-        total_bytes: All files together.
-        files: Files and folders.
-        ratio: Unpacked bytes for each packed one.
-        free_bytes: Below this the ratio does not matter.
+        total_bytes: Size of all files together.
+        files: Number of files and folders.
+        ratio: Unpacked bytes per packed byte.
+        free_bytes: Unpacked size up to which the ratio does not apply.
     """
 
     total_bytes: int = 200 * 10**9
@@ -68,7 +71,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Unpacked:
-    """What came out: files, their bytes, and the git commit the archive says it is a picture of, if it says one."""
+    """Number and size of the files, and the git commit of which the archive states that it is a copy, if any."""
 
     files: int
     size_bytes: int
@@ -77,7 +80,7 @@ class Unpacked:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A file or folder of an archive; `refused` says why it is neither."""
+    """A file or folder of an archive; `refused` is the reason if it must not be unpacked."""
 
     name: str
     size_bytes: int
@@ -86,32 +89,69 @@ class _Entry:
     open: Callable[[], IO[bytes]]
 
 
+@dataclass(frozen=True)
+class _Contents:
+    """What an opened archive contains.
+
+    Attributes:
+        entries: Files and folders in order.
+        count: Number of entries, if known beforehand.
+        size_bytes: Size of all files, if known beforehand.
+        commit: Returns the git commit of which the archive is a copy, once all entries have been read.
+    """
+
+    entries: Iterator[_Entry]
+    count: int | None
+    size_bytes: int | None
+    commit: Callable[[], str | None]
+
+
+@dataclass(frozen=True)
+class _Growth:
+    """How large the contents of an archive may become."""
+
+    archive: Path
+    packed_bytes: int
+    limits: Limits
+
+    def require(self, size_bytes: int) -> None:
+        """Raise DatasetError if the contents are larger than allowed."""
+        most = max(int(self.packed_bytes * self.limits.ratio), self.limits.free_bytes)
+        most = min(self.limits.total_bytes, most)
+        if size_bytes > most:
+            found = f"{self.packed_bytes} bytes would become {size_bytes} or more"
+            raise _refusal(self.archive, "archive-grows", found, f"at most {most}")
+
+    def require_count(self, count: int, found: str) -> None:
+        """Raise DatasetError if there are more entries than allowed."""
+        if count > self.limits.files:
+            raise _refusal(self.archive, "too-many-files", found, f"at most {self.limits.files}")
+
+
 def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: OnFiles | None = None) -> Unpacked:
-    """Unpack `archive` into `folder`, which must not exist; on any error it is removed again.
+    """Unpack `archive` into `folder`, which must not exist; on any error the folder is removed again.
 
     Raises:
-        DatasetError: The archive is damaged, is none, or holds what must not be unpacked; all such entries of a zip
-            are named, the first one of a tar.
-        OutputError: The disk.
+        DatasetError: The file is damaged, is not an archive, or contains entries that must not be unpacked: all of
+            them are listed for a zip, the first one for a tar.
+        OutputError: The disk failed.
     """
-    limits = limits or Limits()
     try:
-        packed_bytes = archive.stat().st_size
-        most = min(limits.total_bytes, max(int(packed_bytes * limits.ratio), limits.free_bytes))
-        with _opened(archive) as (entries, count, size_bytes, commit):
-            if count is not None and count > limits.files:
-                raise _refusal(archive, "too-many-files", f"{count} entries", f"at most {limits.files}")
-            if size_bytes is not None:
-                _require_growth(archive, size_bytes, most, packed_bytes)
-                require_room(folder.parent, size_bytes)
+        growth = _Growth(archive, archive.stat().st_size, limits or Limits())
+        with _opened(archive, folder) as contents:
+            if contents.count is not None:
+                growth.require_count(contents.count, f"{contents.count} entries")
+            if contents.size_bytes is not None:
+                growth.require(contents.size_bytes)
+                require_room(folder.parent, contents.size_bytes)
             with _disk(folder):
                 folder.mkdir(parents=True)
             try:
-                files, written = _write(archive, folder, entries, count, most, packed_bytes, limits, on_files)
+                files, written = _write(folder, contents, growth, on_files)
             except BaseException:
                 shutil.rmtree(folder, ignore_errors=True)
                 raise
-            return Unpacked(files, written, commit())
+            return Unpacked(files, written, contents.commit())
     except _DAMAGE as error:
         if isinstance(error, InfraBlendError):
             raise
@@ -119,30 +159,20 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
     except OSError as error:
         if isinstance(error, InfraBlendError):
             raise
-        # Errors of the disk are OutputErrors by now: this is a place outside the archive, or gzip's own complaint.
+        # Errors of the disk are OutputErrors by now: this is a position outside the archive, or an error of gzip.
         raise _damaged(archive, error.strerror or str(error)) from error
 
 
-def _write(
-    archive: Path,
-    folder: Path,
-    entries: Iterator[_Entry],
-    count: int | None,
-    most: int,
-    packed_bytes: int,
-    limits: Limits,
-    on_files: OnFiles | None,
-) -> tuple[int, int]:
-    """Write every entry; (files, bytes)."""
-    files = written = seen = 0
-    for entry in entries:
-        seen += 1
-        if seen > limits.files:
-            raise _refusal(archive, "too-many-files", f"more than {limits.files} entries", f"at most {limits.files}")
+def _write(folder: Path, contents: _Contents, growth: _Growth, on_files: OnFiles | None) -> tuple[int, int]:
+    """Write every entry; return the number of files and of bytes."""
+    archive = growth.archive
+    files = written = 0
+    for seen, entry in enumerate(contents.entries, 1):
+        growth.require_count(seen, f"more than {growth.limits.files} entries")
         if entry.refused:
             raise _refusal(archive, "archive-entry", f"{entry.name!r}: {entry.refused}", "plain files and folders")
-        # Neither library gives out more bytes of an entry than it announces.
-        _require_growth(archive, written + entry.size_bytes, most, packed_bytes)
+        # Neither library returns more bytes of an entry than it announces.
+        growth.require(written + entry.size_bytes)
         target = folder.joinpath(*_parts(entry.name))
         try:
             with _disk(target):
@@ -163,13 +193,13 @@ def _write(
         written += entry.size_bytes
         files += 1
         if on_files is not None:
-            on_files(files, count)
+            on_files(files, contents.count)
     return files, written
 
 
 @contextlib.contextmanager
 def _disk(path: Path) -> Iterator[None]:
-    """What goes wrong here is the disk's fault, not the archive's; a name that is taken stays what it is."""
+    """Report errors as the disk's, not the archive's, except for a name that is already taken."""
     try:
         yield
     except (FileExistsError, NotADirectoryError):
@@ -180,7 +210,7 @@ def _disk(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _closing(out: IO[bytes], path: Path) -> Iterator[None]:
-    """Close a file that was written; the last bytes may find the disk full."""
+    """Close a written file; writing the last bytes may fail on a full disk."""
     try:
         yield
     except BaseException:
@@ -191,55 +221,72 @@ def _closing(out: IO[bytes], path: Path) -> Iterator[None]:
         out.close()
 
 
+class _Capped(io.BufferedReader):
+    """A file that refuses single reads above a limit.
+
+    `zipfile` reads the list of an archive whole, and `tarfile` every long name, at the size that the archive announces.
+    """
+
+    def __init__(self, raw: io.RawIOBase, most: int, refusal: Callable[[int], Exception]) -> None:
+        super().__init__(raw)
+        self._most, self._refusal = most, refusal
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most `size` bytes.
+
+        Raises:
+            Exception: `size` is above the limit.
+        """
+        if size is not None and size > self._most:
+            raise self._refusal(size)
+        return super().read(size)
+
+
 @contextlib.contextmanager
-def _opened(archive: Path) -> Iterator[tuple[Iterator[_Entry], int | None, int | None, Callable[[], str | None]]]:
-    """Entries, their number and bytes if known beforehand, and how to learn the commit once they are read."""
+def _opened(archive: Path, folder: Path) -> Iterator[_Contents]:
+    """Open an archive of any supported type; `folder` is where its entries will be written."""
     with archive.open("rb") as file:
         start = file.read(512)
     if start[:4] in {b"PK\x03\x04", b"PK\x05\x06"}:
-        with _zip(archive) as opened:
-            yield opened
+        with _zip(archive) as contents:
+            yield contents
     elif start[:2] == b"\x1f\x8b" or start[257:262] == b"ustar":
-        with tarfile.open(archive, "r:gz" if start[:2] == b"\x1f\x8b" else "r:", tarinfo=_TarInfo) as tar:
-            # git writes the commit into the global header.
-            yield _tar_entries(tar), None, None, lambda: _commit(tar.pax_headers.get("comment", ""))
+        with _tar(archive, folder, packed=start[:2] == b"\x1f\x8b") as contents:
+            yield contents
     else:
         begins = "an HTML page" if b"<html" in start.lower() or b"<!doctype" in start.lower() else repr(start[:8])
-        found = f"begins with {begins}" if start else "is empty"
+        found = f"starts with {begins}" if start else "is empty"
         raise _refusal(archive, "archive-unknown", found, "a zip, tar or tar.gz file")
 
 
 @contextlib.contextmanager
-def _zip(archive: Path) -> Iterator[tuple[Iterator[_Entry], int, int, Callable[[], str | None]]]:
-    with archive.open("rb") as file:
-        # The list of a zip is read whole: its size is looked at before.
-        end = zipfile._EndRecData(file)  # type: ignore[attr-defined]
-        if end and end[zipfile._ECD_SIZE] > _DIRECTORY_BYTES:  # type: ignore[attr-defined]
-            raise _refusal(
-                archive, "too-many-files", f"a list of {end[5]} bytes", f"a list of at most {_DIRECTORY_BYTES} bytes"
-            )
-        with zipfile.ZipFile(file) as packed:
-            entries = [_zip_entry(packed, info) for info in packed.infolist()]
-            refused = [
-                Problem(archive.name, "archive-entry", f"{e.name!r}: {e.refused}", "plain files and folders")
-                for e in entries
-                if e.refused
-            ]
-            if refused:
-                raise DatasetError(
-                    f"{archive.name}: holds what must not be unpacked; nothing was written", shorten(refused)
-                )
-            size_bytes = sum(e.size_bytes for e in entries)
-            yield iter(entries), len(entries), size_bytes, lambda: _commit(packed.comment.decode("ascii", "replace"))
+def _zip(archive: Path) -> Iterator[_Contents]:
+    def too_long(size: int) -> Exception:
+        found = f"a list of {size} bytes"
+        return _refusal(archive, "too-many-files", found, f"a list of at most {_DIRECTORY_BYTES} bytes")
+
+    with _Capped(io.FileIO(archive), _DIRECTORY_BYTES, too_long) as file, zipfile.ZipFile(file) as packed:
+        entries = [_zip_entry(packed, info) for info in packed.infolist()]
+        refused = [
+            Problem(archive.name, "archive-entry", f"{e.name!r}: {e.refused}", "plain files and folders")
+            for e in entries
+            if e.refused
+        ]
+        if refused:
+            message = f"{archive.name}: contains entries that must not be unpacked; nothing was written"
+            raise DatasetError(message, shorten(refused))
+        size_bytes = sum(e.size_bytes for e in entries)
+        commit = _commit(packed.comment.decode("ascii", "replace"))
+        yield _Contents(iter(entries), len(entries), size_bytes, lambda: commit)
 
 
 def _zip_entry(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Entry:
-    # The name as it stands there: ZipInfo cuts it at a NUL.
+    # The name in the file: ZipInfo cuts it at a NUL.
     name = info.orig_filename.replace("\\", "/")
     kind = stat.S_IFMT(info.external_attr >> 16) if info.create_system == 3 else 0
     refused = _bad_name(name)
     if kind not in {0, stat.S_IFREG, stat.S_IFDIR}:
-        refused = "a link" if kind == stat.S_IFLNK else "no plain file"
+        refused = "a link" if kind == stat.S_IFLNK else "not a plain file"
     elif info.flag_bits & 0x1:
         refused = "is encrypted"
     elif info.compress_type not in _ZIP_METHODS:
@@ -248,44 +295,71 @@ def _zip_entry(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Entry:
     return _Entry(name, 0 if folder else info.file_size, folder, refused, lambda: packed.open(info))
 
 
-class _TarInfo(tarfile.TarInfo):
-    """Refuses long-name headers that would fill the memory."""
+@contextlib.contextmanager
+def _tar(archive: Path, folder: Path, *, packed: bool) -> Iterator[_Contents]:
+    def too_long(size: int) -> Exception:
+        return tarfile.ReadError(f"a header of {size} bytes, expected at most {CHUNK_BYTES}")
 
-    def _proc_member(self, tar: tarfile.TarFile) -> tarfile.TarInfo:
-        long_headers = {tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE}
-        if self.type in long_headers | {tarfile.SOLARIS_XHDTYPE} and self.size > _HEADER_BYTES:
-            raise tarfile.ReadError(f"a header of {self.size} bytes, expected at most {_HEADER_BYTES}")
-        return super()._proc_member(tar)  # type: ignore[misc,no-any-return]
-
-
-def _tar_entries(tar: tarfile.TarFile) -> Iterator[_Entry]:
-    while (member := tar.next()) is not None:
-        tar.members.clear()  # type: ignore[attr-defined] # else it keeps every member it has seen
-        refused = _bad_name(member.name)
-        if member.issym() or member.islnk():
-            refused = "a link"
-        elif not (member.isreg() or member.isdir()) or member.issparse():
-            refused = "no plain file"
-        yield _tar_entry(tar, member, refused)
-    _require_end(tar)
+    with contextlib.ExitStack() as stack:
+        raw = stack.enter_context(gzip.GzipFile(archive) if packed else io.FileIO(archive))
+        file = stack.enter_context(_Capped(raw, CHUNK_BYTES, too_long))  # type: ignore[arg-type] # GzipFile will do
+        tar = stack.enter_context(tarfile.TarFile(fileobj=file))
+        # git writes the commit into the global header.
+        yield _Contents(
+            _tar_entries(tar, file, folder), None, None, lambda: _commit(tar.pax_headers.get("comment", ""))
+        )
 
 
-def _tar_entry(tar: tarfile.TarFile, member: tarfile.TarInfo, refused: str) -> _Entry:
-    def opened() -> IO[bytes]:
-        source = tar.extractfile(member)
-        assert source is not None  # a regular file
-        return source
+def _tar_entries(tar: tarfile.TarFile, file: IO[bytes], folder: Path) -> Iterator[_Entry]:
+    """Yield the entries one by one; iterating over the TarFile would keep every one of them in memory."""
+    member, after = tar.next(), 0
+    while member is not None:
+        yield _Entry(
+            member.name,
+            0 if member.isdir() else member.size,
+            member.isdir(),
+            _tar_refusal(member, folder),
+            partial(_tar_content, tar, member),
+        )
+        if len(tar.pax_headers) > _GLOBAL_HEADERS:
+            raise tarfile.ReadError(f"more than {_GLOBAL_HEADERS} global headers")
+        blocks = 0 if member.isdir() else -(-member.size // tarfile.BLOCKSIZE)
+        after = member.offset_data + blocks * tarfile.BLOCKSIZE
+        file.seek(after)
+        try:
+            member = tarfile.TarInfo.fromtarfile(tar)
+        except tarfile.HeaderError:
+            member = None
+    _require_end(file, after)
 
-    return _Entry(member.name, 0 if member.isdir() else member.size, member.isdir(), refused, opened)
+
+def _tar_content(tar: tarfile.TarFile, member: tarfile.TarInfo) -> IO[bytes]:
+    content = tar.extractfile(member)
+    assert content is not None  # a regular file
+    return content
 
 
-def _require_end(tar: tarfile.TarFile) -> None:
-    """tarfile takes a broken header for the end: look whether the end mark stands there, and gzip's checksum holds."""
-    file, rest = tar.fileobj, 0
-    assert file is not None
-    file.seek(tar.offset)
+def _tar_refusal(member: tarfile.TarInfo, folder: Path) -> str:
+    """Return why an entry must not be written; empty if it may. Stricter than `data_filter`, which keeps some links."""
+    if member.issym() or member.islnk():
+        return "a link"
+    if not (member.isreg() or member.isdir()) or member.issparse():
+        return "not a plain file"
+    if reason := _bad_name(member.name):
+        return reason
+    try:
+        tarfile.data_filter(member, str(folder))
+    except tarfile.FilterError as error:
+        return str(error)
+    return ""
+
+
+def _require_end(file: IO[bytes], position: int) -> None:
+    """Check for the end mark, since a broken header looks like the end, and read on to verify gzip's checksum."""
+    file.seek(position)
     if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
-        raise tarfile.ReadError(f"no header and no end at byte {tar.offset}")
+        raise tarfile.ReadError(f"neither a header nor the end at byte {position}")
+    rest = 0
     while chunk := file.read(CHUNK_BYTES):
         rest += len(chunk)
         if rest > _TRAILING_BYTES:
@@ -297,12 +371,12 @@ def _parts(name: str) -> list[str]:
 
 
 def _bad_name(name: str) -> str:
-    """Why a name must not become a path below the folder; empty if it may."""
+    """Return why a name must not become a path below the folder; empty if it may."""
     parts = _parts(name)
     if name.startswith("/") or re.match(r"[A-Za-z]:", name):
         return "an absolute path"
     if ".." in parts:
-        return "a path that climbs out"
+        return "a path that leads out of the folder"
     if re.search(r"[\x00-\x1f\x7f]", name):
         return "a name with control characters"
     if name != name.encode("utf-8", "replace").decode("utf-8"):
@@ -316,18 +390,8 @@ def _commit(text: str) -> str | None:
     return text if re.fullmatch(r"[0-9a-f]{40}", text) else None
 
 
-def _require_growth(archive: Path, size_bytes: int, most: int, packed_bytes: int) -> None:
-    if size_bytes > most:
-        raise _refusal(
-            archive,
-            "archive-grows",
-            f"{packed_bytes} bytes would become {size_bytes} or more",
-            f"at most {most}",
-        )
-
-
 def require_room(folder: Path, size_bytes: int) -> None:
-    """Raise OutputError unless the disk of `folder` has so much room, and a little more."""
+    """Raise OutputError unless the disk of `folder` has room for `size_bytes` and 50 MB more."""
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
@@ -336,26 +400,26 @@ def require_room(folder: Path, size_bytes: int) -> None:
             str(folder),
             "disk-full",
             f"{free / 1e9:.2f} GB free",
-            f"{size_bytes / 1e9:.2f} GB and a little more",
-            "free some space, or give a folder on another disk; what is there is kept",
+            f"at least {(size_bytes + 50_000_000) / 1e9:.2f} GB",
+            "free some space, or choose a folder on another disk; files that are complete are kept",
         )
         raise OutputError("not enough room on the disk", [problem])
 
 
 def _refusal(archive: Path, code: str, found: str, expected: str) -> DatasetError:
-    todo = "do not use this file; fetch it from its authors' page"
+    todo = "do not use this file; download it from its authors' page"
     return DatasetError(f"{archive.name}: not unpacked", [Problem(archive.name, code, found, expected, todo)])
 
 
 def _damaged(archive: Path, why: str) -> DatasetError:
     problem = Problem(
-        archive.name, "archive-damaged", f"is damaged or cut short ({why})", "a whole zip, tar or tar.gz file"
+        archive.name, "archive-damaged", f"is damaged or incomplete ({why})", "a complete zip, tar or tar.gz file"
     )
     return DatasetError(f"{archive.name}: cannot be unpacked", [problem])
 
 
 def without_wrapper(folder: Path) -> Path:
-    """The innermost folder that holds everything: archives often wrap their content in a folder, or in two."""
+    """Return the innermost folder that contains everything, since archives often wrap their content in folders."""
     while True:
         names = sorted(e.name for e in os.scandir(folder) if not _LITTER.fullmatch(e.name))
         if len(names) != 1 or not (folder / names[0]).is_dir():

@@ -573,9 +573,9 @@ def test_all_bad_entries_of_a_zip_are_named(tmp_path):
     with pytest.raises(DatasetError) as caught:
         unpack(tmp_path / "a.zip", tmp_path / "out")
     assert [p.found for p in caught.value.problems] == [
-        "'../a': a path that climbs out",
+        "'../a': a path that leads out of the folder",
         "'/b': an absolute path",
-        "'c/../../d': a path that climbs out",
+        "'c/../../d': a path that leads out of the folder",
     ]
 
 
@@ -871,10 +871,10 @@ def test_checksums(tiny, server, tmp_path):
 def test_a_corrupt_archive_is_deleted_and_fetched_anew(tiny, server, tmp_path):
     good = server.files["/tiny.zip"]
     server.files["/tiny.zip"] = good[:-100]
-    with pytest.raises(DatasetError, match="damaged or cut short"):
+    with pytest.raises(DatasetError, match="damaged or incomplete"):
         fetch("tiny", tmp_path / "out")
     server.files["/tiny.zip"] = flipped(good, 200)
-    with pytest.raises(DatasetError, match="damaged or cut short"):
+    with pytest.raises(DatasetError, match="damaged or incomplete"):
         fetch("tiny", tmp_path / "out")
     server.files["/tiny.zip"], server.etag = good, '"v2"'
     fetch("tiny", tmp_path / "out")
@@ -884,7 +884,7 @@ def test_a_corrupt_archive_is_deleted_and_fetched_anew(tiny, server, tmp_path):
 def test_a_hostile_archive_writes_nothing_outside(tiny, server, tmp_path):
     server.files["/tiny.zip"] = zip_entry("../../escaped")
     before = tree(tmp_path)
-    with pytest.raises(DatasetError, match="climbs out"):
+    with pytest.raises(DatasetError, match="leads out of the folder"):
         fetch("tiny", tmp_path / "out")
     assert tree(tmp_path) == before
 
