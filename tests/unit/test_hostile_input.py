@@ -147,7 +147,7 @@ def test_two_runs_in_one_folder_are_refused(data, tmp_path):
     handle = os.open(out, os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:
-        with pytest.raises(OutputError, match="another run is writing here"):
+        with pytest.raises(OutputError, match="another process is writing this run"):
             generate(data, out)
         assert list(out.iterdir()) == []
     finally:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import logging
 import os
@@ -122,40 +121,3 @@ def link_or_copy(source: Path, target: Path) -> Path:
                 raise
             shutil.copyfile(real, temporary)
     return target
-
-
-@contextlib.contextmanager
-def claimed_folder(root: Path, busy: str) -> Iterator[None]:
-    """Keep every other process from writing to `root`, which is made; the claim ends with the process, however it ends.
-
-    Args:
-        root: The folder.
-        busy: What to say to a second process.
-
-    Raises:
-        OutputError: If another process is at work here, or the folder cannot be made.
-    """
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        # The lock is on the folder itself, so that it leaves no file behind.
-        handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
-    except FileExistsError as error:
-        raise OutputError(
-            f"{root}: is {'a link that leads nowhere' if root.is_symlink() else 'a file'}; "
-            "expected a folder, or a name that does not exist yet"
-        ) from error
-    except (OSError, ValueError) as error:
-        raise OutputError(
-            f"{root}: cannot be written ({getattr(error, 'strerror', None) or error}); "
-            "expected a folder you may write to"
-        ) from error
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise OutputError(f"{root}: {busy}") from error
-        except OSError as error:  # file systems without locks
-            log.warning("%s: cannot be locked (%s); do not let two commands write to it", root, error)
-        yield
-    finally:
-        os.close(handle)

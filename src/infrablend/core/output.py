@@ -1,14 +1,193 @@
-"""Output folders: where results may be written."""
+"""Output folders: who may write to one, what is ours in it, and what may be deleted.
+
+Every command that writes a folder goes through `OutputFolder`, so that all of them refuse, lock and delete by the same
+rules and in the same words:
+
+* A folder that is new or empty is always accepted.
+* A folder with something in it is accepted only if the command's own record is there and the user asked to resume or
+  to overwrite.
+* Only names that the command wrote are deleted. Nothing is deleted through a symbolic link.
+* One process at a time writes to a folder.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
+from infrablend.core.files import output_error
 from infrablend.errors import OutputError
+
+log = logging.getLogger(__name__)
 
 Existing = Literal["refuse", "resume", "overwrite"]
 """What to do with an output folder that already has results: refuse it, finish them, or replace them."""
+
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class OutputFolder:
+    """The output folder of a command.
+
+    Attributes:
+        root: Path of the folder.
+        noun: Name of what the command writes, such as `run` or `conversion`, for messages.
+        record: File name of the record that marks the folder as the command's own; empty if there is none.
+        can_resume: True if the command can finish what an interrupted call left.
+        can_overwrite: True if the command can replace what an earlier call wrote.
+    """
+
+    root: Path
+    noun: str
+    record: str = ""
+    can_resume: bool = False
+    can_overwrite: bool = False
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Make the folder and lock it against other processes; the lock ends with this process, however that ends.
+
+        Raises:
+            OutputError: Another process is writing here, or the folder cannot be made.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            # The lock is on the folder itself and leaves no file behind.
+            handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
+        except FileExistsError as error:
+            raise self._not_a_folder() from error
+        except (OSError, ValueError) as error:
+            raise self._not_writable(error) from error
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"{self.root}: another process is writing this {self.noun}; "
+                    "wait for it to end, or give another folder"
+                ) from error
+            except OSError as error:  # file systems without locks
+                log.warning("%s: cannot be locked (%s); do not let two commands write to it", self.root, error)
+            yield
+        finally:
+            os.close(handle)
+
+    def entries(self, *, ignore: Iterable[str] = ()) -> list[str]:
+        """Return the names in the folder, sorted; empty if it does not exist.
+
+        Raises:
+            OutputError: It is a file, or a folder that may not be written.
+        """
+        if not self.root.exists() and not self.root.is_symlink():
+            return []
+        if not self.root.is_dir():
+            raise self._not_a_folder()
+        if not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):
+            raise OutputError(f"{self.root}: cannot be written; expected a folder you may write to")
+        left_out = set(ignore)
+        return sorted(p.name for p in self.root.iterdir() if p.name not in left_out)
+
+    def require_empty(self, *, existing: Existing = "refuse", ignore: Iterable[str] = ()) -> list[str]:
+        """Check that the folder is empty, unless the user asked to resume or overwrite; return what is in it.
+
+        Raises:
+            OutputError: It is not empty and `existing` is `refuse`.
+        """
+        if existing not in get_args(Existing):
+            raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
+        entries = self.entries(ignore=ignore)
+        if entries and existing == "refuse":
+            options = ["Use --resume to finish an interrupted one"] * self.can_resume
+            verb = "" if options else "Use "
+            options += [f"{verb}--overwrite to replace an earlier {self.noun}"] * self.can_overwrite
+            options += ["or give another folder" if options else "Give another folder"]
+            raise OutputError(
+                f"{self.root}: not empty (found {self._listed(entries)}); expected an empty or new folder. "
+                f"{', '.join(options)}."
+            )
+        return entries
+
+    def refuse_not_ours(self, why: str = "") -> OutputError:
+        """Return the error for a folder with something else in it than what the command writes."""
+        reason = why or (f"no {self.record}" if self.record else "")
+        return OutputError(
+            f"{self.root}: not empty and not a {self.noun} of InfraBlend{f' ({reason})' if reason else ''}; "
+            "nothing was touched. Give another folder."
+        )
+
+    def require_only(self, own: Iterable[str], entries: Sequence[str]) -> None:
+        """Check that the folder contains nothing but the names in `own`.
+
+        Raises:
+            OutputError: It contains something else; the message names it.
+        """
+        known = set(own)
+        foreign = [e for e in entries if e not in known]
+        if foreign:
+            raise OutputError(
+                f"{self.root}: contains files that are not part of the {self.noun} ({self._listed(foreign)}); "
+                "nothing was touched. Move them elsewhere, or give another folder."
+            )
+
+    def read_record(self) -> Mapping[str, Any] | None:
+        """Return the record, or None if there is none that is a JSON object."""
+        try:
+            data = json.loads((self.root / self.record).read_text("utf-8"))
+        except (OSError, ValueError):
+            return None
+        return data if isinstance(data, dict) else None
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Delete these names, in this order: files, links (not their targets), and folders with all that is in them.
+
+        Raises:
+            OutputError: A name is not one of this folder, or something cannot be deleted.
+        """
+        for name in names:
+            if name in ("", ".", "..") or "/" in name or "\\" in name:
+                raise self.refuse_not_ours(f"{name!r} is no name in it")
+            path = self.root / name
+            try:
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                raise output_error(self.root, error) from error
+
+    def make_writable(self) -> None:
+        """Make the folder, and check by writing a file that it can be written.
+
+        Raises:
+            OutputError: It cannot.
+        """
+        probe = self.root / ".writable"
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            raise self._not_writable(error) from error
+
+    def _listed(self, names: Sequence[str]) -> str:
+        return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
+
+    def _not_a_folder(self) -> OutputError:
+        found = "a link that leads nowhere" if self.root.is_symlink() and not self.root.exists() else "a file"
+        return OutputError(f"{self.root}: is {found}; expected a folder, or a name that does not exist yet")
+
+    def _not_writable(self, error: Exception) -> OutputError:
+        reason = getattr(error, "strerror", None) or error
+        return OutputError(f"{self.root}: cannot be written ({reason}); expected a folder you may write to")
 
 
 def require_apart(data: Path, out: Path) -> None:

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
-from infrablend.core.files import claimed_folder, output_error, write_json
+from infrablend.core.files import output_error, write_json
+from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import Patience, download, require_url
 from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
@@ -173,7 +174,7 @@ def fetch(
         raise DatasetError(f"{name}: nothing was fetched\n{how_to_get(source)}")
     new = not out.exists()
     try:
-        with claimed_folder(out, "another fetch is writing here; wait for it to end, or give another folder"):
+        with _output(out).claimed():
             known = _require_own(order, wanted)
             todo = [a for a in wanted if a.part not in known or _ready(order, a).exists()]
             for a in (a for a in wanted if a not in todo):
@@ -222,10 +223,7 @@ def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
             )
         known = data["archives"]
     elif names - {WORK_FOLDER} and WORK_FOLDER not in names:
-        raise OutputError(
-            f"{order.out}: not empty (found {', '.join(sorted(names)[:4])}{' ...' if len(names) > 4 else ''}); "
-            "expected an empty or new folder. Nothing was touched"
-        )
+        _output(order.out).require_empty()
     for a in wanted:
         ready = _ready(order, a).exists()
         taken = (order.out / a.into).exists() if a.into else bool(names - {WORK_FOLDER, SOURCE_FILE})
@@ -233,6 +231,10 @@ def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
             where = order.out / a.into
             raise OutputError(f"{where}: is there already, and not from `fetch`; move it away or give another folder")
     return known
+
+
+def _output(out: Path) -> OutputFolder:
+    return OutputFolder(out, "download", SOURCE_FILE)
 
 
 def _ready(order: _Order, a: Archive) -> Path:

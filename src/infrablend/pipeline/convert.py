@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,14 +16,13 @@ from infrablend.annotation.classes import drop_classes, ignored_turned_objects, 
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.files import output_error, write_json
+from infrablend.core.files import write_json
 from infrablend.core.format_table import NATIVE, find_writer, written_names
-from infrablend.core.output import require_apart
-from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.core.output import OutputFolder, require_apart
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.writing import WriteSettings
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
 
@@ -158,9 +155,9 @@ def convert_dataset(
         **({} if chosen is None else {"selection": chosen}),
         **({"boxes_loosened": loosened, "loosened_by": loosen} if loosen > 1 else {}),
     }
-    folder = RunFolder(out)
+    folder = OutputFolder(out, "conversion", RECORD_FILE, can_overwrite=True)
     with folder.claimed():
-        _prepare(out, overwrite)
+        _prepare(folder, overwrite)
         header = {
             "infrablend": __version__,
             "source": str(dataset.root),
@@ -177,7 +174,7 @@ def convert_dataset(
             written = writing.write(to, out, images, wanted.categories, settings=settings, source=wanted)
         except BaseException as error:
             # What is there was made by this call: the folder was empty before.
-            write_json(out / RECORD_FILE, header | {"status": "interrupted", "entries": _entries(out)}, indent=2)
+            write_json(out / RECORD_FILE, header | {"status": "interrupted", "entries": _entries(folder)}, indent=2)
             if isinstance(error, ValueError):  # a label that the format does not allow
                 raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
             raise
@@ -193,7 +190,7 @@ def convert_dataset(
         problems += _background_class(writer.name, wanted, settings)
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
         rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
-        write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(out)}, indent=2)
+        write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(folder)}, indent=2)
     return report
 
 
@@ -286,46 +283,23 @@ def _with_sizes(dataset: Dataset, problems: list[Problem]) -> list[ImageRecord]:
     return images
 
 
-def _entries(out: Path) -> list[str]:
-    return sorted(p.name for p in out.iterdir() if p.name != RECORD_FILE)
+def _entries(folder: OutputFolder) -> list[str]:
+    return folder.entries(ignore=[RECORD_FILE])
 
 
-def _prepare(out: Path, overwrite: bool) -> None:
-    """Empty the folder of what an earlier call wrote, if that is wanted; nothing else is ever deleted."""
-    entries = [*_entries(out), *([RECORD_FILE] if (out / RECORD_FILE).exists() else [])]
+def _prepare(folder: OutputFolder, overwrite: bool) -> None:
+    """Delete what an earlier call wrote, if the user asked for that; nothing else is ever deleted."""
+    entries = folder.require_empty(existing="overwrite" if overwrite else "refuse")
     if not entries:
         return
-    shown = ", ".join(entries[:4]) + (" ..." if len(entries) > 4 else "")
-    if not overwrite:
-        raise OutputError(
-            f"{out}: not empty (found {shown}); expected an empty or new folder. "
-            "Use --overwrite to replace an earlier conversion, or give another folder."
-        )
+    record = folder.read_record()
     try:
-        record = json.loads((out / RECORD_FILE).read_text("utf-8"))
-        own = [str(e) for e in record["entries"]]
-        ours = record["status"] != "running" and "infrablend" in record
-    except (OSError, ValueError, KeyError, TypeError):
+        own = [] if record is None else [str(e) for e in record["entries"]]
+        ours = record is not None and record["status"] != "running" and "infrablend" in record
+    except (KeyError, TypeError):
         own, ours = [], False
     if not ours or any("/" in e or e in (".", "..") or "\\" in e for e in own):
-        raise OutputError(
-            f"{out}: not empty and not a finished conversion of InfraBlend (no such {RECORD_FILE}); nothing was "
-            "touched. Give another folder, or delete this one yourself."
-        )
-    foreign = sorted(set(entries) - set(own) - {RECORD_FILE})
-    if foreign:
-        raise OutputError(
-            f"{out}: holds what the conversion did not write ({', '.join(foreign[:4])}); nothing was touched. "
-            "Move that elsewhere, or give another folder."
-        )
-    try:
-        for name in own:
-            path = out / name
-            if name == CARD_FILE and not is_own(path):
-                continue  # somebody has edited it
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
-    except OSError as error:
-        raise output_error(out, error) from error
+        raise folder.refuse_not_ours(f"no {RECORD_FILE} of a finished one")
+    folder.require_only([*own, RECORD_FILE], entries)
+    # A card that somebody has edited stays.
+    folder.remove(name for name in own if name != CARD_FILE or is_own(folder.root / name))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
 import time
 import zipfile
 from collections import Counter
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
-from infrablend.core.files import claimed_folder, output_error, replace_atomically, write_bytes, write_json, write_text
-from infrablend.errors import DatasetError, ModelError, OutputError, Problem
+from infrablend.core.files import replace_atomically, write_bytes, write_json, write_text
+from infrablend.core.output import OutputFolder
+from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import (
     LEVEL,
     MEASURES,
@@ -178,7 +178,7 @@ def evaluate_detector(
         same = _Compared(split, len(images), key, chosen, ignore_regions, group)
         _require_same(theirs[0], same, against or out)
 
-    with claimed_folder(out, "another evaluation is writing here"):
+    with _output(out).claimed():
         predictions = source.predict(images, image_size, on_image)
         _clear(out, entries)
         write_predictions(out / PREDICTIONS, predictions)
@@ -804,28 +804,18 @@ def _unpacked(data: Any, k: int) -> ClassMatches:
 # -- the folder ------------------------------------------------------------------------------------------------
 
 
+def _output(out: Path) -> OutputFolder:
+    return OutputFolder(out, "evaluation", RECORD, can_overwrite=True)
+
+
 def _check_out(out: Path, overwrite: bool) -> list[str]:
-    """What is there already, if it may be replaced."""
-    if not out.exists():
-        return []
-    if not out.is_dir():
-        raise OutputError(f"{out}: is a file; give a new folder")
-    entries = sorted(p.name for p in out.iterdir())
-    foreign = [e for e in entries if e not in _OWN]
-    if foreign:
-        raise OutputError(f"{out}: holds what no evaluation wrote ({', '.join(foreign[:_SHOWN])}); give another folder")
-    if entries and not overwrite:
-        raise OutputError(f"{out}: holds an evaluation; --overwrite replaces it, or give another folder")
-    return entries
+    """Return what the folder already contains; refuse what may not be replaced."""
+    folder = _output(out)
+    entries = folder.entries()
+    folder.require_only(_OWN, entries)
+    return folder.require_empty(existing="overwrite" if overwrite else "refuse")
 
 
 def _clear(out: Path, entries: Sequence[str]) -> None:
-    """Remove an earlier evaluation; its findings stay until the new ones take their place."""
-    try:
-        for name in (RECORD, PAGE, MATCHES):
-            if name in entries:
-                (out / name).unlink(missing_ok=True)
-        if PLOTS in entries:
-            shutil.rmtree(out / PLOTS)
-    except OSError as error:
-        raise output_error(out, error) from error
+    """Delete an earlier evaluation; its detections stay until the new ones replace them."""
+    _output(out).remove(name for name in (RECORD, PAGE, MATCHES, PLOTS) if name in entries)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
-from infrablend.core.files import claimed_folder, write_json
+from infrablend.core.files import write_json
 from infrablend.core.format_table import NATIVE, written_names
-from infrablend.core.output import Existing
+from infrablend.core.output import Existing, OutputFolder
 from infrablend.core.run_layout import IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError
 from infrablend.report.card import CARD_FILE, is_own
@@ -53,15 +51,10 @@ class RunFolder(RunLayout):
                 with contextlib.suppress(OSError):
                     left.unlink()
 
-    @contextlib.contextmanager
-    def claimed(self) -> Iterator[None]:
-        """Keep every other process from writing a run here; the claim ends with the process, however that ends.
-
-        Raises:
-            OutputError: If another run is at work here, or the folder cannot be made.
-        """
-        with claimed_folder(self.root, "another run is writing here; wait for it to end, or give another --out"):
-            yield
+    @property
+    def output(self) -> OutputFolder:
+        """The folder as an output folder."""
+        return OutputFolder(self.root, "run", RUN_FILE, can_resume=True, can_overwrite=True)
 
     def forget_start(self) -> None:
         """Remove what a run leaves that could not make its first frame, so that the same command can be given again."""
@@ -75,44 +68,17 @@ class RunFolder(RunLayout):
             OutputError: The folder contains a run and `existing` is `refuse`, it contains something else, or it
                 cannot be written.
         """
-        if existing not in get_args(Existing):
-            raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
-        if self.root.exists() and not self.root.is_dir():
-            raise OutputError(f"{self.root}: is a file; expected a folder, or a name that does not exist yet")
-        if self.root.is_dir() and not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):
-            raise OutputError(f"{self.root}: cannot be written; expected a folder you may write to")
-        entries = sorted(p.name for p in self.root.iterdir()) if self.root.is_dir() else []
-        if entries and existing == "refuse":
-            raise OutputError(
-                f"{self.root}: not empty (found {', '.join(entries[:4])}{' ...' if len(entries) > 4 else ''}); "
-                "expected an empty or new folder. Use --resume to go on with an interrupted run, "
-                "--overwrite to begin it anew, or another --out."
-            )
+        output = self.output
+        entries = output.require_empty(existing=existing)
         if entries and RUN_FILE not in entries:
-            raise OutputError(
-                f"{self.root}: not empty and not a run of InfraBlend (no {RUN_FILE}); nothing was touched. "
-                "Choose another --out."
-            )
+            raise output.refuse_not_ours()
         if entries:
             record = self.read_run()  # a run.json may be another program's
             if existing == "resume":
                 self._sweep()
                 return record
-        try:
-            if entries:
-                for name in OWN_FOLDERS:
-                    if (self.root / name).is_dir() and not (self.root / name).is_symlink():
-                        shutil.rmtree(self.root / name)
-                if is_own(self.root / CARD_FILE):
-                    (self.root / CARD_FILE).unlink()
-                # The record goes last: an overwrite that is interrupted can be repeated.
-                self.run_file.unlink()
-            self.root.mkdir(parents=True, exist_ok=True)
-            probe = self.root / ".writable"
-            probe.write_bytes(b"")
-            probe.unlink()
-        except OSError as error:
-            raise OutputError(
-                f"{self.root}: cannot be written ({error.strerror or error}); expected a folder you may write to"
-            ) from error
+            own = [n for n in OWN_FOLDERS if not (self.root / n).is_symlink() and (self.root / n).is_dir()]
+            # The record goes last: an overwrite that is interrupted can be repeated.
+            output.remove([*own, *([CARD_FILE] if is_own(self.root / CARD_FILE) else []), RUN_FILE])
+        output.make_writable()
         return None

@@ -109,7 +109,7 @@ def run_plan(
     started = time.monotonic()
     folder = RunFolder(out)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(folder.claimed())  # no other run may write to it meanwhile
+        stack.enter_context(folder.output.claimed())  # no other run may write to it meanwhile
         previous = folder.prepare(existing)
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)

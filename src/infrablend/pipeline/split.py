@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_json, write_text
 from infrablend.core.format_table import NATIVE, find_writer
-from infrablend.core.output import require_apart
+from infrablend.core.output import OutputFolder, require_apart
 from infrablend.core.rng import stream
-from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
@@ -136,8 +136,7 @@ def split_dataset(
     wanted = check_shares(rule.shares)
     if gap < 1:
         raise DatasetError(f"gap: found {gap}, expected a number of frames above 0")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(f"{out}: is there and not empty; give a new folder")
+    OutputFolder(out, "split dataset", RECORD).require_empty()
     native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if native is None and not lists:
         found = f"{dataset.format} without labels has no writer"

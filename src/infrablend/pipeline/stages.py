@@ -27,8 +27,9 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
-from infrablend.core.files import claimed_folder, link_or_copy, write_json
+from infrablend.core.files import link_or_copy, write_json
 from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.output import OutputFolder
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem, RenderError
 from infrablend.pipeline.content import json_digest
@@ -193,7 +194,7 @@ def make(stage: Stage, key: str, before: Mapping[str, Made], setting: Setting, a
         InfraBlendError: Whatever its kind raises.
     """
     folder = folder_of(setting.work, stage, key)
-    with claimed_folder(folder, f"another command is making {stage.id}; wait for it, then give this one again"):
+    with OutputFolder(folder, f"stage {stage.id}", RECORD).claimed():
         if (done := finished(setting.work, stage, key)) is not None:  # by the other command meanwhile
             return done
         left = read_stage(folder) or {}

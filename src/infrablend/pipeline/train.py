@@ -24,8 +24,9 @@ from infrablend import __version__
 from infrablend.annotation.classes import drop_classes
 from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset, ImageRecord, Split
-from infrablend.core.files import claimed_folder, output_error, part_path, write_json
+from infrablend.core.files import output_error, part_path, write_json
 from infrablend.core.machine import describe_machine
+from infrablend.core.output import OutputFolder
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem, RenderError
 from infrablend.execution.interrupt import Interruption
@@ -217,7 +218,7 @@ def train_dataset(
     chosen = _device(device)
     _require_arguments(preset)
     wanted, left_out = _wanted(dataset, preset, task, classes)
-    with claimed_folder(out, "another training is at work here; wait for it, or give another folder"):
+    with _output(out).claimed():
         record = _begin(out, resume, overwrite)
         asked = {
             "preset": preset.name, "task": task, "seed": seed, "settings": dataclasses.asdict(preset),
@@ -390,11 +391,15 @@ def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
     if damaged:
         log.warning("%s: cannot be read; the training begins anew", out / RECORD)
     if record is not None or damaged:
-        for name in (DATA, "tiles", "run", "ultralytics"):
-            shutil.rmtree(out / name, ignore_errors=True)
-        for name in (trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG, RECORD):
-            (out / name).unlink(missing_ok=True)
+        _output(out).remove(
+            [DATA, "tiles", "run", "ultralytics", trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG,
+             RECORD]
+        )  # fmt: skip
     return None
+
+
+def _output(out: Path) -> OutputFolder:
+    return OutputFolder(out, "training", RECORD, can_resume=True, can_overwrite=True)
 
 
 def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] | None, bool]:
@@ -410,7 +415,7 @@ def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] |
         ours, record = False, None
     damaged = not ours and RECORD in entries and JOB in entries
     if not ours and not damaged:
-        raise OutputError(f"{out}: not empty (found {', '.join(entries[:4])}) and no training; give another folder")
+        raise _output(out).refuse_not_ours()
     if not (resume or overwrite):
         what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
         raise OutputError(

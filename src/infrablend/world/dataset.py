@@ -11,7 +11,7 @@ from typing import Literal
 
 from infrablend.core.dataset import Split
 from infrablend.core.files import write_json
-from infrablend.errors import OutputError, Problem
+from infrablend.core.output import OutputFolder
 from infrablend.formats import hit_uav, monet
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import (
@@ -109,9 +109,7 @@ def write_world(
     """
     frames = request.frames()
     out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        problem = Problem(str(out), "not-empty", "not an empty folder", "an empty or new folder", "choose another one")
-        raise OutputError(f"cannot write the virtual world to {out}", [problem])
+    OutputFolder(out, "virtual world").require_empty()
     finished: dict[int, FinishedFrame] = {}
     stage = out / ".frames"
     try:

@@ -913,9 +913,12 @@ def test_nothing_is_overwritten(tiny, server, tmp_path):
 
 
 def test_two_fetches_at_once(tiny, tmp_path):
-    from infrablend.core.files import claimed_folder
+    from infrablend.core.output import OutputFolder
 
-    with claimed_folder(tmp_path / "out", "busy"), pytest.raises(OutputError, match="another fetch"):
+    with (
+        OutputFolder(tmp_path / "out", "download").claimed(),
+        pytest.raises(OutputError, match="another process is writing this download"),
+    ):
         fetch("tiny", tmp_path / "out")
 
 

@@ -144,7 +144,7 @@ def test_only_an_earlier_conversion_is_replaced(data: Path, tmp_path: Path) -> N
         "images",
     ]
     (out / "mine.txt").write_text("notes")
-    with pytest.raises(OutputError, match=r"holds what the conversion did not write \(mine.txt\)"):
+    with pytest.raises(OutputError, match=r"not part of the conversion \(mine.txt\)"):
         api.convert(data, out, "yolo", overwrite=True)
     assert (out / "mine.txt").exists() and (out / "images").exists()
     other = tmp_path / "other"
