@@ -249,8 +249,10 @@ def test_the_lost_mark_of_inserted_objects_is_counted(tmp_path: Path) -> None:
 
 
 def test_regions_to_ignore_that_become_objects_are_a_warning(data: Path, tmp_path: Path) -> None:
-    report = api.convert(data, tmp_path / "joined", "coco", rename={"DontCare": "Car"})
+    report = api.convert(data, tmp_path / "joined", "coco", classes=api.ClassChanges(rename={"DontCare": "Car"}))
     (warning,) = [p for p in report.problems if p.code == "ignore-renamed"]
     assert (warning.where, warning.severity) == ("Car", "warning") and "DontCare" in warning.found
-    report = api.convert(data, tmp_path / "named", "coco", rename={"DontCare": "crowd", "Car": "vehicle"})
+    report = api.convert(
+        data, tmp_path / "named", "coco", classes=api.ClassChanges(rename={"DontCare": "crowd", "Car": "vehicle"})
+    )
     assert not [p for p in report.problems if p.code == "ignore-renamed"]

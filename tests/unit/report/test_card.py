@@ -245,7 +245,7 @@ def test_a_converted_run_names_its_inserted_objects(data, tmp_path, folder):
     generate(data, tmp_path / "run", settings=["output.image=png", "name=with-drones"])
     api.convert(tmp_path / "run" / folder, tmp_path / "voc", "voc")
     api.convert(tmp_path / "voc", tmp_path / "coco", "coco")
-    api.split(tmp_path / "coco", tmp_path / "split", by="gap", gap=1, shares=(0.5, 0.25, 0.25))
+    api.split(tmp_path / "coco", tmp_path / "split", api.SplitRule(by="gap", gap=1, shares=(0.5, 0.25, 0.25)))
     original = card(tmp_path / "run")
     limits = original.partition("## Known limits")[2].partition("<!--")[0]
     recipe = re.findall(r"^```yaml\n.*?^```", original, re.MULTILINE | re.DOTALL)
