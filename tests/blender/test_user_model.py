@@ -1,5 +1,7 @@
 """A user's own model: every file type, parts by name, damaged files, scripts that must not run."""
 
+import json
+import struct
 import subprocess
 import sys
 
@@ -126,8 +128,52 @@ def test_an_obj_that_stands_on_z(files, tmp_path):
         model = ready_model(describe(files, tmp_path, "", extra, file=file))
         sizes.append(model.build(model.sample(np.random.default_rng(0), {})).size_m)
     assert sizes[0] == pytest.approx(sizes[1], abs=1e-5)
-    with pytest.raises(ModelError, match="up is for"):
-        ready_model(describe(files, tmp_path, "glb", PARTS + "up: Z\n"))
+    with pytest.raises(ModelError, match=r"up is set, but a \.fbx file records its vertical axis"):
+        ready_model(describe(files, tmp_path, "fbx", PARTS + "up: Z\n"))
+
+
+def z_up_glb(path):
+    """Write a GLB as tools do that ignore its Y-up convention: a column 2 m high along Z in a node that is moved."""
+    corners = np.array([(x, y, z) for x in (0, 0.5) for y in (0, 1) for z in (0, 2)], np.float32)
+    triangles = np.array(
+        [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4),
+         (1, 5, 7), (1, 7, 3)],
+        np.uint16,
+    )  # fmt: skip
+    binary = corners.tobytes() + triangles.tobytes()
+    content = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "Body", "mesh": 0, "translation": [1, 2, 3]}],
+        "meshes": [{"name": "Body", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": corners.nbytes},
+            {"buffer": 0, "byteOffset": corners.nbytes, "byteLength": triangles.nbytes},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max": [0.5, 1, 2]},
+            {"bufferView": 1, "componentType": 5123, "count": triangles.size, "type": "SCALAR"},
+        ],
+    }
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<4sIIII", b"glTF", 2, size, len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<II", len(binary), 0x004E4942) + binary)
+
+
+@pytest.mark.parametrize(("up", "size_m"), [("", (0.5, 2, 1)), ("up: y\n", (0.5, 2, 1)), ("up: z\n", (0.5, 1, 2))])
+def test_a_gltf_with_z_up(tmp_path, up, size_m):
+    """A GLB that another tool saved with Z up stands upright once its YAML gives the axis."""
+    z_up_glb(tmp_path / "z_up.glb")
+    parts = "parts: {body: {match: [Body], delta_t_k: 1, emissivity: 0.9}}\n"
+    model = ready_model(describe(None, tmp_path, "", parts + up, file=tmp_path / "z_up.glb"))
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    assert mesh.size_m == pytest.approx(size_m, abs=1e-6)
+    a, b, c = (mesh.vertices_m[mesh.triangles[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(1.0, abs=1e-6)  # turned, not mirrored
 
 
 @pytest.mark.parametrize(
@@ -155,7 +201,7 @@ def test_files_that_cannot_be_read(files, tmp_path):
         ready_model(describe(files, tmp_path, "", file=bad))
     with pytest.raises(ModelError, match="does not exist"):
         ready_model(describe(files, tmp_path, "", file=tmp_path / "none.obj"))
-    with pytest.raises(ModelError, match="no known type"):
+    with pytest.raises(ModelError, match="has an unknown type"):
         ready_model(describe(files, tmp_path, "", file=tmp_path / "x.stl"))
     with pytest.raises(ModelError, match="no such model"):
         load_model("dron")

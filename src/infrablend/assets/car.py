@@ -12,7 +12,7 @@ drive (mistersustainable.blogspot.com), and the grey levels of HIT-UAV's cars by
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.errors import ModelError
 
-Range = tuple[float, float]
+_CHECKS = Checks("car")
 
 
 # --- temperatures --------------------------------------------------------------------------------------------
@@ -256,17 +256,21 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Raises:
         ModelError: An unknown option or a bad value; the message names it and what was expected.
     """
-    _require_known(options, "option", (*NOMINAL, "time_of_day"))
+    _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
     when = options.get("time_of_day")
-    if when not in (None, *_STATE_ODDS):
-        raise _bad("time_of_day", when, "'day' or 'night'")
+    if when is not None:
+        _CHECKS.one_of("option time_of_day", when, tuple(_STATE_ODDS))
     dice = {name: float(rng.random()) for name in CHOICES}
     dials = {name: float(rng.random()) for name in DRAWN}
     odds = _ODDS if when is None else {**_ODDS, "state": _STATE_ODDS[when]}
-    params: dict[str, Any] = {name: _choose(name, dice[name], odds[name], options) for name in CHOICES}
+    params: dict[str, Any] = {
+        name: _CHECKS.choose(name, options, CHOICES[name], odds[name], dice[name]) for name in CHOICES
+    }
     body = _BODIES[params["body"]]
     for name in DRAWN:
-        low, high = _number_range(name, options, body.lengths_m if name == "length_m" else DRAWN[name])
+        low, high = body.lengths_m if name == "length_m" else DRAWN[name]
+        if name in options:
+            low, high = _CHECKS.number_range(f"option {name}", options[name], *ALLOWED[name])
         params[name] = low + (high - low) * dials[name]
     # Said only of bodies that may have them, so that equal cars have equal parameters.
     if "rails" not in options:
@@ -274,68 +278,21 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     if "panelled" not in options:
         params["panelled"] = params["panelled"] and params["body"] == "van"
     sheltered = options.get("sheltered", when == "night" and params["state"] == "parked_cold")
-    if not isinstance(sheltered, bool):
-        raise _bad("sheltered", sheltered, "true or false")
-    params["sheltered"] = sheltered
+    params["sheltered"] = _CHECKS.flag("option sheltered", sheltered)
     return params
 
 
-def _require_known(given: Params, what: str, known: Collection[str] = tuple(NOMINAL)) -> None:
-    for name in given:
-        if name not in known:
-            raise ModelError(
-                f"car: unknown {what} {name!r}; expected one of {', '.join(sorted(known))}. Correct the name"
-            )
-
-
-def _bad(name: str, value: object, expected: str, what: str = "option") -> ModelError:
-    return ModelError(f"car: {what} {name!r}: found {value!r}, expected {expected}. Correct the value")
-
-
-def _is_number(value: object, low: float, high: float) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
-
-
-def _number_range(name: str, options: Params, own: Range) -> Range:
-    """Range to draw `name` from: the option's value (twice) or [low, high], else the model's own."""
-    if name not in options:
-        return own
-    value = options[name]
-    low, high = ALLOWED[name]
-    pair = value if isinstance(value, list | tuple) else [value, value]
-    if len(pair) != 2 or not all(_is_number(v, low, high) for v in pair) or pair[0] > pair[1]:
-        raise _bad(name, value, f"a number in [{low:g}, {high:g}] or [low, high] within it")
-    return float(pair[0]), float(pair[1])
-
-
-def _choose(name: str, dice: float, odds: tuple[float, ...], options: Params) -> Any:
-    allowed = CHOICES[name]
-    if name in options:
-        value = options[name]
-        wanted = list(value) if isinstance(value, list | tuple) else [value]
-        # `True == 1` in Python: compare types too.
-        found = [a for w in wanted for a in allowed if a == w and type(a) is type(w)]
-        if not wanted or len(found) != len(wanted):
-            raise _bad(name, value, f"one of {', '.join(map(repr, allowed))}, or a list of some of them")
-        return found[min(int(dice * len(found)), len(found) - 1)]
-    edges = np.cumsum(odds) / sum(odds)
-    return allowed[min(int(np.searchsorted(edges, dice, side="right")), len(allowed) - 1)]
-
-
 def _require_params(params: Params) -> None:
-    _require_known(params, "parameter")
+    _CHECKS.known("parameter", params, tuple(NOMINAL))
+    _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
-        if name not in params:
-            raise ModelError(f"car: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
-        value = params[name]
+        where, value = f"parameter {name}", params[name]
         if name == "sheltered":
-            if not isinstance(value, bool):
-                raise _bad(name, value, "true or false", "parameter")
+            _CHECKS.flag(where, value)
         elif name in CHOICES:
-            if not any(a == value and type(a) is type(value) for a in CHOICES[name]):
-                raise _bad(name, value, f"one of {', '.join(map(repr, CHOICES[name]))}", "parameter")
-        elif not _is_number(value, *ALLOWED[name]):
-            raise _bad(name, value, "a number in [{:g}, {:g}]".format(*ALLOWED[name]), "parameter")
+            _CHECKS.one_of(where, value, CHOICES[name])
+        else:
+            _CHECKS.number(where, value, *ALLOWED[name])
 
 
 # --- plan: the curves the pieces share -----------------------------------------------------------------------

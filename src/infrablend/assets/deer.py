@@ -24,13 +24,15 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.errors import ModelError
+
+_CHECKS = Checks("deer")
 
 POSES = ("standing", "walking", "grazing", "lying")
 BUILDS = ("slender", "sturdy")
@@ -221,28 +223,11 @@ class _Shape:
     side: FloatArray
 
 
-def _unit(v: ArrayLike) -> FloatArray:
-    a = np.asarray(v, np.float64)
-    return a / float(np.linalg.norm(a))
-
-
-def _smoothstep(x: FloatArray) -> FloatArray:
-    t = np.clip(x, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def _bent_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: float) -> FloatArray:
-    """The joint between two bones from `a` to `b` in a vertical plane; `bend` +1 points it forward, -1 backward."""
-    reach = b - a
-    span = float(np.linalg.norm(reach))
-    stretch = max(1.0, span / (0.999 * (upper + lower)))
-    upper, lower = upper * stretch, lower * stretch
-    along = (span**2 + upper**2 - lower**2) / (2 * span)
-    off = np.sqrt(max(upper**2 - along**2, 0.0))
-    direction = reach / span
-    normal = np.cross(direction, np.array([0.0, 1.0, 0.0]))
+def _leg_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: float) -> FloatArray:
+    """Return the joint between two bones in a vertical plane; `bend` +1 points it forward, -1 backward."""
+    normal = np.cross(unit(b - a), np.array([0.0, 1.0, 0.0]))
     normal *= bend / float(np.linalg.norm(normal)) * (1.0 if normal[0] >= 0 else -1.0)
-    return np.asarray(a + along * direction + off * normal)
+    return joint(a, b, (upper, lower), normal)
 
 
 def _foot(fetlock: FloatArray, hang: float, lying: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -264,7 +249,7 @@ def _trunk(pose: _Pose, lying: bool, width: float) -> Tube:
         bottom = np.maximum(bottom - pose.drop - 0.05, -0.02)
         half = half * 1.04
     else:
-        fall = pose.drop + pose.tilt * _smoothstep((x + 0.5) / 0.8)
+        fall = pose.drop + pose.tilt * smoothstep((x + 0.5) / 0.8)
         top, bottom = top - fall, bottom - fall
     path = np.column_stack([x, np.zeros_like(x), 0.5 * (top + bottom)])
     return tube("flank", path, half, 0.5 * (top - bottom), caps=(0.035, 0.05), steps=2)
@@ -272,8 +257,8 @@ def _trunk(pose: _Pose, lying: bool, width: float) -> Tube:
 
 def _head_frame(pose: _Pose) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Forward, side (left) and up of the head."""
-    forward = _unit(pose.head)
-    side = _unit(np.cross([0.0, 0.0, 1.0], forward))
+    forward = unit(pose.head)
+    side = unit(np.cross([0.0, 0.0, 1.0], forward))
     return forward, side, np.cross(forward, side)
 
 
@@ -343,7 +328,7 @@ def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
         fetlock = np.array([0.292 + leg.dx, y, 0.104 + leg.dz])
         if leg.hang:
             fetlock[0] -= 0.06 * leg.hang
-        knee = _bent_joint(elbow, fetlock, 0.272, 0.242, 1.0)
+        knee = _leg_joint(elbow, fetlock, 0.272, 0.242, 1.0)
         knee[1] = y + 0.004 * sign
     shoulder = np.array([0.385 + 0.15 * leg.dx, 0.080 * sign, 0.70 - fall])
     blade = np.array([0.265, 0.062 * sign, 0.90 - fall])
@@ -386,7 +371,7 @@ def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
         fetlock = np.array([-0.19, 0.195 * sign, 0.030])
     else:
         fetlock = np.array([-0.452 + leg.dx, y, 0.104 + leg.dz])
-        hock = _bent_joint(stifle, fetlock, 0.325, 0.268, -1.0)
+        hock = _leg_joint(stifle, fetlock, 0.325, 0.268, -1.0)
         hock[1] = y
     blend = 0.12 if lying else 0.07
     # Folded up, the thigh lies in the flank's coat.
@@ -409,7 +394,7 @@ def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
         ),
     ]
     cannon = fetlock - hock
-    heel = _unit(hock - stifle)
+    heel = unit(hock - stifle)
     lower: list[Primitive] = [
         tube(
             "mid_leg",
@@ -459,16 +444,16 @@ def _ear(poll: FloatArray, frame: tuple[FloatArray, ...], sign: int) -> tuple[Fl
     """A leaf-shaped ear, set at the side of the skull, its hollow forward and outward."""
     f, s, u = frame
     root = poll + 0.012 * f + 0.030 * sign * s + 0.030 * u
-    axis = _unit(-0.30 * f + 0.78 * sign * s + 0.56 * u)
+    axis = unit(-0.30 * f + 0.78 * sign * s + 0.56 * u)
     opening = 0.80 * f + 0.45 * sign * s
-    opening = _unit(opening - (opening @ axis) * axis)
+    opening = unit(opening - (opening @ axis) * axis)
     width = np.cross(opening, axis)
     share = np.array([0.0, 0.12, 0.28, 0.45, 0.62, 0.78, 0.9, 0.98])
     half = np.array([0.016, 0.022, 0.036, 0.044, 0.041, 0.030, 0.017, 0.006])
     thick = np.array([0.014, 0.014, 0.011, 0.009, 0.008, 0.007, 0.006, 0.004])
     theta = np.arange(14) * (2 * np.pi / 14)
     c, n = np.cos(theta), np.sin(theta)
-    cup = (0.75 * half)[:, None] * c**2 * _smoothstep(share / 0.3)[:, None]
+    cup = (0.75 * half)[:, None] * c**2 * smoothstep(share / 0.3)[:, None]
     centre = root + (0.185 * share)[:, None] * axis - (0.02 * np.sin(np.pi * share))[:, None] * opening
     rings = centre[:, None] + (half[:, None] * c)[..., None] * width + (thick[:, None] * n + cup)[..., None] * opening
     solid = loft(rings, start=root - 0.01 * axis, end=root + 0.188 * axis)
@@ -585,7 +570,7 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
         upper, lower = (_fore_leg if i < 2 else _hind_leg)(pose, leg, 1 if i % 2 == 0 else -1, lying)
         uppers += upper
         lowers.append(lower)
-    head = _head(poll, _unit(neck.path[-1] - neck.path[-3]), frame, sturdy)
+    head = _head(poll, unit(neck.path[-1] - neck.path[-3]), frame, sturdy)
     body = Body((trunk, *uppers, neck, tail), floor=lying)
 
     pieces, parts = [], []
@@ -611,11 +596,11 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
     size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)])
     along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
     first_leg = len(pieces[0][0]) + len(pieces[1][0])
-    neck_weight = _smoothstep((along - 0.25) / 0.65)
-    neck_weight[: len(v)] *= 1.0 - _smoothstep(neck.distance(v) / 0.05)
+    neck_weight = smoothstep((along - 0.25) / 0.65)
+    neck_weight[: len(v)] *= 1.0 - smoothstep(neck.distance(v) / 0.05)
     neck_weight[len(v) : first_leg] = np.maximum(neck_weight[len(v) : first_leg], 0.0)
     neck_weight[first_leg:] = 0.0
-    head_weight = _smoothstep(((vertices - poll) @ frame[0] + 0.05) / 0.12)
+    head_weight = smoothstep(((vertices - poll) @ frame[0] + 0.05) / 0.12)
     head_weight[: len(v)] = 0.0
     head_weight[first_leg:] = 0.0
     return _Shape(
@@ -711,43 +696,24 @@ DEFAULTS: Mapping[str, Any] = {
 }
 
 
-def _bad(where: str, found: object, expected: str, todo: str = "correct the value or leave it out") -> ModelError:
-    return ModelError(f"deer model, {where}: found {found!r}; expected {expected}. {todo[:1].upper()}{todo[1:]}.")
-
-
-def _one_of(where: str, value: object, allowed: tuple[str, ...]) -> str:
-    if not isinstance(value, str) or value not in allowed:
-        raise _bad(where, value, "one of " + ", ".join(allowed))
-    return value
-
-
-def _number(where: str, value: object, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise _bad(where, value, f"a number from {low:g} to {high:g}")
-    return float(value)
-
-
 def _checked(params: Params) -> dict[str, Any]:
     """All parameters, defaults filled in, each checked."""
-    unknown = sorted(set(params) - set(DEFAULTS))
-    if unknown:
-        raise _bad(f"parameter {unknown[0]}", params[unknown[0]], "parameters " + ", ".join(DEFAULTS), "remove it")
+    _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
-    pose = _one_of("parameter pose", p["pose"], POSES)
+    pose = _CHECKS.one_of("parameter pose", p["pose"], POSES)
     if "variant" not in params:
         p["variant"] = VARIANTS[pose][0]
-    _one_of("parameter variant", p["variant"], VARIANTS[pose])
-    _one_of("parameter build", p["build"], BUILDS)
-    _one_of("parameter time_of_day", p["time_of_day"], TIMES)
-    _one_of("parameter antlers", p["antlers"], ANTLERS)
-    _one_of("parameter antler_form", p["antler_form"], ANTLER_FORMS)
-    _number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M)
+    _CHECKS.one_of("parameter variant", p["variant"], VARIANTS[pose])
+    _CHECKS.one_of("parameter build", p["build"], BUILDS)
+    _CHECKS.one_of("parameter time_of_day", p["time_of_day"], TIMES)
+    _CHECKS.one_of("parameter antlers", p["antlers"], ANTLERS)
+    _CHECKS.one_of("parameter antler_form", p["antler_form"], ANTLER_FORMS)
+    _CHECKS.number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M)
     for name in ("length_factor", "width_factor"):
-        _number(f"parameter {name}", p[name], 0.8, 1.25)
+        _CHECKS.number(f"parameter {name}", p[name], 0.8, 1.25)
     for name in ("neck_turn_rad", "head_turn_rad"):
-        _number(f"parameter {name}", p[name], -1.2, 1.2)
-    if not isinstance(p["mirror"], bool):
-        raise _bad("parameter mirror", p["mirror"], "true or false")
+        _CHECKS.number(f"parameter {name}", p[name], -1.2, 1.2)
+    _CHECKS.flag("parameter mirror", p["mirror"])
     return p
 
 
@@ -804,26 +770,26 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Raises:
         ModelError: An option is unknown or its value is not what it may be.
     """
-    unknown = sorted(set(options) - set(OPTIONS))
-    if unknown:
-        raise _bad(f"option {unknown[0]}", options[unknown[0]], "options " + ", ".join(OPTIONS), "remove it")
+    _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(12)]
-    poses = _choices("option pose", options.get("pose", POSES), POSES)
-    pose = _pick(poses, [_POSE_ODDS[p] for p in poses], u[0])
+    poses = _CHECKS.some_of("option pose", options.get("pose", POSES), POSES)
+    pose = pick(poses, [_POSE_ODDS[p] for p in poses], u[0])
     antlers = _antler_option(options.get("antlers"), u[1])
-    height = _height_option(options.get("shoulder_height_m", DRAWN_HEIGHT_M), u[2])
-    builds = _choices("option build", options.get("build", BUILDS), BUILDS)
+    height_option = options.get("shoulder_height_m", DRAWN_HEIGHT_M)
+    low, high = _CHECKS.number_range("option shoulder_height_m", height_option, *SHOULDER_HEIGHT_M)
+    height = low + (high - low) * u[2]
+    builds = _CHECKS.some_of("option build", options.get("build", BUILDS), BUILDS)
     # Tall deer carry large antlers and a sturdy build more often.
     tall = min(max((height - 0.7) / 0.5, 0.0), 1.0)
-    forms = _choices("option antler_form", options.get("antler_form", ANTLER_FORMS), ANTLER_FORMS)
+    forms = _CHECKS.some_of("option antler_form", options.get("antler_form", ANTLER_FORMS), ANTLER_FORMS)
     odds = {"spike": 0.15, "roe": 0.05 + 0.6 * (1 - tall), "white-tailed": 0.35, "red": 0.05 + 0.6 * tall}
     turn = TURN_RAD[pose]
     return {
         "pose": pose,
-        "variant": _pick(VARIANTS[pose], [1.0] * len(VARIANTS[pose]), u[3]),
-        "build": _pick(builds, [0.75 - 0.4 * tall if b == "slender" else 0.25 + 0.4 * tall for b in builds], u[4]),
+        "variant": pick(VARIANTS[pose], [1.0] * len(VARIANTS[pose]), u[3]),
+        "build": pick(builds, [0.75 - 0.4 * tall if b == "slender" else 0.25 + 0.4 * tall for b in builds], u[4]),
         "antlers": antlers,
-        "antler_form": _pick(forms, [odds[f] for f in forms], u[5]),
+        "antler_form": pick(forms, [odds[f] for f in forms], u[5]),
         "shoulder_height_m": height,
         "length_factor": 0.94 + 0.12 * u[6],
         "width_factor": 0.93 + 0.16 * u[7],
@@ -831,7 +797,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "neck_turn_rad": turn * (u[8] + u[9] - 1.0),
         "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0),
         "mirror": u[11] < 0.5,
-        "time_of_day": _one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
+        "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
     }
 
 
@@ -849,37 +815,14 @@ OPTIONS: Mapping[str, str] = {
 }
 
 
-def _pick(names: tuple[str, ...], odds: list[float], share: float) -> str:
-    edges = np.cumsum(odds) / float(np.sum(odds))
-    return names[min(int(np.searchsorted(edges, share, side="right")), len(names) - 1)]
-
-
-def _choices(where: str, value: object, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    if isinstance(value, list | tuple) and value:
-        return tuple(_one_of(where, v, allowed) for v in value)
-    return (_one_of(where, value, allowed),)
-
-
 def _antler_option(value: object, share: float) -> str:
     if value is None:
-        return _pick(ANTLERS, [_ANTLER_ODDS[a] for a in ANTLERS], share)
+        return pick(ANTLERS, [_ANTLER_ODDS[a] for a in ANTLERS], share)
     if isinstance(value, bool):
         return "hard" if value else "none"
     if not isinstance(value, str) or value not in ANTLERS:
-        raise _bad("option antlers", value, OPTIONS["antlers"])
+        raise _CHECKS.bad("option antlers", value, OPTIONS["antlers"])
     return value
-
-
-def _height_option(value: object, share: float) -> float:
-    where = "option shoulder_height_m"
-    if isinstance(value, list | tuple):
-        if len(value) != 2:
-            raise _bad(where, value, OPTIONS["shoulder_height_m"])
-        low, high = (_number(where, v, *SHOULDER_HEIGHT_M) for v in value)
-        if low > high:
-            raise _bad(where, value, "low not above high")
-        return low + (high - low) * share
-    return _number(where, value, *SHOULDER_HEIGHT_M)
 
 
 MODEL = ObjectModel(

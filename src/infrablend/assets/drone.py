@@ -10,7 +10,7 @@ the sources' light hover and heavy load the ranges take the part that a hovering
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,11 +18,12 @@ import numpy as np
 
 from infrablend.assets import shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
-from infrablend.errors import ModelError
 
 Vector = tuple[float, float, float]
+_CHECKS = Checks("drone")
 
 _DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
 PARTS: Mapping[str, PartRange] = {
@@ -170,7 +171,7 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Raises:
         ModelError: An unknown option or a bad value; the message names it and what was expected.
     """
-    _require_known(options, "option")
+    _CHECKS.known("option", options, tuple(NOMINAL))
     dice = {name: float(rng.random()) for name in CHOICES}
     dials = {name: float(rng.random()) for name in DRAWN if name != "propeller_angle_deg"}
     angles = rng.random(4)
@@ -181,103 +182,57 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     params["size_m"] = float(min(max(size, low), high))
     big = float(np.clip(math.log(size / 0.3) / math.log(3.0), 0.0, 1.0))
     body_odds = tuple((1 - big) * s + big * b for s, b in zip(_BODY_ODDS_SMALL, _BODY_ODDS_LARGE, strict=True))
-    params["body"] = _choose("body", dice["body"], body_odds, options)
+    params["body"] = _CHECKS.choose("body", options, CHOICES["body"], body_odds, dice["body"])
     odds = _ODDS[params["body"]]
     for name in CHOICES:
         if name != "body":
-            params[name] = _choose(name, dice[name], odds[name], options)
+            params[name] = _CHECKS.choose(name, options, CHOICES[name], odds[name], dice[name])
     for name in DRAWN:
         if name not in ("size_m", "propeller_angle_deg"):
             low, high = _number_range(name, options)
             params[name] = low + (high - low) * dials[name]
     params["propeller_angle_deg"] = _angles(angles, options)
     several = isinstance(options.get("propellers"), list | tuple)
-    params["propellers"] = _choose("propellers", float(rng.random()) if several else 0.0, (1.0, 0.0), options)
+    share = float(rng.random()) if several else 0.0
+    params["propellers"] = _CHECKS.choose("propellers", options, PROPELLERS, (1.0, 0.0), share)
     return params
 
 
-def _require_known(given: Params, what: str) -> None:
-    for name in given:
-        if name not in NOMINAL:
-            raise ModelError(
-                f"drone: unknown {what} {name!r}; expected one of {', '.join(sorted(NOMINAL))}. Correct the name"
-            )
-
-
-def _bad(name: str, value: object, expected: str, what: str = "option") -> ModelError:
-    return ModelError(f"drone: {what} {name!r}: found {value!r}, expected {expected}. Correct the value")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _number_range(name: str, options: Params) -> tuple[float, float]:
-    """Range to draw `name` from: the option's value (twice) or [low, high], else the model's own."""
+def _number_range(name: str, options: Params) -> Range:
+    """Return the range to draw a number from: that of the option, else the model's own."""
     if name not in options:
         return DRAWN[name]
-    value = options[name]
-    low, high = ALLOWED[name]
-    pair = [value, value] if _is_number(value) else value
-    if (
-        not isinstance(pair, list | tuple)
-        or len(pair) != 2
-        or not all(_is_number(v) and low <= v <= high for v in pair)
-        or pair[0] > pair[1]
-    ):
-        raise _bad(name, value, f"a number in [{low:g}, {high:g}] or [low, high] within it")
-    return float(pair[0]), float(pair[1])
+    return _CHECKS.number_range(f"option {name}", options[name], *ALLOWED[name])
 
 
-def _choose(name: str, dice: float, odds: tuple[float, ...], options: Params) -> Any:
-    allowed = _STATES[name]
-    if name in options:
-        value = options[name]
-        wanted = list(value) if isinstance(value, list | tuple) else [value]
-        # `True == 1` in Python: compare types too.
-        found = [a for w in wanted for a in allowed if a == w and type(a) is type(w)]
-        if not wanted or len(found) != len(wanted):
-            raise _bad(name, value, f"one of {', '.join(map(repr, allowed))}, or a list of some of them")
-        return found[min(int(dice * len(found)), len(found) - 1)]
-    edges = np.cumsum(odds) / sum(odds)
-    return allowed[min(int(np.searchsorted(edges, dice, side="right")), len(allowed) - 1)]
-
-
-def _angles(unit: FloatArray, options: Params) -> list[float]:
+def _angles(shares: FloatArray, options: Params) -> list[float]:
     name = "propeller_angle_deg"
     value = options.get(name, list(DRAWN[name]))
     if isinstance(value, list | tuple) and len(value) == 4:
-        if not all(_is_number(v) and ALLOWED[name][0] <= v <= ALLOWED[name][1] for v in value):
-            raise _bad(name, value, "four angles in degrees")
-        return [float(v) for v in value]
-    try:
-        low, high = _number_range(name, {name: value})
-    except ModelError:
-        raise _bad(name, value, "an angle in degrees, [low, high] in degrees, or four angles") from None
-    return [float(low + (high - low) * u) for u in unit]
+        return [_CHECKS.number(f"option {name}", v, *ALLOWED[name]) for v in value]
+    if not isinstance(value, int | float | list | tuple) or (isinstance(value, list | tuple) and len(value) != 2):
+        expected = "an angle in degrees, [low, high] in degrees, or four angles"
+        raise _CHECKS.bad(f"option {name}", value, expected)
+    low, high = _CHECKS.number_range(f"option {name}", value, *ALLOWED[name])
+    return [float(low + (high - low) * u) for u in shares]
 
 
 def _require_params(params: Params) -> None:
-    _require_known(params, "parameter")
+    # Scenes written before propellers could spin have no parameter for it.
+    _CHECKS.known("parameter", params, tuple(NOMINAL))
+    params = {"propellers": PROPELLERS[0], **params}
+    _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
-        if name == "propellers" and name not in params:
-            continue  # a scene written before there was a choice
-        if name not in params:
-            raise ModelError(f"drone: parameter {name!r} is missing; expected all of {', '.join(NOMINAL)}")
-        value = params[name]
+        where, value = f"parameter {name}", params[name]
         if name in _STATES:
-            if not any(a == value and type(a) is type(value) for a in _STATES[name]):
-                raise _bad(name, value, f"one of {', '.join(map(repr, _STATES[name]))}", "parameter")
-            continue
-        low, high = ALLOWED[name]
-        if name == "propeller_angle_deg":
+            _CHECKS.one_of(where, value, _STATES[name])
+        elif name == "propeller_angle_deg":
             if not (isinstance(value, list | tuple) and len(value) == 4):
-                raise _bad(name, value, "four angles in degrees", "parameter")
-            values: Iterable[object] = value
+                raise _CHECKS.bad(where, value, "four angles in degrees")
+            for angle in value:
+                _CHECKS.number(where, angle, *ALLOWED[name])
         else:
-            values = (value,)
-        if not all(_is_number(v) and low <= v <= high for v in values):  # type: ignore[operator]
-            raise _bad(name, value, f"a number in [{low:g}, {high:g}]", "parameter")
+            _CHECKS.number(where, value, *ALLOWED[name])
 
 
 # --- plan: where things go, for a diagonal of 1 --------------------------------------------------------------
@@ -300,11 +255,6 @@ class _Plan:
     motor_radius: float
     propeller_radius: float
     ground_z: float
-
-
-def motor_positions_m(params: Params) -> FloatArray:
-    """(4, 2) x, y of the motor axes in metres about the middle of the layout, counter-clockwise from the front."""
-    return float(params["size_m"]) * _motor_plan(params)
 
 
 def _motor_plan(p: Params) -> FloatArray:

@@ -426,12 +426,6 @@ def is_closed(triangles: IntArray) -> bool:
     return bool(np.array_equal(forward, backward) and np.all(forward[1:] != forward[:-1]))
 
 
-def signed_volume(vertices: FloatArray, triangles: IntArray) -> float:
-    """Enclosed volume; negative if the triangles run clockwise seen from outside."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
-
-
 def concatenate(
     pieces: Sequence[tuple[FloatArray, IntArray]],
 ) -> tuple[FloatArray, IntArray]:

@@ -1,53 +1,71 @@
-"""Checks and draws of a model's parameters and options, with errors that name model, option and what was expected."""
+"""Checks and draws of a model's parameters and options, with errors that name the model, the option and the cure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
 from infrablend.errors import ModelError
 
+T = TypeVar("T")
+Range = tuple[float, float]
+
 
 @dataclass(frozen=True)
 class Checks:
-    """Checks in the name of one model."""
+    """Checks whose errors name one model.
+
+    Attributes:
+        model: Name of the model.
+    """
 
     model: str
 
     def bad(
         self, where: str, found: object, expected: str, todo: str = "Correct the value or leave it out."
     ) -> ModelError:
-        """The error for a value that is not what it may be; `where` is such as `option pose`."""
+        """Return the error for an invalid value; `where` is, for example, `option pose`."""
         return ModelError(f"{self.model} model, {where}: found {found!r}; expected {expected}. {todo}")
 
-    def known(self, kind: str, given: Sequence[str], allowed: Sequence[str]) -> None:
-        """Raise ModelError if a name is not among the allowed ones; `kind` is `option` or `parameter`."""
+    def known(self, kind: str, given: Mapping[str, Any], allowed: Sequence[str]) -> None:
+        """Raise ModelError if a given name is not among the allowed ones; `kind` is `option` or `parameter`."""
         unknown = sorted(set(given) - set(allowed))
         if unknown:
-            raise self.bad(f"{kind} {unknown[0]}", unknown[0], f"{kind}s " + ", ".join(allowed), "Remove it.")
+            raise self.bad(f"{kind} {unknown[0]}", given[unknown[0]], f"{kind}s " + ", ".join(allowed), "Remove it.")
 
-    def one_of(self, where: str, value: object, allowed: Sequence[str]) -> str:
-        """The value, if it is one of the allowed strings."""
-        if not isinstance(value, str) or value not in allowed:
-            raise self.bad(where, value, "one of " + ", ".join(allowed))
-        return value
+    def complete(self, params: Mapping[str, Any], needed: Sequence[str]) -> None:
+        """Raise ModelError if a needed parameter is missing."""
+        for name in needed:
+            if name not in params:
+                raise ModelError(
+                    f"{self.model} model, parameter {name}: is missing; expected all of {', '.join(needed)}. Add it."
+                )
 
-    def some_of(self, where: str, value: object, allowed: Sequence[str]) -> tuple[str, ...]:
-        """The allowed strings that a value names: one, or a list of some."""
+    def one_of(self, where: str, value: object, allowed: Sequence[T]) -> T:
+        """Return the value if it is one of the allowed ones."""
+        # `True == 1` in Python: compare types too.
+        found = [a for a in allowed if type(a) is type(value) and a == value]
+        if not found:
+            raise self.bad(where, value, "one of " + ", ".join(map(str, allowed)))
+        return found[0]
+
+    def some_of(self, where: str, value: object, allowed: Sequence[T]) -> tuple[T, ...]:
+        """Return the allowed values that an option names: one value, or a list of some."""
         if isinstance(value, list | tuple) and value:
             return tuple(self.one_of(where, v, allowed) for v in value)
         return (self.one_of(where, value, allowed),)
 
     def number(self, where: str, value: object, low: float, high: float) -> float:
-        """The value, if it is a number in [low, high]."""
+        """Return the value if it is a number in [low, high]."""
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise self.bad(where, value, f"a number from {low:g} to {high:g}")
         return float(value)
 
-    def number_range(self, where: str, value: object, low: float, high: float) -> tuple[float, float]:
-        """The range that a number or [low, high] stands for, within the limits."""
+    def number_range(self, where: str, value: object, low: float, high: float) -> Range:
+        """Return the range that a number or [low, high] stands for, within the limits."""
         if not isinstance(value, list | tuple):
             single = self.number(where, value, low, high)
             return single, single
@@ -55,17 +73,26 @@ class Checks:
             raise self.bad(where, value, f"a number from {low:g} to {high:g}, or [low, high]")
         first, last = (self.number(where, v, low, high) for v in value)
         if first > last:
-            raise self.bad(where, value, "low not above high")
+            raise self.bad(where, value, "[low, high] with low not above high")
         return first, last
 
     def flag(self, where: str, value: object) -> bool:
-        """The value, if it is true or false."""
+        """Return the value if it is true or false."""
         if not isinstance(value, bool):
             raise self.bad(where, value, "true or false")
         return value
 
+    def choose(
+        self, name: str, options: Mapping[str, Any], allowed: Sequence[T], odds: Sequence[float], share: float
+    ) -> T:
+        """Return one of the allowed values at `share` in [0, 1), by the odds, or evenly among those an option lists."""
+        if name not in options:
+            return pick(allowed, odds, share)
+        found = self.some_of(f"option {name}", options[name], allowed)
+        return found[min(int(share * len(found)), len(found) - 1)]
 
-def pick(names: Sequence[str], odds: Sequence[float], share: float) -> str:
-    """The name at `share` in [0, 1) of the odds laid end to end."""
+
+def pick(values: Sequence[T], odds: Sequence[float], share: float) -> T:
+    """Return the value at `share` in [0, 1) of the cumulated odds."""
     edges = np.cumsum(odds) / float(np.sum(odds))
-    return names[min(int(np.searchsorted(edges, share, side="right")), len(names) - 1)]
+    return values[min(int(np.searchsorted(edges, share, side="right")), len(values) - 1)]

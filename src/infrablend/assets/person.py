@@ -25,8 +25,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
 from infrablend.assets.params import Checks, pick
@@ -270,27 +270,11 @@ _ARMS: Mapping[str, tuple[_Arm, _Arm]] = {
 }
 
 
-def _unit(v: ArrayLike) -> FloatArray:
-    a = np.asarray(v, np.float64)
-    return a / float(np.linalg.norm(a))
-
-
-def _smoothstep(x: FloatArray) -> FloatArray:
-    t = np.clip(x, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def _middle_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, toward: Point) -> FloatArray:
-    """The joint between two bones from `a` to `b`, on the side that `toward` points to; bones stretch if they must."""
-    reach = b - a
-    span = float(np.linalg.norm(reach))
-    stretch = max(1.0, span / (0.999 * (upper + lower)))
-    upper, lower = upper * stretch, lower * stretch
-    along = (span**2 + upper**2 - lower**2) / (2 * span)
-    direction = reach / span
+def _limb_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, toward: Point) -> FloatArray:
+    """Return the joint between two bones, on the side that `toward` points to."""
+    direction = unit(b - a)
     side = np.asarray(toward, np.float64)
-    side = _unit(side - (side @ direction) * direction)
-    return np.asarray(a + along * direction + math.sqrt(max(upper**2 - along**2, 0.0)) * side)
+    return joint(a, b, (upper, lower), unit(side - (side @ direction) * direction))
 
 
 def _skin(body: Body, cell: float) -> Piece:
@@ -345,7 +329,7 @@ def _arm_line(arm: _Arm, sign: int, top: str, build_name: str) -> tuple[FloatArr
         wrist[1] += off
     if wrist[0] > 0.1:
         wrist[0] += off
-    elbow = _middle_joint(shoulder, wrist, _UPPER_ARM, _FOREARM, arm.elbow)
+    elbow = _limb_joint(shoulder, wrist, _UPPER_ARM, _FOREARM, arm.elbow)
     return shoulder * flip, elbow * flip, wrist * flip
 
 
@@ -380,7 +364,7 @@ def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool) 
         a, b, c = _arm_line(arm, sign, top, build_name)
         width = np.array([0.0385, 0.0365, 0.0335, 0.0315, 0.0275]) * girth + pad * np.array([0.8, 0.9, 0.8, 0.8, 0.45])
         path = [a, 0.5 * (a + b), b, 0.45 * b + 0.55 * c, c]
-        side = (1.0, 0.0, 0.0) if abs(_unit(c - a)[0]) < 0.8 else (0.0, 0.0, 1.0)
+        side = (1.0, 0.0, 0.0) if abs(unit(c - a)[0]) < 0.8 else (0.0, 0.0, 1.0)
         primitives.append(tube("sleeve", path, width, side=side, blend=0.020, caps=(0.04, 0.008), steps=2))
     primitives.append(
         tube(
@@ -423,11 +407,11 @@ def _hands(top: str, arms: str, build_name: str) -> Piece | None:
             continue
         _, elbow, wrist = _arm_line(arm, sign, top, build_name)
         flip = np.array([1.0, float(sign), 1.0])
-        d = _unit(wrist - elbow) if arm.hand is None else _unit(np.array(arm.hand) * flip)
+        d = unit(wrist - elbow) if arm.hand is None else unit(np.array(arm.hand) * flip)
         palm = np.array(arm.palm) * flip
-        palm = _unit(palm - (palm @ d) * d)
+        palm = unit(palm - (palm @ d) * d)
         thumb = sign * np.cross(palm, d)
-        start = wrist + 0.004 * _unit(wrist - elbow)
+        start = wrist + 0.004 * unit(wrist - elbow)
         solids.append(
             sweep(
                 [start - 0.006 * d, start + 0.018 * d, start + 0.052 * d],
@@ -463,7 +447,7 @@ def _leg_lines(pose: _Pose) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     for sign, foot in zip((1, -1), pose.feet, strict=True):
         hip = np.array([pose.hip[0], _HIP_Y * sign, pose.hip[1]])
         ankle = np.array(foot.ankle)
-        lines.append((hip, _middle_joint(hip, ankle, _THIGH, _SHANK, foot.knee), ankle))
+        lines.append((hip, _limb_joint(hip, ankle, _THIGH, _SHANK, foot.knee), ankle))
     return lines
 
 
@@ -490,9 +474,9 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
             width = np.array([0.042, 0.046, 0.033, 0.034, 0.022, 0.021]) * (0.5 + 0.5 * girth)
         else:
             width = np.array([0.050, 0.053, 0.044, 0.043, 0.039, 0.037]) * (0.4 + 0.6 * girth)
-        end = ankle + (0.020 if not bare else 0.0) * _unit(knee - ankle)
+        end = ankle + (0.020 if not bare else 0.0) * unit(knee - ankle)
         shank = end - knee
-        bent = _unit(knee - hip) @ _unit(knee - ankle) > -0.5
+        bent = unit(knee - hip) @ unit(knee - ankle) > -0.5
         calf = knee + 0.3 * shank
         if not bent:
             # The calf bulges backward.
@@ -697,7 +681,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
 
 def _checked(params: Params) -> dict[str, Any]:
     """All parameters, defaults filled in, each checked."""
-    _CHECKS.known("parameter", tuple(params), tuple(DEFAULTS))
+    _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
     pose = _CHECKS.one_of("parameter pose", p["pose"], POSES)
     if "variant" not in params:
@@ -794,7 +778,7 @@ def build(params: Params) -> Mesh:
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:
     """Head and neck (V, 3), relative to the neck's root: nodding and turning more the farther up."""
-    share = _smoothstep((vertices[:, 2] - 0.01) / 0.05)
+    share = smoothstep((vertices[:, 2] - 0.01) / 0.05)
     out = vertices.copy()
     c, s = np.cos(share * turn_rad), np.sin(share * turn_rad)
     out[:, 0], out[:, 1] = c * vertices[:, 0] - s * vertices[:, 1], s * vertices[:, 0] + c * vertices[:, 1]
@@ -818,7 +802,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Raises:
         ModelError: An option is unknown or its value is not what it may be.
     """
-    _CHECKS.known("option", tuple(options), tuple(OPTIONS))
+    _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(18)]
 
     def drawn(name: str, allowed: tuple[str, ...], odds: Mapping[str, float], share: float) -> str:

@@ -381,9 +381,3 @@ def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> So
         group = after
     keep, index = np.unique(group, return_inverse=True)
     return Solid(solid.vertices[t.reshape(-1)[keep]], index.reshape(-1, 3).astype(np.int32))
-
-
-def volume(solid: Solid) -> float:
-    """Enclosed volume; positive if the triangles face outward."""
-    a, b, c = (solid.vertices[solid.triangles[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

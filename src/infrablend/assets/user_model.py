@@ -1,11 +1,11 @@
-"""A user's own 3D model: a small YAML that says which part of the file is how warm.
+"""A user's own 3D model: a small YAML that gives each part of a 3D file its temperature.
 
     name: fox
     category: fox
     file: fox.glb            # beside the YAML; .glb .gltf .obj .fbx .usd .usda .usdc .usdz .blend
     origin: feet             # feet: middle of the ground below; centre: middle of the box; file: as in the file
-    heading: +X              # where its nose points, once the file stands upright (Z up)
-    up: Z                    # OBJ only, which does not say it: the file's vertical axis; Y by default
+    heading: +X              # where its nose points once it is upright (Z up)
+    up: Z                    # glTF and OBJ: the vertical axis in the file; Y by default
     length_m: 0.7            # its longest side; or scale: 0.01
     parts:
       body: {match: ["Fox_Body*"], delta_t_k: [4, 10], kind: fur}
@@ -13,7 +13,7 @@
       base: {match: ["Plinth"], delta_t_k: 0, emissivity: 0.95, label: false}
 
 `match` patterns are compared with the names of the file's objects and materials. Reading the file needs Blender and
-happens once, in a process of its own (`infrablend.pipeline.models`); what comes out is kept in a cache by content.
+happens once, in a process of its own (`infrablend.pipeline.models`); the geometry is cached by the file's content.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
@@ -40,6 +40,8 @@ from infrablend.core.wording import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 
+# Files that do not record their vertical axis reliably: many tools write glTF with Z up against its specification.
+UP_IS_OPEN = (".glb", ".gltf", ".obj")
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
 
 
@@ -49,8 +51,12 @@ def _known_kind(value: str) -> str:
     return value
 
 
+def _upper(value: Any) -> Any:
+    return value.upper() if isinstance(value, str) else value
+
+
 class UserPart(Strict):
-    """Thermal role of all objects and materials whose name matches."""
+    """Thermal role of all objects and materials with a matching name."""
 
     match: tuple[str, ...] = Field(min_length=1)
     delta_t_k: range_of(-100, 1000)  # type: ignore[valid-type]
@@ -71,11 +77,13 @@ class UserPart(Strict):
     @classmethod
     def _translucent_is_not_labelled(cls, value: float, info: ValidationInfo) -> float:
         if value < 1 and info.data.get("label", False):
-            raise ValueError("1, or label: false beside it: labels cannot count what one sees through")
+            raise ValueError(
+                "1, or an opacity below 1 together with label: false: labels do not count translucent parts"
+            )
         return value
 
     def role(self, what: str) -> PartRange:
-        """What each frame draws from."""
+        """Return the ranges from which each frame draws."""
         if self.kind is not None:
             return made_of(
                 self.kind, self.delta_t_k, what, emissivity=self.emissivity, ior=self.ior, label=self.label,
@@ -87,7 +95,7 @@ class UserPart(Strict):
 
 
 class UserModel(Strict):
-    """The YAML's fields."""
+    """Fields of the YAML."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     category: str = Field(min_length=1)
@@ -95,7 +103,7 @@ class UserModel(Strict):
     description: str = ""
     origin: Literal["feet", "centre", "file"] = "file"
     heading: Literal["+X", "-X", "+Y", "-Y"] = "+X"
-    up: Literal["Y", "Z"] | None = None
+    up: Annotated[Literal["Y", "Z"] | None, BeforeValidator(_upper)] = None
     length_m: float | None = Field(None, gt=0, le=1e5)
     scale: float = Field(1.0, gt=0, le=1e6)
     parts: dict[str, UserPart] = Field(default_factory=dict)
@@ -104,11 +112,11 @@ class UserModel(Strict):
 
 @dataclass(frozen=True)
 class GroupFacts:
-    """One named piece of an imported file: an object's faces with one material.
+    """One named piece of an imported file: the faces of an object that share a material.
 
     Attributes:
         object, material: Names in the file; the material may be empty.
-        temperature_c, emissivity, ior, roughness, metal: From the material's InfraredEffect node, None if it has none.
+        temperature_c, emissivity, ior, roughness, metal: Values of the InfraredEffect node; None without one.
     """
 
     object: str
@@ -121,16 +129,16 @@ class GroupFacts:
 
 
 def read_description(path: Path) -> tuple[UserModel, Path]:
-    """The YAML's content and the path of the 3D file it names.
+    """Return the content of a YAML description and the path of its 3D file.
 
     Raises:
-        ModelError: With every wrong field.
+        ModelError: The YAML is invalid; the error lists every wrong field.
     """
     try:
         data = read_yaml(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise ModelError(
-            f"model {path}: cannot be read ({error}); expected a YAML text (docs/how_to/own_model.md)"
+            f"model {path}: cannot be read ({error}); expected a YAML file (docs/how_to/own_model.md)"
         ) from error
     try:
         if not isinstance(data, dict):
@@ -138,30 +146,33 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
         described = UserModel.model_validate_json(json.dumps(data))
     except ValidationError as error:
         problems = field_problems(error, data, UserModel, "model", "see docs/how_to/own_model.md for all fields")
-        raise ModelError(f"model {path}: {len(problems)} field(s) are wrong", problems) from error
+        raise ModelError(f"model {path}: {len(problems)} field(s) are invalid", problems) from error
     file = (path.parent / described.file).resolve()
     if file.suffix.lower() not in SUFFIXES:
-        raise ModelError(f"model {path}: file {described.file!r} is no known type; expected {' '.join(SUFFIXES)}")
-    if described.up is not None and file.suffix.lower() != ".obj":
-        raise ModelError(f"model {path}: up is for .obj files alone; a {file.suffix} file says it itself. Remove it")
+        raise ModelError(f"model {path}: file {described.file!r} has an unknown type; expected {' '.join(SUFFIXES)}")
+    if described.up is not None and file.suffix.lower() not in UP_IS_OPEN:
+        raise ModelError(
+            f"model {path}: up is set, but a {file.suffix} file records its vertical axis; expected no up, which is "
+            f"for {', '.join(UP_IS_OPEN)} files. Remove it"
+        )
     if "\0" in described.file or not file.is_file():
         raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
     return described, file
 
 
 def is_description(model: str) -> bool:
-    """True if a recipe's model is the path of a user's YAML, not a name."""
+    """Return whether the model of a recipe is the path of a YAML description, not a name."""
     return model.lower().endswith((".yaml", ".yml"))
 
 
 def description_digest(path: Path) -> str:
-    """Digest of all that makes a user's model: its YAML and its 3D file."""
+    """Return a digest of a user's model: its YAML and its 3D file."""
     _, file = read_description(path)
     return hashlib.sha256(path.read_bytes() + geometry_file(file).stem.encode()).hexdigest()
 
 
 def geometry_file(file: Path) -> Path:
-    """Where the imported geometry of a 3D file is, or will be; the name changes with the file's content.
+    """Return the cache path of the imported geometry of a 3D file; the name is derived from the file's content.
 
     Raises:
         ModelError: The 3D file cannot be read.
@@ -174,10 +185,10 @@ def geometry_file(file: Path) -> Path:
 
 
 def load_user_model(path: Path) -> ObjectModel:
-    """The model that a YAML describes; its geometry must have been imported.
+    """Return the model that a YAML describes; its geometry must have been imported.
 
     Raises:
-        ModelError: If the description is wrong, the geometry is not there yet, or a piece of the file has no part.
+        ModelError: The description is invalid, the geometry has not been imported, or a piece of the file has no part.
     """
     described, file = read_description(path)
     cached = geometry_file(file)
@@ -197,13 +208,15 @@ def load_user_model(path: Path) -> ObjectModel:
 
     def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         if options:
-            raise ModelError(f"model {path}: option {sorted(options)[0]!r} is unknown; a user's model has no options")
+            raise ModelError(
+                f"model {path}: found option {sorted(options)[0]!r}; expected none: user models have none. Remove it"
+            )
         return {"sha256": digest}
 
     def build(params: Params) -> Mesh:
         if params.get("sha256") != digest:
             raise ModelError(
-                f"model {path}: {file.name} is not the file the scene was made with "
+                f"model {path}: {file.name} is not the file that the scene was planned with "
                 f"(sha256 {digest[:12]}..., expected {str(params.get('sha256'))[:12]}...)"
             )
         return mesh
@@ -222,18 +235,18 @@ def load_user_model(path: Path) -> ObjectModel:
 
 
 def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> tuple[list[str], dict[str, PartRange]]:
-    """Name of the part of each piece of the file, and every part's thermal role.
+    """Return the name of the part of each piece of the file, and the thermal role of every part.
 
     A piece belongs to the first part with a pattern that matches its object's name, else its material's name, else to
     its own InfraredEffect material.
 
     Raises:
-        ModelError: Naming every piece without a part and every part without a piece.
+        ModelError: Pieces without a part or parts without a piece; the error lists all of them.
     """
     roles = {name: p.role(f"from {where}") for name, p in described.parts.items()}
     names, used, missing = [], set(), []
     for g in groups:
-        # An object's own name says more than that of a material it may share with others.
+        # The name of an object is more specific than that of a material, which it may share with others.
         found = next(
             (
                 name
@@ -263,7 +276,7 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
         Problem(
             where,
             "model-piece",
-            f"object {g.object!r}, material {g.material!r} belong to no part",
+            f"object {g.object!r}, material {g.material!r}: matches no part",
             "a pattern in parts",
         )
         for g in missing
@@ -273,21 +286,21 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
         Problem(
             f"{where}: parts.{n}",
             "model-part",
-            f"no piece is left for {list(described.parts[n].match)}",
-            f"a pattern for one of {every} that no earlier part takes",
+            f"no piece matches {list(described.parts[n].match)}",
+            f"a pattern for one of {every} that no earlier part matches",
         )
         for n in described.parts
         if n not in used
     ]
     if problems:
-        raise ModelError(f"model {where}: parts and file do not fit", problems)
+        raise ModelError(f"model {where}: the parts do not match the file", problems)
     return names, {n: roles[n] for n in roles if n in used}
 
 
 def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
     vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)
-    if described.up == "Z":  # Blender took the OBJ's Y for up and turned it; turn back
+    if described.up == "Z":  # Blender took Y for up and turned the model: turn it back
         vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
     c, s = turn
@@ -296,7 +309,7 @@ def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str
     factor = described.scale
     size = float((high - low).max())
     if not size > 0 or not np.isfinite(size):
-        raise ModelError(f"model {where}: the file's surface has size {size:g}; expected a body larger than a point")
+        raise ModelError(f"model {where}: the surface in the file has size {size:g}; expected one larger than a point")
     if described.length_m is not None:
         factor = described.length_m / size
     if described.origin == "centre":

@@ -1,7 +1,7 @@
-"""Reading a user's 3D file into plain triangles. Runs in a process of its own that ends afterwards.
+"""Reads a user's 3D file into plain triangles, in a process of its own that ends afterwards.
 
-A .blend may carry scripts; they are never executed: factory settings, automatic execution off, and the process holds
-nothing worth having.
+A .blend may contain scripts. They are never executed: Blender starts from factory settings with automatic execution
+off, and the process holds no secrets.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from infrablend.core.files import replace_atomically
 from infrablend.core.tasks import Task
 from infrablend.errors import ModelError
 
-# Above this labels take seconds for each frame.
+# With more triangles, labels take seconds per frame.
 MAX_TRIANGLES = 2_000_000
 
 _IMPORTERS: dict[str, Callable[[str], Any]] = {
@@ -38,7 +38,7 @@ _IMPORTERS: dict[str, Callable[[str], Any]] = {
 
 
 def make_importer(_settings: Any) -> Callable[[Task], str]:
-    """Worker factory: a callable whose task's payload is (3D file, .npz to write)."""
+    """Create a worker; the payload of its tasks is (3D file, .npz to write)."""
 
     def run(task: Task) -> str:
         file, target = task.payload
@@ -52,7 +52,7 @@ def import_file(file: Path, target: Path) -> None:
     """Read a 3D file and write its triangles (world coordinates, Z up, metres) and named pieces to `target`.
 
     Raises:
-        ModelError: If Blender cannot read the file or there is no surface in it.
+        ModelError: Blender cannot read the file, or it contains no surface.
     """
     _require_inside(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -62,7 +62,7 @@ def import_file(file: Path, target: Path) -> None:
             bpy.ops.wm.open_mainfile(filepath=str(file), load_ui=False, use_scripts=False)
         else:
             _IMPORTERS[file.suffix.lower()](str(file))
-    except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and whatever else
+    except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and many more
         raise ModelError(
             f"model file {file}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
@@ -72,8 +72,8 @@ def import_file(file: Path, target: Path) -> None:
     count = sum(len(corners) for _, corners, *_ in pieces)
     if count > MAX_TRIANGLES:
         raise ModelError(
-            f"model file {file}: {count:,} triangles; expected at most {MAX_TRIANGLES:,}. An object of some hundred "
-            "pixels needs some ten thousand: reduce it in Blender (Decimate modifier)"
+            f"model file {file}: {count:,} triangles; expected at most {MAX_TRIANGLES:,}. About ten thousand "
+            "are enough for an object of a few hundred pixels: reduce it in Blender (Decimate modifier)"
         )
     if not all(np.isfinite(v).all() for v, *_ in pieces):
         raise ModelError(
@@ -109,16 +109,16 @@ def import_file(file: Path, target: Path) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of what an importer says: operators put a whole traceback into their message."""
+    """Return the last line of an importer's error: operators put a whole traceback into their message."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return next((line for line in reversed(lines) if not line.startswith(("Location:", "File "))), type(error).__name__)
 
 
 def _require_inside(file: Path) -> None:
-    """Refuse a glTF that reads other files than those beside it.
+    """Refuse a glTF that refers to files outside its folder.
 
     Raises:
-        ModelError: A reference leaves the file's folder, or the file is no glTF.
+        ModelError: A reference leaves the folder of the file, or the file is not glTF.
     """
     if file.suffix.lower() != ".gltf":
         return
@@ -135,16 +135,16 @@ def _require_inside(file: Path) -> None:
         if "\0" in named or "://" in named or folder not in (folder / named).resolve().parents:
             raise ModelError(
                 f"model file {file}: refers to {named!r} outside its folder; expected files beside it. "
-                "Save it as .glb, which holds everything"
+                "Save it as .glb, which contains everything"
             )
 
 
 def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
-    """Evaluated triangles of everything a render of the scene would show."""
+    """Return the evaluated triangles of everything that a render of the scene would show."""
     scene = bpy.context.scene
     for thing in scene.objects:
         for modifier in thing.modifiers:
-            # Labels must be made from what a render shows, not from the coarser viewport mesh.
+            # Labels need the mesh that a render shows, not the coarser viewport mesh.
             if modifier.type in {"SUBSURF", "MULTIRES"}:
                 modifier.levels = modifier.render_levels
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -183,7 +183,7 @@ def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
 
 
 def _infrared(material: Any) -> dict[str, float | None]:
-    """What a material's InfraredEffect node (either look) says of its surface, if it has one."""
+    """Return the values of a material's InfraredEffect node (of either look), None without one."""
     wanted = {"temperature_c": "Temperature", "emissivity": "Emissivity", "ior": "IOR"}
     wanted |= {"roughness": "Roughness", "metal": "Metal"}
     names = (GROUP_NAME, PHYSICAL_NAME)

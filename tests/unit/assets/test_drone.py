@@ -5,8 +5,9 @@ import json
 
 import numpy as np
 import pytest
+from tests.meshes import signed_volume
 
-from infrablend.assets import drone, shapes
+from infrablend.assets import drone
 from infrablend.assets.drone import CHOICES, DRAWN, MODEL, NOMINAL
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
@@ -56,7 +57,7 @@ def test_every_piece_is_closed_and_faces_outward(k: int) -> None:
         assert (edges[:, 0] != edges[:, 1]).all(), part
         assert len(np.unique(key)) == len(key), part
         assert np.array_equal(np.sort(key), np.sort(back)), part
-        assert shapes.volume(shapes.Solid(vertices, triangles)) > 0, part
+        assert signed_volume(vertices, triangles) > 0, part
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_propellers_clear_one_another_and_the_body() -> None:
 
 def test_motor_positions_are_those_of_the_mesh() -> None:
     for params in DRAWS[:6]:
-        wanted = drone.motor_positions_m(params)
+        wanted = params["size_m"] * drone._motor_plan(params)
         found = measured_motors_m(MODEL.build(params))
         offset = (found - wanted).mean(axis=0)
         assert found == pytest.approx(wanted + offset, abs=1e-6)
@@ -169,18 +170,18 @@ def test_options_are_honoured_and_leave_other_draws_alone() -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"size": 0.4}, r"unknown option 'size'; expected one of .*size_m"),
-        ({"size_m": -1}, r"'size_m': found -1, expected a number in \[0.05, 5\]"),
-        ({"size_m": float("nan")}, r"'size_m': found nan"),
-        ({"size_m": True}, r"'size_m': found True"),
-        ({"size_m": [0.6, 0.5]}, r"'size_m': found \[0.6, 0.5\].*\[low, high\]"),
-        ({"layout": "y"}, r"'layout': found 'y', expected one of 'x', 'h', 'plus', 'deadcat'"),
-        ({"layout": []}, r"'layout': found \[\]"),
-        ({"body": 3}, r"'body': found 3"),
-        ({"blades": True}, r"'blades': found True"),
-        ({"propellers": "fast"}, r"'propellers': found 'fast', expected one of 'still', 'spinning'"),
-        ({"propeller_angle_deg": "fast"}, r"'propeller_angle_deg': found 'fast', expected an angle"),
-        ({"propeller_angle_deg": [1, 2, 3]}, r"'propeller_angle_deg': found \[1, 2, 3\]"),
+        ({"size": 0.4}, r"option size: found 0.4; expected options size_m"),
+        ({"size_m": -1}, r"option size_m: found -1; expected a number from 0.05 to 5"),
+        ({"size_m": float("nan")}, r"option size_m: found nan"),
+        ({"size_m": True}, r"option size_m: found True"),
+        ({"size_m": [0.6, 0.5]}, r"option size_m: found \[0.6, 0.5\].*\[low, high\]"),
+        ({"layout": "y"}, r"option layout: found 'y'; expected one of x, h, plus, deadcat"),
+        ({"layout": []}, r"option layout: found \[\]"),
+        ({"body": 3}, r"option body: found 3"),
+        ({"blades": True}, r"option blades: found True"),
+        ({"propellers": "fast"}, r"option propellers: found 'fast'; expected one of still, spinning"),
+        ({"propeller_angle_deg": "fast"}, r"option propeller_angle_deg: found 'fast'; expected an angle"),
+        ({"propeller_angle_deg": [1, 2, 3]}, r"option propeller_angle_deg: found \[1, 2, 3\]"),
     ],
 )
 def test_bad_options_are_named(options: dict[str, object], expected: str) -> None:
@@ -191,17 +192,17 @@ def test_bad_options_are_named(options: dict[str, object], expected: str) -> Non
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"size_m": 0.0}, "'size_m': found 0.0"),
-        ({"layout": None}, "'layout': found None"),
+        ({"size_m": 0.0}, "parameter size_m: found 0.0"),
+        ({"layout": None}, "parameter layout: found None"),
         ({"propeller_angle_deg": [0, 0, 0]}, "four angles"),
-        ({"colour": 1}, "unknown parameter 'colour'"),
-        ({"propellers": "off"}, "'propellers': found 'off'"),
+        ({"colour": 1}, "parameter colour: found 1; expected parameters size_m"),
+        ({"propellers": "off"}, "parameter propellers: found 'off'"),
     ],
 )
 def test_bad_params_are_named(change: dict[str, object], expected: str) -> None:
     with pytest.raises(ModelError, match=expected):
         MODEL.build({**NOMINAL, **change})
-    with pytest.raises(ModelError, match="parameter 'legs' is missing"):
+    with pytest.raises(ModelError, match="parameter legs: is missing"):
         MODEL.build({k: v for k, v in NOMINAL.items() if k != "legs"})
 
 
