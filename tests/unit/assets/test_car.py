@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-from tests.meshes import signed_volume
 
 from infrablend.assets import car
 from infrablend.assets.car import CHOICES, DRAWN, MODEL, NOMINAL
@@ -16,6 +15,7 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
 from infrablend.sampling.scene import FrameKey, sample_scene
+from tests.meshes import signed_volume
 
 DRAWS = [MODEL.sample(stream(7, "car", k), {}) for k in range(24)]
 CORNERS = [

@@ -7,13 +7,13 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from tests.meshes import signed_volume
 
 from infrablend.assets import deer, implicit
 from infrablend.assets.implicit import Body, ellipsoid, is_closed, surface, tube
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
+from tests.meshes import signed_volume
 
 SHAPES = [(pose, variant) for pose in deer.POSES for variant in deer.VARIANTS[pose]]
 UP = [s for s in SHAPES if s[0] != "lying"]

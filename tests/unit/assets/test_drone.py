@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
-from tests.meshes import signed_volume
 
 from infrablend.assets import drone
 from infrablend.assets.drone import CHOICES, DRAWN, MODEL, NOMINAL
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
+from tests.meshes import signed_volume
 
 DRAWS = [MODEL.sample(stream(7, "drone", k), {}) for k in range(24)]
 

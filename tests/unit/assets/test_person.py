@@ -7,7 +7,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from tests.meshes import signed_volume
 
 from infrablend.assets import person
 from infrablend.assets.catalogue import list_models, load_model
@@ -15,6 +14,7 @@ from infrablend.assets.implicit import is_closed
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
+from tests.meshes import signed_volume
 
 SHAPES = [(pose, variant) for pose in person.POSES for variant in person.VARIANTS[pose]]
 STANDING = [s for s in SHAPES if s[0] == "standing"]
