@@ -14,6 +14,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.core.boxes import box_iou
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import Mesh
+from infrablend.core.placed import place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 
@@ -55,9 +56,9 @@ def measure_boxes(model: str, size_px: float, poses: int) -> list[BoxFit]:
     renderer = Silhouettes()
     fits: list[BoxFit] = []
     for scene, mesh in random_poses(model, size_px):
-        labels, _ = annotate(scene, (mesh,))
+        labels, _ = annotate(place(scene, (mesh,)))
         fine = replace(scene, camera=replace(scene.camera, size_wh=(SIZE_WH[0] * FINER, SIZE_WH[1] * FINER)))
-        result = renderer.render(fine, (mesh,))
+        result = renderer.render(place(fine, (mesh,)))
         truth = extent(result.coverage[0] > 0.5, result.offset_xy) / FINER
         longest = float(max(truth[2] - truth[0], truth[3] - truth[1]))
         if abs(longest / size_px - 1) > SIZE_TOLERANCE:

@@ -12,11 +12,11 @@ from scenes import Work
 from variants import load_float, with_samples
 
 from infrablend.assets.catalogue import load_model
-from infrablend.compositing.mapping import GreyMapping
-from infrablend.compositing.overlay import compose_float, make_layer
+from infrablend.compositing.mapping import GreyMapping, percentile_mapping
+from infrablend.compositing.overlay import blend, make_layer
 from infrablend.core.render import RenderResult
 from infrablend.formats.images import load_background
-from infrablend.pipeline.frame import make_mapper
+from infrablend.pipeline.frame_settings import percentile_settings
 from infrablend.sampling.scene import sample_scene
 
 REFERENCE_SAMPLES = 2048
@@ -57,7 +57,6 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
 
     recipe = work.recipe
     models = {o.model: load_model(o.model) for o in recipe.objects}
-    mapper = make_mapper(recipe)
     renderer = Switching()
     found: dict[str, list[NDArray[np.float32]]] = {"program": [], **{name: [] for name in kept}}
     spans, counts = [], []
@@ -65,20 +64,25 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
         background = load_background(frame.background.path, frame.background.size_wh)
         scene = sample_scene(frame.key(background.size_wh), recipe, models, work.settings.seed)
         renderer.reference = True
-        reference = renderer.render(with_samples(scene.spec, REFERENCE_SAMPLES), scene.meshes)
+        reference = renderer.render(with_samples(scene, REFERENCE_SAMPLES))
         renderer.reference = False
         if not reference.alpha.any():
             continue
-        mapping, span = stretched(mapper(background.pixels), reference)
+        mapping, span = stretched(percentile_mapping(background.pixels, percentile_settings(recipe)), reference)
         spans.append(span)
         where = covered(reference)
         counts.append(int(where.sum()))
 
         def picture(result: RenderResult, mapping: GreyMapping = mapping, pixels: Any = background.pixels) -> Any:
-            return compose_float(pixels, make_layer(result, mapping, recipe.overlay.softness_px))
+            """Return the final picture of the whole frame before rounding."""
+            layer = make_layer(result, mapping, recipe.overlay.softness_px)
+            whole = pixels.astype(np.float64)
+            (x, y), (rows, columns) = layer.offset_xy, layer.alpha.shape
+            whole[y : y + rows, x : x + columns] = blend(pixels, layer)
+            return whole
 
         truth = picture(reference)
-        found["program"].append(np.abs(picture(renderer.render(scene.spec, scene.meshes)) - truth)[where])
+        found["program"].append(np.abs(picture(renderer.render(scene)) - truth)[where])
         for name, folder in kept.items():
             found[name].append(np.abs(picture(load_float(folder, frame.frame_id)) - truth)[where])
     nothing = np.zeros(0, np.float32)

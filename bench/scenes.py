@@ -14,11 +14,11 @@ import numpy as np
 from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
-from infrablend.core.camera import object_to_world
+from infrablend.core.placed import PlacedScene
 from infrablend.formats import hit_uav
-from infrablend.pipeline.frame import FrameSettings
+from infrablend.pipeline.frame_settings import FrameSettings
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root, make_plan
-from infrablend.sampling.scene import SampledScene, sample_scene
+from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"
 SEED = 0
@@ -74,8 +74,8 @@ def part_of_plan(plan: RunPlan, frames: Sequence[PlannedFrame]) -> RunPlan:
     return replace(plan, frames=tuple(frames))
 
 
-def scene_of(frame: PlannedFrame, plan: RunPlan) -> SampledScene:
-    """The scene of a frame."""
+def scene_of(frame: PlannedFrame, plan: RunPlan) -> PlacedScene:
+    """Return the scene of a frame."""
     size_wh = frame.background.size_wh or plan.recipe.camera.size_px
     return sample_scene(frame.key(size_wh), plan.recipe, plan.models, plan.seed)
 
@@ -88,9 +88,8 @@ def distribution(work: Work, plan: RunPlan) -> dict[str, dict[str, float]]:
         camera = scene.spec.camera
         distances.append(camera.distance_m)
         pitches.append(math.degrees(camera.pitch_rad))
-        for spec, mesh in zip(scene.spec.objects, scene.meshes, strict=True):
-            xy, _ = camera.project(object_to_world(mesh.vertices_m, spec.position_m, spec.yaw_rad, spec.scale))
-            inside = np.clip(xy, 0, np.array(camera.size_wh, np.float64))
+        for placed in scene.objects:
+            inside = np.clip(placed.xy, 0, np.array(camera.size_wh, np.float64))
             sizes.append(float(np.ptp(inside, axis=0).max()))
     return {
         "distance_m": quantiles(distances),

@@ -17,16 +17,18 @@ from scenes import Work
 
 import infrablend.pipeline.frame as pipeline
 from infrablend.assets.catalogue import load_model
+from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
+from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
-from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
 from infrablend.pipeline.finish import write_formats
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame import FrameMaker, make_mapper
+from infrablend.pipeline.frame import FrameMaker
+from infrablend.pipeline.frame_settings import percentile_settings
 from infrablend.pipeline.plan import RunPlan
 from infrablend.sampling.scene import sample_scene
 
@@ -57,12 +59,11 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
 
     recipe = work.recipe
     models = {o.model: load_model(o.model) for o in recipe.objects}
-    mapper = make_mapper(recipe)
     renderer = (Defaults if defaults else BlenderRenderer)(whole_frame=True)
     out = work.settings.out
     # Once beforehand, uncounted and cheap: kernels load, caches fill.
     warm = sample_scene(work.frames[0].key((64, 64)), recipe, models, work.settings.seed)
-    renderer.render(with_samples(warm.spec, 1), warm.meshes)
+    renderer.render(with_samples(warm, 1))
     rows = []
     for frame in work.frames:
         watch = Stopwatch()
@@ -70,8 +71,10 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
             source = frame.background
             background = load_background(source.path, source.size_wh)
             scene = sample_scene(frame.key(background.size_wh), recipe, models, work.settings.seed)
-            result = renderer.render(with_samples(scene.spec, PAPER_SAMPLES), scene.meshes)
-            layer = make_layer(result, mapper(background.pixels), recipe.overlay.softness_px)
+            result = renderer.render(with_samples(scene, PAPER_SAMPLES))
+            layer = make_layer(
+                result, percentile_mapping(background.pixels, percentile_settings(recipe)), recipe.overlay.softness_px
+            )
             pixels = compose(background.pixels, layer)
             name = f"{source.split}/{frame.name}{output_suffix(source.path, 'same')}"
             write_bytes(out / "images" / name, encode_image(pixels, background, "same"))
@@ -178,9 +181,9 @@ def time_label_files(plan: RunPlan, out: Path) -> float:
     return watch.cpu_s
 
 
-def with_samples(spec: SceneSpec, samples: int) -> SceneSpec:
-    """The scene with that many samples per pixel."""
-    return replace(spec, samples=samples)
+def with_samples(scene: PlacedScene, samples: int) -> PlacedScene:
+    """Return the scene with that many samples per pixel."""
+    return replace(scene, spec=replace(scene.spec, samples=samples))
 
 
 def keep_float(out: Path, frame_id: str, result: RenderResult) -> None:

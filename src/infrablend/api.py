@@ -29,11 +29,11 @@ from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline import experiment_inputs, world
+from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
 from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
 from infrablend.pipeline.experiment_inputs import require_training as _require_training
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.models import ready_model, run_once
-from infrablend.pipeline.realism import RealismReport, Time, compare
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
@@ -198,7 +198,7 @@ def preview(
 
 def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
     """Write frames of a metric run with the ground grid and people of 1.7 m, to check the scale; return the path."""
-    from infrablend.report.ground import ground_sheet
+    from infrablend.report.ground_preview import ground_sheet
 
     return ground_sheet(Path(run), Path(out), count)
 
@@ -383,11 +383,8 @@ def realism(
         OutputError, DatasetError, RenderError, Interrupted: See `infrablend.errors`.
     """
     folder = Path(run)
-    return compare(
-        folder, read_dataset(against, reading), _path(out) or folder / "realism", categories=categories,
-        time_of_day=time_of_day, most_pairs=pairs, workers=execution.worker_count(), in_process=execution.in_process,
-        on_progress=on_progress,
-    )  # fmt: skip
+    request = ComparisonRequest(categories, time_of_day, pairs, execution.worker_count(), execution.in_process)
+    return compare(folder, read_dataset(against, reading), _path(out) or folder / "realism", request, on_progress)
 
 
 def train(

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from infrablend.compositing.overlay import Layer, compose, compose_float
+from infrablend.compositing.overlay import Layer, blend, compose
 
 from .conftest import box_mesh, paste, scene, thing  # noqa: F401 - same folder, same session
 
@@ -62,6 +62,6 @@ def test_equals_the_alpha_over_node(blender, tmp_path):
     finally:
         bpy.data.scenes.remove(other)
     layer = Layer((0, 0), grey, alpha)
-    assert np.abs(compose_float(background, layer) - theirs).max() < 1e-3
+    assert np.abs(blend(background, layer) - theirs).max() < 1e-3
     assert (compose(background, layer) == np.rint(theirs).astype(np.uint8)).mean() > 0.995
     assert np.abs(compose(background, layer).astype(int) - np.rint(theirs)).max() <= 1

@@ -67,8 +67,8 @@ def test_labels_against_pixels(whole, backgrounds, blender):
     """Changed pixels lie in coverage dilated by the blur; mask pixels predicted to change by 2 levels have changed."""
     from infrablend.assets.catalogue import load_model
     from infrablend.compositing.mapping import GreyMapping
-    from infrablend.compositing.overlay import compose_float, make_layer
-    from infrablend.sampling.scene import build_meshes
+    from infrablend.compositing.overlay import blend, make_layer
+    from infrablend.sampling.scene import rebuild_scene
 
     models = {"drone": load_model("drone")}
     softness = 0.45
@@ -79,7 +79,7 @@ def test_labels_against_pixels(whole, backgrounds, blender):
         before = np.array(Image.open(backgrounds / record.background["path"]))
         after = np.array(Image.open(whole / "images" / record.image))
         changed = before != after
-        result = blender.render(record.scene, build_meshes(record.scene, models))
+        result = blender.render(rebuild_scene(record.scene, models))
         covered = np.zeros(before.shape, np.uint8)
         (x0, y0), (h, w) = result.offset_xy, result.alpha.shape
         covered[y0 : y0 + h, x0 : x0 + w] = result.alpha > 0
@@ -88,7 +88,11 @@ def test_labels_against_pixels(whole, backgrounds, blender):
         grown = cv2.dilate(covered, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)).astype(bool)
         assert not (changed & ~grown).any()
         mapping = GreyMapping(**record.mapping)
-        predicted = compose_float(before, make_layer(result, mapping, softness)) - before
+        layer = make_layer(result, mapping, softness)
+        (lx, ly), (rows_, columns_) = layer.offset_xy, layer.alpha.shape
+        predicted = np.zeros(before.shape)
+        part = (slice(ly, ly + rows_), slice(lx, lx + columns_))
+        predicted[part] = blend(before, layer) - before[part]
         for instance in record.inserted:
             mask = instance.mask.to_array()
             must = mask & (np.abs(predicted) >= 2)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from infrablend.core.mesh import make_mesh
+from infrablend.core.placed import place
 from infrablend.core.scene import Weather
-from infrablend.thermal.radiometry import apparent_temperature, band_radiance
+from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
-from infrablend.thermal.surface import leaving_radiance
+from tests.thermal_reference import apparent_temperature, leaving_radiance
 
 from .conftest import box_mesh, scene, thing
 
@@ -23,7 +24,7 @@ def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, surface=N
     body = thing(yaw=0, kelvin=kelvin, emissivity=emissivity, ior=ior, **(surface or {}))
     spec = scene([body], samples=64, size_wh=(160, 128), **camera)
     look = dataclasses.replace(spec.appearance, mode="physical")
-    r = blender.render(dataclasses.replace(spec, appearance=look, weather=weather), [mesh or box_mesh()])
+    r = blender.render(place(dataclasses.replace(spec, appearance=look, weather=weather), [mesh or box_mesh()]))
     inside = r.alpha > 0.999
     assert inside.sum() > 100
     return r.radiance[inside]
@@ -172,9 +173,9 @@ def test_glass_is_darker_than_the_paint_beside_it(blender):
 
 def test_the_artistic_look_is_untouched_by_a_physical_frame_before_it(blender):
     s, mesh = scene([thing(emissivity=0.9, ior=1.5)]), box_mesh()
-    before = blender.render(s, [mesh]).radiance.tobytes()
+    before = blender.render(place(s, [mesh])).radiance.tobytes()
     render(blender, AIR_K, 0.9, 1.5)
-    assert blender.render(s, [mesh]).radiance.tobytes() == before
+    assert blender.render(place(s, [mesh])).radiance.tobytes() == before
 
 
 def test_worked_scene_of_a_night(blender):

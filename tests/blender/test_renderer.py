@@ -6,22 +6,23 @@ import numpy as np
 import psutil
 import pytest
 
-from infrablend.core.fake_renderer import FakeRenderer
+from infrablend.core.placed import place
 from infrablend.core.scene import PartState
+from infrablend.rendering.flat import FlatRenderer
 
 from .conftest import box_mesh, paste, scene, thing
 
 
 @pytest.fixture(params=["fake", "blender"])
 def renderer(request):
-    return FakeRenderer() if request.param == "fake" else request.getfixturevalue("blender")
+    return FlatRenderer() if request.param == "fake" else request.getfixturevalue("blender")
 
 
 class TestContract:
     """What holds for every renderer."""
 
     def test_shapes_and_ranges(self, renderer):
-        r = renderer.render(scene([thing(), thing(0.8, 0.4)]), [box_mesh(), box_mesh((0.3, 0.3, 0.3))])
+        r = renderer.render(place(scene([thing(), thing(0.8, 0.4)]), [box_mesh(), box_mesh((0.3, 0.3, 0.3))]))
         assert r.coverage.shape == (2, *r.alpha.shape)
         assert 0 <= r.alpha.min() <= r.alpha.max() <= 1
         assert (r.coverage.sum(axis=0) <= r.alpha + 1e-4).all()
@@ -29,50 +30,49 @@ class TestContract:
 
     def test_level_of_a_hot_body(self, renderer):
         """300 K between 275 and 305 K, emissivity 1, no rim: 25/30."""
-        r = renderer.render(scene([thing(kelvin=300.0)]), [box_mesh()])
+        r = renderer.render(place(scene([thing(kelvin=300.0)]), [box_mesh()]))
         inside = r.alpha > 0.999
         assert inside.sum() > 500
         assert r.radiance[inside] == pytest.approx(25 / 30, abs=2e-3)
 
     def test_emissivity_mixes_in_the_surroundings(self, renderer):
-        r = renderer.render(scene([thing(kelvin=300.0, emissivity=0.6)], surroundings_k=281.0), [box_mesh()])
+        r = renderer.render(place(scene([thing(kelvin=300.0, emissivity=0.6)], surroundings_k=281.0), [box_mesh()]))
         inside = r.alpha > 0.999
         assert r.radiance[inside] == pytest.approx(0.6 * 25 / 30 + 0.4 * 6 / 30, abs=2e-3)
 
     def test_a_body_of_its_surroundings_temperature_shows_that_alone(self, renderer):
         """Isothermal cavity: what shines and mirrors the same temperature looks like it, whatever its emissivity."""
         for emissivity in (0.1, 0.9):
-            r = renderer.render(
-                scene([thing(kelvin=290.0, emissivity=emissivity, ior=1.5)], surroundings_k=290.0), [box_mesh()]
-            )
+            spec = scene([thing(kelvin=290.0, emissivity=emissivity, ior=1.5)], surroundings_k=290.0)
+            r = renderer.render(place(spec, [box_mesh()]))
             inside = r.alpha > 0.999
             assert r.radiance[inside] == pytest.approx(0.5, abs=2e-3)
 
     def test_the_nearer_object_hides_the_farther(self, renderer):
         near, far = thing(0, -1.5, 1.2, yaw=0), thing(0, 0, 0, yaw=0)
-        r = renderer.render(scene([far, near], roll_rad=0), [box_mesh(), box_mesh((0.6, 0.5, 0.5))])
-        alone = renderer.render(scene([far], roll_rad=0), [box_mesh()])
+        r = renderer.render(place(scene([far, near], roll_rad=0), [box_mesh(), box_mesh((0.6, 0.5, 0.5))]))
+        alone = renderer.render(place(scene([far], roll_rad=0), [box_mesh()]))
         assert r.coverage[0].sum() < 0.9 * alone.coverage[0].sum()
         assert r.coverage[1].sum() > 100
 
     def test_unlabelled_parts_are_in_the_picture_but_not_in_the_coverage(self, renderer):
-        r = renderer.render(scene([thing(label=False)]), [box_mesh()])
+        r = renderer.render(place(scene([thing(label=False)]), [box_mesh()]))
         assert r.alpha.max() > 0.999
         assert r.coverage.max() == 0
 
     def test_nothing_in_view_gives_an_empty_crop(self, renderer):
-        r = renderer.render(scene([thing(50.0)]), [box_mesh()])
+        r = renderer.render(place(scene([thing(50.0)]), [box_mesh()]))
         assert r.alpha.size == 0
-        r = renderer.render(scene([]), [])
+        r = renderer.render(place(scene([]), []))
         assert r.alpha.size == 0
 
     def test_cut_by_the_frame(self, renderer):
-        r = renderer.render(scene([thing(2.1)]), [box_mesh()])
+        r = renderer.render(place(scene([thing(2.1)]), [box_mesh()]))
         assert r.offset_xy[0] + r.alpha.shape[1] == 320
         assert r.alpha[:, -1].max() == pytest.approx(1, abs=1e-3)
 
     def test_arrays_are_read_only(self, renderer):
-        r = renderer.render(scene([thing()]), [box_mesh()])
+        r = renderer.render(place(scene([thing()]), [box_mesh()]))
         with pytest.raises(ValueError, match="read-only"):
             r.alpha[0, 0] = 1
 
@@ -80,8 +80,8 @@ class TestContract:
 def test_both_renderers_agree_on_geometry(blender):
     for roll, yaw, x, y in ((0.0, 0.0, 0.0, 0.0), (0.15, 1.0, 0.7, -0.5), (-0.1, 4.0, -0.9, 0.8)):
         s = scene([thing(x, y, yaw=yaw)], roll_rad=roll, samples=256)
-        a = paste(blender.render(s, [box_mesh()]))[1]
-        b = paste(FakeRenderer().render(s, [box_mesh()]))[1]
+        a = paste(blender.render(place(s, [box_mesh()])))[1]
+        b = paste(FlatRenderer().render(place(s, [box_mesh()])))[1]
         assert abs(a.sum() / b.sum() - 1) < 2e-3
         assert np.abs(a - b).max() < 0.2  # 4 x 4 samples against 256
         assert np.abs(a - b).mean() < 2e-4
@@ -89,27 +89,27 @@ def test_both_renderers_agree_on_geometry(blender):
 
 def test_a_crop_equals_the_same_part_of_the_full_frame(blender, monkeypatch):
     s, mesh = scene([thing(0.4, 0.3, kelvin=297, emissivity=0.9, ior=1.5)], samples=16, texture_k=2.0), box_mesh()
-    cropped = paste(blender.render(s, [mesh]))
-    monkeypatch.setattr("infrablend.blender.renderer.crop_of", lambda camera, worlds: (0, 0, *camera.size_wh))
-    full = paste(blender.render(s, [mesh]))
+    cropped = paste(blender.render(place(s, [mesh])))
+    monkeypatch.setattr("infrablend.blender.renderer.crop_of", lambda placed: (0, 0, *placed.spec.camera.size_wh))
+    full = paste(blender.render(place(s, [mesh])))
     assert (cropped[0] == full[0]).all()
     assert (cropped[1] == full[1]).all()
 
 
 def test_same_scene_same_bytes_and_other_seed_other_noise(blender):
     s, mesh = scene([thing(ior=1.5, emissivity=0.9)], samples=0), box_mesh()
-    a, b = (blender.render(s, [mesh]) for _ in range(2))
+    a, b = (blender.render(place(s, [mesh])) for _ in range(2))
     assert a.radiance.tobytes() == b.radiance.tobytes()
     assert a.coverage.tobytes() == b.coverage.tobytes()
-    c = blender.render(dataclasses.replace(s, render_seed=6), [mesh])
+    c = blender.render(place(dataclasses.replace(s, render_seed=6), [mesh]))
     assert c.alpha.tobytes() != a.alpha.tobytes()
 
 
 def test_order_of_frames_does_not_matter(blender):
     mesh = box_mesh()
     scenes = [scene([thing(0.1 * k)], seed=k) for k in range(3)]
-    forward = [blender.render(s, [mesh]).radiance.tobytes() for s in scenes]
-    backward = [blender.render(s, [mesh]).radiance.tobytes() for s in reversed(scenes)]
+    forward = [blender.render(place(s, [mesh])).radiance.tobytes() for s in scenes]
+    backward = [blender.render(place(s, [mesh])).radiance.tobytes() for s in reversed(scenes)]
     assert forward == backward[::-1]
 
 
@@ -117,7 +117,7 @@ def test_alpha_is_the_covered_area(blender):
     """A face-on square of known size: no filter makes it larger or smaller."""
     mesh = box_mesh((1.0, 1.0, 0.002))
     s = scene([thing(yaw=0)], pitch_rad=np.pi / 2, roll_rad=0.0, samples=256)
-    r = blender.render(s, [mesh])
+    r = blender.render(place(s, [mesh]))
     side = 1.0 / (6.0 - 0.001) * s.camera.focal_px
     assert r.alpha.sum() == pytest.approx(side**2, rel=2e-3)
     assert r.coverage[0].sum() == pytest.approx(side**2, rel=2e-3)
@@ -136,7 +136,7 @@ def test_parts_have_their_own_temperature(blender):
     spec = dataclasses.replace(
         thing(yaw=0), parts={"cold": PartState(278.0, 1.0, True, 1.0), "hot": PartState(302.0, 1.0, True, 1.0)}
     )
-    r = blender.render(scene([spec], roll_rad=0), [joined])
+    r = blender.render(place(scene([spec], roll_rad=0), [joined]))
     inside = r.alpha > 0.999
     middle = r.alpha.shape[1] // 2
     left, right = inside.copy(), inside.copy()
@@ -160,7 +160,7 @@ def test_smooth_surfaces_darken_to_the_rim(blender):
     ball = make_mesh([("body", v, tri.astype(np.int32), True)])
 
     def profile(ior):
-        r = blender.render(scene([thing(ior=ior)], samples=64), [ball])
+        r = blender.render(place(scene([thing(ior=ior)], samples=64), [ball]))
         rows, columns = r.alpha.shape
         across = r.radiance[rows // 2] / np.maximum(r.alpha[rows // 2], 1e-6)
         return across[columns // 2], across[r.alpha[rows // 2] > 0.999][1]
@@ -177,11 +177,11 @@ def test_memory_stays_flat_and_no_data_is_left(blender):
 
     mesh = box_mesh()
     for k in range(20):
-        blender.render(scene([thing()], samples=1, seed=k), [mesh])
+        blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
     blocks = len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)
     process = psutil.Process()
     before = process.memory_info().rss
     for k in range(100):
-        blender.render(scene([thing()], samples=1, seed=k), [mesh])
+        blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
     assert process.memory_info().rss - before < 8 * 2**20
     assert (len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)) == blocks

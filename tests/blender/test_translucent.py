@@ -8,12 +8,13 @@ import pytest
 from infrablend.annotation.labels import annotate
 from infrablend.assets.drone import DISC_RINGS, NOMINAL, build_drone
 from infrablend.assets.drone import parts_for as drone_parts
-from infrablend.core.fake_renderer import FakeRenderer
 from infrablend.core.mesh import Mesh, make_mesh
+from infrablend.core.placed import place
 from infrablend.core.scene import ObjectSpec, PartState, Weather
+from infrablend.rendering.flat import FlatRenderer
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
-from infrablend.thermal.surface import leaving_radiance
+from tests.thermal_reference import leaving_radiance
 
 from .conftest import box_mesh, paste, scene, thing
 
@@ -30,7 +31,7 @@ def sheet(width=1.6, z=1.0, part="disc") -> Mesh:
 
 def both(mode, blender, spec, meshes):
     look = dataclasses.replace(spec.appearance, mode=mode)
-    return blender.render(dataclasses.replace(spec, appearance=look, weather=CLEAR), meshes)
+    return blender.render(place(dataclasses.replace(spec, appearance=look, weather=CLEAR), meshes))
 
 
 @pytest.mark.parametrize("opacity", [0.08, 0.3, 0.8])
@@ -79,16 +80,19 @@ def test_labels_look_through(blender, mode, opacity):
     without = scene([bare, dataclasses.replace(above, parts={"body": states["body"]})])
     a = both(mode, blender, with_sheets, [own, other])
     b = both(mode, blender, without, [body, aside])
-    (la, ra), (lb, rb) = annotate(with_sheets, [own, other], a), annotate(without, [body, aside], b)
+    (la, ra), (lb, rb) = annotate(place(with_sheets, [own, other]), a), annotate(place(without, [body, aside]), b)
     assert len(la) == len(lb) >= 1 and ra == rb
     for x, y in zip(la, lb, strict=True):
         assert np.array_equal(x.box_xyxy, y.box_xyxy) and np.array_equal(x.corners_xy, y.corners_xy)
         assert np.array_equal(x.mask.to_array(), y.mask.to_array())
         assert x.visibility == y.visibility == 1.0
     # Also where there is no render, and with the renderer that is not Blender.
-    assert annotate(with_sheets, [own, other])[0][0].mask == annotate(without, [body, aside])[0][0].mask
-    fake = FakeRenderer()
-    fa, fb = (annotate(s, m, fake.render(s, m)) for s, m in ((with_sheets, [own, other]), (without, [body, aside])))
+    assert annotate(place(with_sheets, [own, other]))[0][0].mask == annotate(place(without, [body, aside]))[0][0].mask
+    fake = FlatRenderer()
+    fa, fb = (
+        annotate(place(s, m), fake.render(place(s, m)))
+        for s, m in ((with_sheets, [own, other]), (without, [body, aside]))
+    )
     assert [i.mask for i in fa[0]] == [i.mask for i in fb[0]]
 
 
@@ -97,7 +101,7 @@ def test_the_other_renderer_agrees_on_alpha_and_light(blender):
     mesh = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (body, disc)])
     states = {"body": PartState(300.0, 1.0, True, 1.0), "disc": PartState(285.0, 1.0, False, 1.0, opacity=0.3)}
     spec = scene([ObjectSpec("a", "a", {}, states, (0.0, 0.0, 0.0), 0.3)])
-    cycles, flat = (paste(r.render(spec, [mesh])) for r in (blender, FakeRenderer()))
+    cycles, flat = (paste(r.render(place(spec, [mesh]))) for r in (blender, FlatRenderer()))
     for a, b in zip(cycles, flat, strict=True):
         assert np.abs(a - b).mean() < 2e-3
         assert np.percentile(np.abs(a - b), 98) < 0.02
@@ -125,12 +129,12 @@ def test_a_drone_in_flight_has_the_labels_of_one_without_blades(blender, mode, p
         mesh.vertices_m, mesh.triangles[~disc], mesh.part_of_triangle[~disc], mesh.part_names, mesh.smooth[~disc]
     )
     flying, naked = (both(mode, blender, spec, [m]) for m in (mesh, bare))
-    (a,), (b,) = (annotate(spec, [m], r)[0] for m, r in ((mesh, flying), (bare, naked)))
+    (a,), (b,) = (annotate(place(spec, [m]), r)[0] for m, r in ((mesh, flying), (bare, naked)))
     assert np.array_equal(a.box_xyxy, b.box_xyxy) and np.array_equal(a.corners_xy, b.corners_xy)
     assert a.mask == b.mask and a.visibility == b.visibility
     # The blades themselves are counted while they stand still.
     still_spec, still_mesh = drone("still", np.radians(pitch_deg))
-    (still,) = annotate(still_spec, [still_mesh], both(mode, blender, still_spec, [still_mesh]))[0]
+    (still,) = annotate(place(still_spec, [still_mesh]), both(mode, blender, still_spec, [still_mesh]))[0]
     assert still.mask.area_px > 1.05 * a.mask.area_px
     # Discs: a faint veil of 3 to 25 %, brighter towards the hub, never a crisp blade.
     pasted = [paste(r)[1] for r in (flying, naked)]

@@ -8,10 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from infrablend.annotation.labels import LabelSettings, annotate
+from infrablend.annotation.labels import annotate
 from infrablend.core import boxes
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh, make_mesh
+from infrablend.core.placed import place
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 
 WH = (160, 128)
@@ -52,7 +53,7 @@ def test_labels_hold_together(
     distance_m: float, pitch_deg: float, roll_deg: float, drawn: list[tuple], obb: str
 ) -> None:
     scene, meshes = build(distance_m, pitch_deg, roll_deg, drawn)
-    found, report = annotate(scene, meshes, None, LabelSettings(obb=obb))  # type: ignore[arg-type]
+    found, report = annotate(place(scene, meshes), obb=obb)  # type: ignore[arg-type]
     assert sorted([*report.kept, *(d.index for d in report.drops)]) == list(range(len(drawn)))
     assert [i.extra["object"] for i in found] == list(report.kept)
     taken = np.zeros(WH[::-1], int)
@@ -92,10 +93,8 @@ def test_labels_hold_together(
 @given(st.floats(2, 10), st.floats(0, 90), st.lists(things, min_size=2, max_size=3))
 def test_another_object_never_makes_a_label_larger(distance_m: float, pitch_deg: float, drawn: list[tuple]) -> None:
     scene, meshes = build(distance_m, pitch_deg, 0.0, drawn)
-    alone, alone_report = annotate(
-        SceneSpec(**{**vars(scene), "objects": scene.objects[:1]}), meshes[:1], None, LabelSettings()
-    )
-    found, report = annotate(scene, meshes)
+    alone, alone_report = annotate(place(SceneSpec(**{**vars(scene), "objects": scene.objects[:1]}), meshes[:1]))
+    found, report = annotate(place(scene, meshes))
     if 0 not in report.kept:
         return
     assert alone_report.kept == (0,)

@@ -62,10 +62,11 @@ def test_the_controls_lie_where_they_must(real_data, night):
     real, floor, hard = [], [], []
     for image, background, picture, labels, objects in survey(night, "Person", 150):
         chosen = [(n, o) for n, o, m in objects if not m.flaw]
-        pasted, flat, placed, free = paste_controls(picture, labels, chosen, image.id)
+        made = paste_controls(picture, labels, chosen, image.id)
+        placed, free = made.labels, made.free
         of_image = {n: m for n, _, m in objects}
-        for made, into in ((pasted, floor), (flat, hard)):
-            data = encode_image(np.clip(np.rint(made), 0, 255).astype(np.uint8), background)
+        for pasted, into in ((made.real, floor), (made.flat, hard)):
+            data = encode_image(np.clip(np.rint(pasted), 0, 255).astype(np.uint8), background)
             saved = eight_bit(decoded(data), LEVELS)
             into += [measure(saved, o, free, key=str(n), group=image.id) for n, o in sorted(placed.items())]
         real += [of_image[n] for n in sorted(placed)]

@@ -1,1 +1,1 @@
-"""Labels: what of each new object is visible, and how that joins the labels that were there before."""
+"""Labels: the visible part of each inserted object, and how new labels are merged with existing ones."""

@@ -1,9 +1,9 @@
-"""Labels that were in the image before, together with the new ones."""
+"""The labels that were in the image before, merged with those of the inserted objects."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -15,25 +15,23 @@ from infrablend.core.dataset import Instance
 from infrablend.core.masks import Mask
 
 LabelChoice = Literal["merged", "new", "original"]
-RemovalReason = Literal["covered", "category", "dont_care", "labels"]
+RemovalReason = Literal["covered", "category", "labels"]
 
 
 @dataclass(frozen=True)
 class MergeSettings:
-    """Which labels an output image carries.
+    """Rules for the labels of an output image.
 
     Attributes:
-        labels: Original and new ones, or one of the two.
-        keep_categories: Names of the original categories that stay, None for all. New labels always stay.
-        cover_share: An original object loses its label when at least this share of its pixels (see
-            `covered_share`) lies under the new masks, in (0, 1]; None never removes one.
-        dont_care: Whether regions of a category that is to be ignored stay.
+        labels: Original and new labels, or only one of the two.
+        keep_categories: Original categories that stay, None for all. New labels always stay.
+        cover_share: Share in (0, 1] of an original object's pixels (see `covered_share`) under the new masks from
+            which on its label is removed; None never removes one.
     """
 
     labels: LabelChoice = "merged"
     keep_categories: tuple[str, ...] | None = None
     cover_share: float | None = 0.99
-    dont_care: Literal["drop", "keep"] = "keep"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +39,14 @@ class Removal:
     """A label that the output does not carry.
 
     Attributes:
-        reason: `covered` by new objects, `category` not among those to keep, `dont_care` region, or left out
-        by
-            the choice of `labels`.
-        category: Of the object.
-        source_id: Of the annotation in its source.
-        box_xyxy: Of the object.
-        covered_share: Share of its pixels under the new masks, in [0, 1].
+        reason: `covered` by new objects, `category` not among those to keep, or left out by the choice of `labels`.
+        category: Class of the object.
+        source_id: Id of the annotation in its source.
+        box_xyxy: Box of the object.
+        covered_share: Share of the object's pixels under the new masks, in [0, 1].
         inserted: True for a new object (only `labels: original` leaves one out).
-        corners_xy: (4, 2) of its oriented box, None if unknown.
-        mask: Its own, None if unknown.
+        corners_xy: (4, 2) corners of the oriented box, None if unknown.
+        mask: Mask of the object, None if unknown.
     """
 
     reason: RemovalReason
@@ -63,7 +59,7 @@ class Removal:
     mask: Mask | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `corners_xy` and `mask` where they are known."""
+        """Return plain JSON values, with `corners_xy` and `mask` where they are known."""
         corners = {} if self.corners_xy is None else {"corners_xy": self.corners_xy.tolist()}
         mask = {} if self.mask is None else {"mask": self.mask.to_coco()}
         return {
@@ -78,72 +74,77 @@ class Removal:
         }
 
 
-def merge(
-    original: Sequence[Instance],
-    new: Sequence[Instance],
-    settings: MergeSettings | None = None,
-    *,
-    ignored: Collection[str] = (),
-    unlabelled_masks: Sequence[Mask] = (),
-) -> tuple[tuple[Instance, ...], tuple[Removal, ...]]:
-    """The labels of an output image, originals first, and every label that was left out.
+@dataclass(frozen=True, eq=False)
+class MergedLabels:
+    """The labels of an output image.
+
+    Attributes:
+        kept: Indices of the original labels that stay.
+        inserted: New labels that the image carries.
+        removed: Every label that was left out, with the reason.
+        partly_covered: What is still visible of original objects that new ones hide in part, by index; see
+            `partly_covered`.
+    """
+
+    kept: tuple[int, ...]
+    inserted: tuple[Instance, ...]
+    removed: tuple[Removal, ...]
+    partly_covered: dict[int, Instance]
+
+
+def merge(original: Sequence[Instance], new: Sequence[Instance], settings: MergeSettings | None = None) -> MergedLabels:
+    """Merge the labels of a background with those of the objects inserted into it.
+
+    Every given label is either carried by the output or listed in `removed`.
 
     Args:
         original: Labels of the background.
         new: Labels of the inserted objects; each has a mask.
-        settings: Which labels stay.
-        ignored: Names of the original categories that are to be ignored (`Category.ignore`).
-        unlabelled_masks: Pixels of inserted objects without a label (`Drop.mask`), which hide things as well.
-
-    Returns:
-        The instances that stay, unchanged and in order, and a record of each that does not. Every given
-        instance is in exactly one of the two.
+        settings: Rules for the labels that stay.
 
     Raises:
-        ValueError: If a new instance has no mask.
+        ValueError: A new instance has no mask.
     """
     settings = settings if settings is not None else MergeSettings()
-    cover = cover_of(new, unlabelled_masks)
-    kept: list[Instance] = []
+    cover = cover_of(new)
+    kept: list[int] = []
     removed: list[Removal] = []
-    for instance in original:
+    for n, instance in enumerate(original):
         share = 0.0 if cover is None else covered_share(instance, cover)
         reason: RemovalReason | None = None
         if settings.labels == "new":
             reason = "labels"
-        elif instance.category in ignored and settings.dont_care == "drop":
-            reason = "dont_care"
         elif settings.keep_categories is not None and instance.category not in settings.keep_categories:
             reason = "category"
         elif settings.cover_share is not None and share > 0 and share >= settings.cover_share:
             reason = "covered"
         if reason is None:
-            kept.append(instance)
+            kept.append(n)
         else:
             removed.append(_removal(instance, reason, share))
     if settings.labels == "original":
         removed += [_removal(i, "labels", 0.0) for i in new]
-    else:
-        kept += new
-    return tuple(kept), tuple(removed)
+        new = ()
+    seen = partly_covered(original, cover)
+    return MergedLabels(tuple(kept), tuple(new), tuple(removed), {n: i for n, i in seen.items() if n in set(kept)})
 
 
-def cover_of(new: Sequence[Instance], unlabelled_masks: Sequence[Mask] = ()) -> NDArray[np.bool_] | None:
-    """(h, w) which pixels the new objects hide; None without any.
+def cover_of(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
+    """Mark the (h, w) pixels that the new objects hide; None without any new object.
 
     Raises:
-        ValueError: If a new instance has no mask.
+        ValueError: A new instance has no mask.
     """
     cover: NDArray[np.bool_] | None = None
-    for mask in [*(_require_mask(i) for i in new), *unlabelled_masks]:
+    for mask in [_require_mask(i) for i in new]:
         cover = mask.to_array() if cover is None else cover | mask.to_array()
     return cover
 
 
 def partly_covered(original: Sequence[Instance], cover: NDArray[np.bool_] | None) -> dict[int, Instance]:
-    """The originals of which new objects hide a part, by index, with what can still be seen of them.
+    """Return the originals that new objects hide in part, by index, with what is still visible of them.
 
-    `visibility` is multiplied by the share that is not covered (unknown counts as 1 before); a mask, which means
+    `visibility` is multiplied by the share that is not covered (an unknown one counts as 1). A mask, which means
     visible pixels, loses the covered ones. Boxes stay.
     """
     found: dict[int, Instance] = {}
@@ -160,11 +161,11 @@ def partly_covered(original: Sequence[Instance], cover: NDArray[np.bool_] | None
 
 
 def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
-    """Share in [0, 1] of an object's pixels that `cover` (h, w) holds.
+    """Return the share in [0, 1] of an object's pixels that `cover` (h, w) marks.
 
-    Its pixels are its mask, else those of its box, the oriented one where it is known. A pixel belongs to a box if its
-    centre lies inside; a box so small that it holds no centre has the pixel that its own centre lies in. Only pixels
-    of the frame count; a box without any, outside the frame, has share 0.
+    The object's pixels are its mask, else those of its box, the oriented one where it is known. A pixel belongs to a
+    box if its centre is inside. A box too small to contain a pixel's centre has the pixel under its own centre. Only
+    pixels of the frame count; a box outside the frame has share 0.
     """
     mask = instance.mask
     if mask is not None and mask.size_hw == cover.shape and mask.area_px:
@@ -178,7 +179,7 @@ def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
 
 
 def box_pixels(instance: Instance, size_hw: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Row and column of a window, and (h, w) which of its pixels lie in an object's box; None if outside."""
+    """Return row and column of a window, and its (h, w) pixels inside an object's box; None outside the frame."""
     height, width = size_hw
     polygon = instance.corners_xy
     if polygon is not None and polygon_area(polygon) < 0:
@@ -205,7 +206,7 @@ def box_pixels(instance: Instance, size_hw: tuple[int, int]) -> tuple[tuple[int,
 def _require_mask(instance: Instance) -> Mask:
     if instance.mask is None:
         where = instance.box_xyxy.tolist()
-        raise ValueError(f"a new object needs a mask, {instance.category!r} at {where} has none")
+        raise ValueError(f"a new object needs a mask; {instance.category!r} at {where} has none")
     return instance.mask
 
 

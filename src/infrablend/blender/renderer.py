@@ -1,4 +1,4 @@
-"""The Blender renderer: scene and meshes in, a crop of linear radiance, alpha and coverage out."""
+"""The Blender renderer: a placed scene in; a crop of linear radiance, alpha and coverage out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -20,16 +20,17 @@ from infrablend.blender import session
 from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
-from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, Mesh
-from infrablend.core.render import RenderResult
-from infrablend.core.scene import ObjectSpec, SceneSpec
+from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.render import RenderResult, empty_result
+from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
 
 ZERO_C_K = 273.15
-# A part mirrors another part, which mirrors the sky; the rest is below 1 % of 5 %.
+# A part mirrors another part, which mirrors the sky; further bounces add less than 1 % of 5 %.
 PHYSICAL_BOUNCES = 2
-# One pixel more than the projected outline: nothing is lost to rounding.
+# One pixel more than the projected outline, so that rounding loses nothing.
 CROP_MARGIN_PX = 1
 
 
@@ -47,10 +48,10 @@ class BlenderRenderer:
         """Start from an empty Blender scene.
 
         Args:
-            device: Where Cycles computes.
-            threads: CPU threads of one render; workers are parallel, so 1 is best for throughput.
-            scratch: Folder for the render's float file; by default $TMPDIR, else memory (/dev/shm) where there is one.
-            whole_frame: Render every pixel of the frame, as one does without this program; for measurements.
+            device: Device that Cycles computes on.
+            threads: CPU threads of one render; workers run in parallel, so 1 gives the best throughput.
+            scratch: Folder for the render's float file; by default $TMPDIR, else memory (/dev/shm) where it exists.
+            whole_frame: Render every pixel of the frame instead of a crop; for measurements.
         """
         self._whole_frame = whole_frame
         session.return_large_blocks()
@@ -73,36 +74,32 @@ class BlenderRenderer:
         s.render.use_file_extension = False
         s.render.filepath = str(self._file)
 
-    def render(self, scene: SceneSpec, meshes: Sequence[Mesh]) -> RenderResult:
-        """Render `scene`, cropped to what its objects cover; an object-free scene gives an empty crop."""
-        w, h = scene.camera.size_wh
+    def render(self, scene: PlacedScene) -> RenderResult:
+        """Render a scene, cropped to what its objects cover; a scene without objects gives an empty crop."""
+        spec, objects = scene.spec, scene.objects
+        w, h = spec.camera.size_wh
         started = time.perf_counter()
-        worlds = [
-            object_to_world(m.vertices_m, o.position_m, o.yaw_rad, o.scale)
-            for o, m in zip(scene.objects, meshes, strict=True)
-        ]
-        crop = (0, 0, w, h) if self._whole_frame else crop_of(scene.camera, worlds)
+        crop = (0, 0, w, h) if self._whole_frame else crop_of(scene)
         if crop is None:
-            empty = np.zeros((0, 0), np.float32)
-            return RenderResult((0, 0), (w, h), empty, empty.copy(), np.zeros((len(meshes), 0, 0), np.float32))
+            return empty_result((w, h), len(objects))
         x0, y0, x1, y1 = crop
-        self._set_camera(scene.camera)
+        self._set_camera(spec.camera)
         self._set_crop(crop, (w, h))
-        self._set_sampling(scene.samples, scene.render_seed)
-        self._set_aovs(len(scene.objects))
-        self._set_light(scene)
+        self._set_sampling(spec.samples, spec.render_seed)
+        self._set_aovs(len(objects))
+        self._set_light(spec)
         with contextlib.ExitStack() as stack:
-            for slot, (spec, mesh, world) in enumerate(zip(scene.objects, meshes, worlds, strict=True)):
-                stack.enter_context(self._object(slot, spec, mesh, world, scene))
+            for slot, placed in enumerate(objects):
+                stack.enter_context(self._object(slot, placed, spec))
             built = time.perf_counter()
             self._file.unlink(missing_ok=True)
             try:
                 bpy.ops.render.render(write_still=True)
             except RuntimeError as error:
-                raise RenderError(f"{scene.frame_id}: Cycles failed: {error}") from error
+                raise RenderError(f"{spec.frame_id}: Cycles failed: {error}") from error
         rendered = time.perf_counter()
-        radiance, alpha, coverage = self._read(len(scene.objects), (y1 - y0, x1 - x0), scene.frame_id)
-        if scene.appearance.mode == "physical":
+        radiance, alpha, coverage = self._read(len(objects), (y1 - y0, x1 - x0), spec.frame_id)
+        if spec.appearance.mode == "physical":
             radiance = np.asarray(radiance * UNIT_W_M2_SR, np.float32)
         seconds = {
             "build": built - started,
@@ -136,7 +133,7 @@ class BlenderRenderer:
         w, h = size_wh
         r = self._scene.render
         r.use_border = r.use_crop_to_border = True
-        # Blender truncates border * size: aim at the middle of the rounding interval. Its rows count from below.
+        # Blender truncates border * size: aim at the middle of the rounding interval. Its rows count from the bottom.
         r.border_min_x, r.border_max_x = (x0 + 0.25) / w, (x1 + 0.25) / w
         r.border_min_y, r.border_max_y = (h - y1 + 0.25) / h, (h - y0 + 0.25) / h
 
@@ -148,7 +145,7 @@ class BlenderRenderer:
             c.adaptive_threshold, c.adaptive_min_samples = how.adaptive_threshold, how.adaptive_min_samples
 
     def _set_light(self, scene: SceneSpec) -> None:
-        """Artistic: surfaces shine and nothing else. Physical: they also mirror sky, ground and each other."""
+        """Set what surfaces mirror: nothing in the artistic look; sky, ground and each other in the physical one."""
         physical = scene.appearance.mode == "physical"
         if physical:
             if scene.weather is None:
@@ -169,13 +166,13 @@ class BlenderRenderer:
             aov.type = "VALUE"
 
     @contextlib.contextmanager
-    def _object(self, slot: int, spec: ObjectSpec, mesh: Mesh, world_m: FloatArray, scene: SceneSpec) -> Iterator[None]:
-        """Put one object into the scene; take it and all its data out again at the end."""
+    def _object(self, slot: int, placed: PlacedObject, scene: SceneSpec) -> Iterator[None]:
+        """Put one object into the scene, and remove it and all its data at the end."""
         data = bpy.data.meshes.new(f"mesh_{slot}")
         thing = None
         try:
-            _fill_mesh(data, world_m, mesh, spec, scene)
-            translucent = any(spec.parts[name].opacity < 1 for name in mesh.part_names)
+            _fill_mesh(data, placed, scene)
+            translucent = any(placed.spec.parts[name].opacity < 1 for name in placed.mesh.part_names)
             material = object_material(slot, scene.appearance.mode, translucent=translucent)
             data.materials.append(material)
             thing = bpy.data.objects.new(f"thing_{slot}", data)
@@ -189,7 +186,7 @@ class BlenderRenderer:
             self._scene.collection.objects.link(thing)
             yield
         finally:
-            # Blender keeps what it is not told to drop: 0.4 MB per frame otherwise.
+            # Blender keeps data until it is removed explicitly; without this, each frame would leak 0.4 MB.
             if thing is not None:
                 bpy.data.objects.remove(thing, do_unlink=True)
             bpy.data.meshes.remove(data, do_unlink=True)
@@ -214,16 +211,16 @@ class BlenderRenderer:
         return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
 
 
-def crop_of(camera: CameraSpec, worlds_m: Sequence[FloatArray]) -> tuple[int, int, int, int] | None:
-    """Smallest pixel rectangle x0, y0, x1, y1 that holds all objects inside the frame, or None if none shows."""
-    w, h = camera.size_wh
+def crop_of(scene: PlacedScene) -> tuple[int, int, int, int] | None:
+    """Return the smallest pixel rectangle x0, y0, x1, y1 that contains all objects in the frame; None if none is."""
+    w, h = scene.spec.camera.size_wh
     lows, highs = [], []
-    for vertices in worlds_m:
-        xy, depth = camera.project(vertices)
+    for placed in scene.objects:
+        xy, depth = placed.xy, placed.depth_m
         if (depth <= 0.01).any():
             if (depth <= 0.01).all():
                 continue
-            return (0, 0, w, h)  # reaches behind the camera: its outline is unbounded
+            return (0, 0, w, h)  # reaches behind the camera, so its outline is unbounded
         lows.append(xy.min(axis=0))
         highs.append(xy.max(axis=0))
     if not lows:
@@ -234,7 +231,8 @@ def crop_of(camera: CameraSpec, worlds_m: Sequence[FloatArray]) -> tuple[int, in
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
-def _fill_mesh(data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: ObjectSpec, scene: SceneSpec) -> None:
+def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> None:
+    spec, mesh, world_m = placed.spec, placed.mesh, placed.world_m
     count = len(mesh.triangles)
     data.vertices.add(len(world_m))
     data.vertices.foreach_set("co", np.ascontiguousarray(world_m, np.float32).ravel())
@@ -257,7 +255,7 @@ def _fill_mesh(data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: Obje
         columns["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
     opacity = np.array([s.opacity for s in states])
     if (opacity < 1).any():
-        # Translucent parts run into each other, never into an opaque one: labels count that one whole.
+        # Translucent parts blend into each other, but never into an opaque one, which labels count in full.
         columns["opacity"] = _corner_values(mesh, opacity, mesh.smooth & (opacity < 1)[mesh.part_of_triangle])
     for name, values in columns.items():
         data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
@@ -265,10 +263,10 @@ def _fill_mesh(data: bpy.types.Mesh, world_m: FloatArray, mesh: Mesh, spec: Obje
 
 
 def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
-    """(3T,) value per face corner; averaged over those of the triangles `blend` (T,) that share a vertex.
+    """Return the (3T,) value per face corner, averaged over the triangles `blend` (T,) that share a vertex.
 
-    Averaging makes neighbouring parts of one skin (flank, leg) run into each other; parts that are bodies of their
-    own share no vertices and stay sharp.
+    Averaging blends neighbouring parts of one skin (flank, leg) into each other. Parts that are separate bodies share
+    no vertices and stay sharp.
     """
     per_triangle = of_part[mesh.part_of_triangle]
     corners = np.repeat(per_triangle, 3)
@@ -283,9 +281,10 @@ def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | N
 
 
 def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
-    """(V,) slow temperature pattern over the body, within +-amplitude: no real surface is of one temperature.
+    """Return a (V,) slow temperature pattern over the body, within +-amplitude; no real surface is uniform.
 
-    A few plane waves of about half the body's length in object coordinates, phases from the scene's seed.
+    The pattern is a sum of plane waves of about half the body's length in object coordinates, with phases from the
+    scene's seed.
     """
     phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
     extent = max(float(mesh.size_m.max()), 1e-9)

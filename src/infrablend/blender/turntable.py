@@ -19,6 +19,7 @@ from infrablend.compositing.overlay import compose, make_layer
 from infrablend.core.camera import CameraSpec
 from infrablend.core.files import write_bytes
 from infrablend.core.mesh import Mesh
+from infrablend.core.placed import place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from infrablend.core.tasks import Task
@@ -105,7 +106,7 @@ def _view(
     camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (CELL_PX, CELL_PX))
     scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _look(model, params), 0, 1)
     ground = np.full((CELL_PX, CELL_PX), GROUND, np.uint8)
-    picture = compose(ground, make_layer(renderer.render(scene, [mesh]), MAPPING, 0.45))
+    picture = compose(ground, make_layer(renderer.render(place(scene, [mesh])), MAPPING, 0.45))
     return np.asarray(picture, np.uint8)
 
 

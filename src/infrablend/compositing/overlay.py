@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.core.render import RenderResult
 
-_NOTHING = 1e-6  # alpha below this is rounding
+_NOTHING = 1e-6  # alpha below this is a rounding error
 _LEAST_WIDTH_PX = 0.3
 _TABLE_STEP_PX = 0.02
-_TAIL_LENGTHS = 5.0  # where a tail is cut off: 0.25 % of it lie beyond, 6 lengths from its beginning
+_TAIL_LENGTHS = 5.0  # a tail is cut off here, 6 lengths from its start; 0.25 % of it is beyond
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What is laid over: premultiplied grey levels and alpha of a crop, after the optics' blur.
+    """A rendered crop in the background's grey levels, after the optics' blur.
 
     Attributes:
         offset_xy: Column and row of the crop's top left pixel in the frame.
@@ -34,18 +34,18 @@ class Layer:
 
 
 def blur_radius_px(softness_px: float) -> int:
-    """How far the blur reaches, in whole pixels: three sigma."""
+    """Return the reach of the blur in whole pixels: three sigma."""
     return math.ceil(3 * softness_px) if softness_px > 0 else 0
 
 
 def make_layer(
     result: RenderResult, mapping: GreyMapping, softness_px: float, motion_px: tuple[float, float] = (0.0, 0.0)
 ) -> Layer:
-    """The rendered crop as a layer in the background's levels, blurred by a Gaussian of sigma `softness_px`.
+    """Turn the rendered crop into a layer in the background's levels, blurred by a Gaussian of sigma `softness_px`.
 
-    With `motion_px` (right, down) also by a motion tail that stretches that way and displaces nothing on average, see
-    `motion_kernel`. The crop grows by the blur's reach and is cut to the frame. Light that the blur would carry beyond
-    the frame's edge is lost, as in a camera; that edge darkens nothing, since grey and alpha lose the same share.
+    `motion_px` (right, down) adds a motion tail that stretches that way and displaces nothing on average, see
+    `motion_kernel`. The crop grows by the blur's reach and is cut to the frame. Light that the blur carries beyond the
+    frame's edge is lost, as in a camera; this darkens nothing at the edge, since grey and alpha lose the same share.
     """
     (x0, y0), (w, h) = result.offset_xy, result.frame_wh
     if not result.alpha.size:
@@ -61,13 +61,14 @@ def make_layer(
         rows, columns = alpha.shape
         left, top = min(reach, x0), min(reach, y0)
         right, bottom = min(reach, w - x0 - columns), min(reach, h - y0 - rows)
-        # At the frame's own edge the object goes on beyond it: repeat its last pixels there.
+        # At the frame's own edge the object continues beyond it: repeat its last pixels there.
         stacked = np.stack([grey, alpha], axis=-1)
         inner = cv2.copyMakeBorder(stacked, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
         if moves:
-            # OpenCV correlates: turned by 180 degrees that is a convolution.
+            # OpenCV correlates; a kernel turned by 180 degrees makes that a convolution.
             soft = cv2.filter2D(inner, cv2.CV_32F, kernel[::-1, ::-1], borderType=cv2.BORDER_REPLICATE)
-            soft[soft[..., 1] < _NOTHING] = 0  # a large kernel goes by Fourier transform, which leaves rounding errors
+            # OpenCV applies large kernels by Fourier transform, which leaves rounding errors.
+            soft[soft[..., 1] < _NOTHING] = 0
         else:
             line = cv2.getGaussianKernel(2 * reach + 1, softness_px, cv2.CV_32F)
             soft = cv2.sepFilter2D(inner, cv2.CV_32F, line, line, borderType=cv2.BORDER_REPLICATE)
@@ -77,9 +78,10 @@ def make_layer(
 
 
 def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
-    """Every object in one level, the median of what it would show, with a hard edge at half a pixel's coverage.
+    """Return a layer that shows each object in one level, the median of its own, with a hard edge.
 
-    An object that covers no pixel by half gets the one it covers most: none that has a label is invisible.
+    The edge is at half a pixel's coverage. An object that covers no pixel by half gets the pixel it covers most, so
+    that no labelled object is invisible.
     """
     grey = mapping.apply(result.radiance, result.alpha, result.offset_xy)
     alpha, level = np.zeros_like(result.alpha), np.zeros_like(result.alpha)
@@ -93,12 +95,13 @@ def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
 
 
 def motion_kernel(motion_px: tuple[float, float], sigma_px: float) -> NDArray[np.float32]:
-    """(2 r + 1, 2 r + 1) kernel of a Gaussian of `sigma_px` with a one-sided exponential tail, as slow detectors leave.
+    """Return the (2 r + 1, 2 r + 1) kernel of a Gaussian with the one-sided tail that slow detectors leave.
 
-    The exponential's length is that of `motion_px` (right, down), the way it stretches; it is shifted back by its mean,
-    so that the kernel's centroid is its middle pixel's centre: what was blurred stays where it was, on average.
-    Both are convolved in closed form and then sampled, as OpenCV samples its Gaussians; what sampling moves the
-    centroid is taken back. A line needs some width to be sampled: less than 0.3 px becomes that.
+    The Gaussian has sigma `sigma_px`. The tail is an exponential along `motion_px` (right, down), whose length it has;
+    it is shifted back by its mean, so that the kernel's centroid is the centre of its middle pixel and blurring moves
+    nothing on average. The convolution of both is taken in closed form and then sampled, as OpenCV samples its
+    Gaussians; the shift of the centroid by sampling is removed. Widths below 0.3 px cannot be sampled and are raised
+    to that.
     """
     length = math.hypot(*motion_px)
     ux, uy = motion_px[0] / length, motion_px[1] / length
@@ -144,23 +147,25 @@ def _log_erfc(x: float) -> float:
     return -x * x - math.log(x * math.sqrt(math.pi)) + math.log1p(-q + 3 * q * q - 15 * q**3)
 
 
-def compose_float(background: GreyImage, layer: Layer) -> NDArray[np.float32]:
-    """(h, w) float32 picture `layer.grey + (1 - alpha) * background`, unquantised; for measurements."""
-    picture = background.astype(np.float32)
-    rows, columns = layer.alpha.shape
-    x0, y0 = layer.offset_xy
-    part = picture[y0 : y0 + rows, x0 : x0 + columns]
-    part[...] = layer.grey + (1 - layer.alpha) * part
-    return picture
-
-
 def compose(background: GreyImage, layer: Layer) -> GreyImage:
-    """The picture in the background's own type. Pixels the layer does not touch keep their value to the bit."""
+    """Lay the layer over a background and return the picture in the background's own type.
+
+    Pixels that the layer does not touch keep their value to the bit.
+    """
     top = np.iinfo(background.dtype).max
     picture = background.copy()
-    rows, columns = layer.alpha.shape
-    x0, y0 = layer.offset_xy
-    part = picture[y0 : y0 + rows, x0 : x0 + columns]
-    mixed = layer.grey.astype(np.float64) + (1 - layer.alpha.astype(np.float64)) * part
-    part[...] = np.where(layer.alpha > 0, np.clip(np.rint(mixed), 0, top), part).astype(background.dtype)
+    part = picture[_covered(layer)]
+    part[...] = np.where(layer.alpha > 0, np.clip(np.rint(blend(background, layer)), 0, top), part)
     return picture
+
+
+def blend(background: GreyImage, layer: Layer) -> NDArray[np.float64]:
+    """Return the (h, w) grey levels of the layer's crop over the background, before rounding."""
+    ground = background[_covered(layer)]
+    return np.asarray(layer.grey.astype(np.float64) + (1 - layer.alpha.astype(np.float64)) * ground)
+
+
+def _covered(layer: Layer) -> tuple[slice, slice]:
+    """Return the rows and columns of the frame that the layer covers."""
+    (x0, y0), (rows, columns) = layer.offset_xy, layer.alpha.shape
+    return slice(y0, y0 + rows), slice(x0, x0 + columns)

@@ -133,13 +133,6 @@ def clip_convex(polygon_xy: FloatArray, clip_xy: FloatArray) -> FloatArray:
     return polygon
 
 
-def polygon_iou(a_xy: FloatArray, b_xy: FloatArray) -> float:
-    """Intersection over union of convex polygons (N, 2) and (M, 2), clockwise; 0 if both are empty."""
-    both = polygon_area(clip_convex(a_xy, b_xy))
-    union = polygon_area(a_xy) + polygon_area(b_xy) - both
-    return both / union if union > 0 else 0.0
-
-
 def frame_polygon(size_wh: tuple[int, int]) -> FloatArray:
     """(4, 2) the frame's corners, clockwise from the origin."""
     w, h = size_wh
@@ -277,16 +270,6 @@ def cxcywha_of_corners(corners_xy: FloatArray) -> FloatArray:
     angle = np.where(w > 0, np.arctan2(along[..., 1], along[..., 0]), np.arctan2(-across[..., 0], across[..., 1]))
     centre = corners_xy.mean(axis=-2)
     return np.concatenate([centre, np.stack([w, h, angle], axis=-1)], axis=-1)
-
-
-def le90_of_cxcywha(boxes: FloatArray) -> FloatArray:
-    """The same boxes (..., 5) with the long side as width and the angle in [-pi/2, pi/2) radians."""
-    w, h = boxes[..., 2], boxes[..., 3]
-    tall = w < h
-    angle = boxes[..., 4] + np.where(tall, QUARTER_TURN_RAD, 0.0)
-    angle = np.mod(angle + QUARTER_TURN_RAD, math.pi) - QUARTER_TURN_RAD
-    angle = np.where(angle >= QUARTER_TURN_RAD, -QUARTER_TURN_RAD, angle)
-    return np.stack([boxes[..., 0], boxes[..., 1], np.where(tall, h, w), np.where(tall, w, h), angle], axis=-1)
 
 
 def corners_of_box(box_xyxy: FloatArray) -> FloatArray:

@@ -1,31 +1,29 @@
-"""The renderer's port: a scene in, radiance, alpha and coverage per object out."""
+"""The renderer's port: a placed scene in; radiance, alpha and coverage per object out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.mesh import Mesh
-from infrablend.core.scene import SceneSpec
+from infrablend.core.placed import PlacedScene
 
 Image32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class RenderResult:
-    """What a renderer makes of a scene, cropped to its objects. Linear, float32, box filter of one pixel.
+    """A rendered scene, cropped to its objects. Linear, float32, with a box filter of one pixel.
 
     Attributes:
         offset_xy: Column and row of the crop's top left pixel in the frame.
         frame_wh: Size of the whole frame.
-        radiance: (h, w) premultiplied by alpha: `radiance + (1 - alpha) * background` is the picture.
+        radiance: (h, w) radiance premultiplied by alpha: `radiance + (1 - alpha) * background` is the picture.
         alpha: (h, w) share of the pixel covered by objects, in [0, 1].
         coverage: (n, h, w) share of the pixel in which labelled parts of object k are the nearest surface.
-        seconds: What took how long, for the run record; never part of any output that must repeat.
+        seconds: Time spent per step, for the run record; never part of any output that must repeat.
     """
 
     offset_xy: tuple[int, int]
@@ -46,17 +44,23 @@ class RenderResult:
             a.setflags(write=False)
 
 
-class Renderer(Protocol):
-    """Makes pictures of scenes. One per process; not thread-safe."""
+def empty_result(frame_wh: tuple[int, int], objects: int) -> RenderResult:
+    """Return the result of a scene of which nothing is in the frame: a crop without pixels."""
+    nothing = np.zeros((0, 0), np.float32)
+    return RenderResult((0, 0), frame_wh, nothing, nothing.copy(), np.zeros((objects, 0, 0), np.float32))
 
-    def render(self, scene: SceneSpec, meshes: Sequence[Mesh]) -> RenderResult:
-        """Render `scene`, whose object k has the geometry `meshes[k]` (object coordinates, unscaled).
+
+class Renderer(Protocol):
+    """A renderer of scenes. One per process; not thread-safe."""
+
+    def render(self, scene: PlacedScene) -> RenderResult:
+        """Render a scene, cropped to what its objects cover.
 
         Raises:
-            RenderError: If the renderer fails.
+            RenderError: The renderer fails.
         """
         ...
 
     def close(self) -> None:
-        """Release what the renderer holds."""
+        """Release everything the renderer holds."""
         ...

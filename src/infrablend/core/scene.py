@@ -1,12 +1,12 @@
-"""A scene in a few plain numbers: all that is needed to make one frame again.
+"""A scene in plain numbers: everything needed to render one frame again.
 
-SI, kelvin and radians inside; `to_json`/`from_json` lose nothing.
+SI units, kelvin and radians; `to_json` and `from_json` lose nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from infrablend.core.camera import CameraSpec
@@ -14,19 +14,20 @@ from infrablend.core.camera import CameraSpec
 
 @dataclass(frozen=True)
 class PartState:
-    """One part of an object in one frame.
+    """State of one part of an object in one frame.
 
     Attributes:
-        temperature_k: Of its surface.
-        emissivity: Looked at straight on.
-        label: Whether boxes and masks count it.
-        ior: Refractive index that makes its rim mirror the surroundings; 1 for rough surfaces (fur, cloth) and metals.
-        roughness: Of the mirror image on smooth surfaces and metals.
-        metal: Mirrors at all angles. Physical look only, as roughness.
-        opacity: In (0, 1]. Below 1 what lies behind shows through, and for labels the part is not there.
+        temperature_k: Surface temperature.
+        emissivity: Emissivity seen straight on.
+        label: Whether boxes and masks count the part.
+        ior: Refractive index, which makes the rim mirror the surroundings; 1 for rough surfaces (fur, cloth) and
+            metals.
+        roughness: Roughness of the mirror image on smooth surfaces and metals; physical look only.
+        metal: Whether the surface mirrors at all angles; physical look only.
+        opacity: Share of the light from behind that the part blocks, in (0, 1]. Labels ignore a part below 1.
 
     Raises:
-        ValueError: A value outside its limits.
+        ValueError: A value is outside its limits.
     """
 
     temperature_k: float
@@ -52,11 +53,11 @@ class ObjectSpec:
 
     Attributes:
         model: Name in the catalogue, or path of a user's model description.
-        category: The class its label carries.
-        params: What the model's `build` takes: shape, pose, size. JSON values only.
+        category: Class of the object's label.
+        params: Arguments of the model's `build`: shape, pose, size. JSON values only.
         parts: State of each part, by name.
-        position_m: Of the object's origin in the world.
-        yaw_rad: Heading, counter-clockwise from above, 0 along +X.
+        position_m: Position of the object's origin in the world.
+        yaw_rad: Heading, counter-clockwise seen from above, 0 along +X.
         scale: Extra factor on the model's size.
     """
 
@@ -71,12 +72,12 @@ class ObjectSpec:
 
 @dataclass(frozen=True)
 class Weather:
-    """What a frame's surfaces stand in and mirror; used by the physical look.
+    """Air, sky and ground around a frame's objects; used by the physical look.
 
     Attributes:
         air_k: Air temperature.
-        dew_point_k: At most the air temperature; how much the clear sky shines.
-        cloud: Covered share of the sky, in [0, 1].
+        dew_point_k: Dew point, at most the air temperature; decides the radiance of a clear sky.
+        cloud: Share of the sky that clouds cover, in [0, 1].
         cloud_base_k: Temperature of the clouds.
         ground_k: Apparent temperature of the ground.
     """
@@ -93,10 +94,10 @@ class View:
     """The real camera above the real ground: metric placement.
 
     Attributes:
-        camera_height_m: Above the ground, as calibrated.
-        stated_height_m: As the metadata or the recipe say.
+        camera_height_m: Height above the ground after calibration.
+        stated_height_m: Height according to the metadata or the recipe.
         ground_z_m: Height of the ground plane in the world.
-        anchors: Annotated objects that the calibration rests on, by class.
+        anchors: Number of annotated objects used for the calibration, by class.
         factor_sd: Standard deviation of the logarithm of true over stated height.
     """
 
@@ -109,11 +110,15 @@ class View:
 
 @dataclass(frozen=True)
 class Appearance:
-    """How temperature becomes light.
+    """Rules that turn temperature into light.
 
-    `artistic`: the paper's hand-tuned look; `cold_k` emits 0, `hot_k` emits 1, before emissivity; `surroundings_k` is
-    the apparent temperature that surfaces mirror. `physical`: band radiance, W m^-2 sr^-1, from the `Weather`.
-    `texture_k` is the amplitude of the low-frequency temperature pattern on every part.
+    Attributes:
+        mode: `artistic` is the paper's hand-tuned look, with levels from 0 to 1; `physical` gives band radiance,
+            W m^-2 sr^-1, and takes its surroundings from the `Weather`.
+        cold_k: Temperature that emits 0 in the artistic look, before emissivity.
+        hot_k: Temperature that emits 1 in the artistic look, before emissivity.
+        surroundings_k: Apparent temperature that surfaces mirror in the artistic look.
+        texture_k: Amplitude of the low-frequency temperature pattern on every part.
     """
 
     mode: Literal["artistic", "physical"] = "artistic"
@@ -130,19 +135,19 @@ class SceneSpec:
     Attributes:
         frame_id: `<split>/<background id>_c<configuration>`; unique in the run.
         background_id: Id of the image record.
-        split: Of the background.
+        split: Split of the background.
         configuration: Number of the configuration, from 0.
-        camera: The virtual camera.
-        objects: What is inserted, in drawing-independent order; may be empty.
-        ambient_k: Air temperature that part temperatures were drawn against.
-        appearance: How temperature becomes light.
-        samples: Path-tracing samples per pixel; 0 lets the renderer choose by object size.
+        camera: Camera that the objects are rendered with.
+        objects: Inserted objects, in an order that does not depend on drawing; may be empty.
+        ambient_k: Air temperature that the parts' temperatures were drawn against.
+        appearance: Rules that turn temperature into light.
+        samples: Path-tracing samples per pixel; 0 leaves the choice to the renderer.
         render_seed: Seed of the path tracer's sampling pattern.
-        draws: Facts about sampling (attempts, first distance drawn, why an object is absent).
-        weather: Needed by the physical look; None with the artistic one.
-        motion_px: How far (right, down) a motion tail has moved the objects on average; `objects` and `camera` are
-            after that move. The tail stretches this way, the objects move the other. (0, 0) for none.
-        view: The real camera's height over the ground; None with the paper's placement.
+        draws: Facts about sampling (attempts, first distance drawn, reasons why objects are absent).
+        weather: Air, sky and ground for the physical look; None with the artistic one.
+        motion_px: Mean displacement (right, down) by the motion tail. The tail stretches this way while the objects
+            move the other way; `objects` and `camera` already include the displacement. (0, 0) for none.
+        view: Height of the real camera over the ground; None with the paper's placement.
     """
 
     frame_id: str
@@ -160,13 +165,22 @@ class SceneSpec:
     motion_px: tuple[float, float] = (0.0, 0.0)
     view: View | None = None
 
+    def without(self, numbers: Collection[int], reason: str) -> SceneSpec:
+        """Return the scene without some of its objects, counted in `draws` as absent for `reason`."""
+        gone = set(numbers)
+        draws = dict(self.draws)
+        absent = dict(draws.get("absent", {}))
+        absent[reason] = absent.get(reason, 0) + len(gone)
+        draws["absent"] = absent
+        return replace(self, objects=tuple(o for k, o in enumerate(self.objects) if k not in gone), draws=draws)
+
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> SceneSpec:
-        """The spec that `to_json` wrote."""
+        """Return the spec that `to_json` wrote."""
         d = dict(data)
         camera = dict(d["camera"])
         camera["size_wh"] = tuple(camera["size_wh"])

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, cxcywha_of_corners
+from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Category, ImageRecord, Instance
-from infrablend.core.kinds import kind_of
 from infrablend.core.masks import Mask
 from infrablend.evaluation.detections import FloatArray, Task
 
@@ -168,7 +168,11 @@ def match_classes(detector: Sequence[str], wanted: Sequence[str]) -> dict[str, t
         ways = (
             [k for k, other in enumerate(detector) if other == name],
             [k for k, other in enumerate(detector) if _plain(other) == _plain(name)],
-            [k for k, other in enumerate(detector) if kind_of(other) is not None and kind_of(other) == kind_of(name)],
+            [
+                k
+                for k, other in enumerate(detector)
+                if known_class(other) is not None and known_class(other) == known_class(name)
+            ],
         )
         found[name] = tuple(next((way for way in ways if way), []))
     return found

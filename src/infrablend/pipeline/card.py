@@ -20,7 +20,6 @@ from infrablend.report.card import INSERT_LIMITS, Card, Inserts, find_provenance
 _REMOVED: Mapping[RemovalReason, str] = {
     "covered": "original labels were removed because inserted objects cover them; `run.json` lists them",
     "category": "original labels were left out because the recipe does not keep their class",
-    "dont_care": "regions to ignore were left out",
     "labels": "labels were left out because the recipe asks for only the new or only the original ones",
 }
 _PLACED = {

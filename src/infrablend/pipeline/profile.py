@@ -25,7 +25,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.report.profile_plots import draw_profile
 
-# As `compositing.local.measure_levels`: what a dataset uses, a few stray pixels left out.
+# As `compositing.mapping.measure_levels`: what a dataset uses, a few stray pixels left out.
 LEVEL_PERCENT = (0.05, 99.9)
 # Least distance between darkest and brightest level that counts as contrast, by bit depth.
 LEAST_SPAN = {8: 8, 16: 64}

@@ -1,4 +1,4 @@
-"""The record of one finished frame: its scene, its labels and all that was decided. One JSON file per frame."""
+"""The record of one finished frame: its scene, its labels and every decision. One JSON file per frame."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from infrablend.annotation.merge import MergedLabels
 from infrablend.core.dataset import Instance
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
@@ -18,22 +19,22 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
-    """What `scenes/<split>/<frame>.json` holds.
+    """The content of `scenes/<split>/<frame>.json`.
 
     Attributes:
         frame_id: `<split>/<name>`.
         image: Path below `images/`.
-        image_sha256: Of the image file.
+        image_sha256: SHA-256 of the image file.
         background: Id, path relative to the data folder, sha256, size, pitch, altitude, time of day.
-        scene: The SceneSpec; None for an unchanged original.
+        scene: The scene; None for an unchanged original.
         mapping: The grey-level mapping used (`dark`, `bright`, perhaps `limits`); None for an unchanged original.
         kept: Indices of the background's labels that the image keeps, in order.
-        covered: Of those that new objects cover in part, by index: `visibility`, and `mask` where one is known.
         inserted: Labels of the new objects that the image carries.
-        removed: Labels it does not carry, each with the reason.
-        facts: What happened while labelling (see `annotation.labels.LabelReport`), and what was estimated of the
-            background: `matching`, `sensor` (which is what the picture was made with).
+        removed: Labels that the image does not carry, each with the reason.
+        facts: Special cases met while labelling (see `annotation.labels.LabelReport`), and what was estimated from
+            the background: `matching`, and `sensor`, which the picture was made with.
         warnings: Problems that did not stop the frame.
+        covered: Kept labels that new objects hide in part, by index: `visibility`, and `mask` where one is known.
     """
 
     frame_id: str
@@ -50,7 +51,7 @@ class FrameRecord:
     covered: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "version": VERSION,
             "frame_id": self.frame_id,
@@ -68,7 +69,7 @@ class FrameRecord:
         }
 
     def originals(self, background: Sequence[Instance]) -> tuple[Instance, ...]:
-        """The background's labels that the image keeps, as they look in it."""
+        """Return the background's labels that the image keeps, with what is visible of them in it."""
         found = []
         for n in self.kept:
             seen = self.covered.get(n)
@@ -84,7 +85,7 @@ class FrameRecord:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> FrameRecord:
-        """The record that `to_json` wrote."""
+        """Return the record that `to_json` wrote."""
         if data.get("version") != VERSION:
             raise ValueError(f"record version {data.get('version')!r}, expected {VERSION}")
         return cls(
@@ -103,8 +104,16 @@ class FrameRecord:
         )
 
 
+def covered_facts(merged: MergedLabels) -> dict[int, dict[str, Any]]:
+    """Return `FrameRecord.covered` for merged labels."""
+    return {
+        n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
+        for n, i in merged.partly_covered.items()
+    }
+
+
 def read_record(path: Path) -> FrameRecord | None:
-    """The record in a file, or None if there is none or it is damaged (the frame is then made again)."""
+    """Read a record; None if there is none or it is damaged (the frame is then made again)."""
     try:
         return FrameRecord.from_json(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError, KeyError, TypeError):
@@ -112,5 +121,5 @@ def read_record(path: Path) -> FrameRecord | None:
 
 
 def sha256_of(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
+    """Return the hexadecimal SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

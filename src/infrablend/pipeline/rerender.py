@@ -1,28 +1,44 @@
-"""Making one frame of a run again, alone, from its record."""
+"""Render one frame of a run again from its record."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.assets.model import ObjectModel
+from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.sensor import Sensor
+from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes
+from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.images import encode_image, load_background
+from infrablend.formats.images import Background, encode_image, load_background
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame import make_renderer, repaint
+from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
+from infrablend.rendering import make_renderer
+from infrablend.sampling.scene import rebuild_scene
 
 
 @dataclass(frozen=True)
 class Rerender:
-    """What the worker needs."""
+    """The job of the worker process.
+
+    Attributes:
+        record: The frame's record, as JSON values.
+        recipe_json: The run's recipe.
+        background: The background's file.
+        out: File to write.
+        renderer: Name in `rendering.RENDERERS`.
+        device: Device that Cycles computes on.
+    """
 
     record: dict[str, Any]
     recipe_json: str
@@ -33,7 +49,7 @@ class Rerender:
 
 
 def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path | None = None) -> Path:
-    """Make a frame's picture again from its record; the same bytes on the same kind of device.
+    """Render a frame again from its record; the same bytes on the same kind of device.
 
     Args:
         run: Folder of a run.
@@ -42,8 +58,8 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
         data: Folder of the backgrounds if they have moved.
 
     Raises:
-        OutputError: No such run or frame.
-        DatasetError: The background is gone or has changed.
+        OutputError: There is no such run or frame.
+        DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
     record_run = folder.read_run()
@@ -78,14 +94,31 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
 
 
 def recipe_json(record_run: dict[str, Any]) -> str:
-    """The recipe of a run, from its record."""
+    """Return the recipe of a run, from its record."""
     recipe = upgrade_recorded(record_run["recipe"])
     recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
     return json.dumps(recipe)
 
 
+def render_record(
+    record: FrameRecord, background: Background, recipe: Recipe, models: Mapping[str, ObjectModel], renderer: Renderer
+) -> GreyImage:
+    """Render a recorded frame again: the same pixels as the first time on the same device."""
+    if record.scene is None or record.mapping is None:
+        raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
+    scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
+    return overlay(
+        renderer.render(scene),
+        background.pixels,
+        GreyMapping.from_json(record.mapping),
+        recipe.overlay,
+        None if fitted is None else Sensor.from_json(fitted),
+        scene.spec.motion_px,
+    )
+
+
 def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
-    """Worker factory: the task's payload is a `Rerender`."""
+    """Return the worker: a function of a task whose payload is a `Rerender`."""
     take_core()
 
     def run(task: Task) -> str:
@@ -94,9 +127,9 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         record = FrameRecord.from_json(job.record)
         background = load_background(job.background)
         models = {o.model: ready_model(o.model) for o in recipe.objects}
-        picture = repaint(record, background, recipe, models, make_renderer(job.renderer, job.device))
+        pixels = render_record(record, background, recipe, models, make_renderer(job.renderer, job.device))
         lossless = job.out.suffix.lower() == ".png"
-        write_bytes(job.out, encode_image(picture.pixels, background, "png" if lossless else "same"))
+        write_bytes(job.out, encode_image(pixels, background, "png" if lossless else "same"))
         return str(job.out)
 
     return run

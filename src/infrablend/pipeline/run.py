@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
-from infrablend.compositing.local import measure_levels
+from infrablend.compositing.mapping import measure_levels
 from infrablend.core.files import output_error
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.output import Existing
@@ -23,7 +23,7 @@ from infrablend.execution.serial import Serial
 from infrablend.formats.images import load_background
 from infrablend.pipeline.finish import Finished, write_formats
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame import FrameDone, FrameSettings
+from infrablend.pipeline.frame_settings import FrameDone, FrameSettings
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution

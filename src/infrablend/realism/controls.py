@@ -1,13 +1,13 @@
-"""Two pastes that bound what a classifier's score can mean: real pixels elsewhere, and a hard flat silhouette.
+"""Controls that bound a classifier's score: real objects pasted elsewhere, and hard flat silhouettes.
 
-The first is as good as an insert can be; a classifier tells it from untouched objects only by its place. The second
-is as bad: whoever does not find it is blind.
+The first is as good as an insert can be: only its place distinguishes it from an untouched object. The second is as
+bad as one can be: a classifier that misses it is blind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,12 +21,12 @@ PLACES = 6
 TRIES = 200
 _GAP_PX = 4  # between a paste and any label
 _SOFT_PX = 1.0
-_MARGIN_PX = 4  # of ground that goes along: an object's halo is part of it
+_MARGIN_PX = 4  # ground that is pasted along with an object, since its halo is part of it
 _THREE = np.ones((3, 3), np.uint8)
 
 
 def moved(instance: Instance, shift_xy: tuple[int, int]) -> Instance:
-    """The label at the new place."""
+    """Return the label at the new place."""
     dx, dy = shift_xy
     return replace(instance, box_xyxy=instance.box_xyxy + np.array([dx, dy, dx, dy], np.float64), corners_xy=None)
 
@@ -34,15 +34,16 @@ def moved(instance: Instance, shift_xy: tuple[int, int]) -> Instance:
 def free_place(
     picture: Picture, instance: Instance, level: float, free: Bool, taken: Bool, rng: np.random.Generator
 ) -> tuple[tuple[int, int], float] | None:
-    """Where to put an object: of six free places the one whose ground is most like its own.
+    """Choose a place for an object: among six free places, the one whose ground is most similar to its own.
 
-    How like the ground is decides how hard the real control is to tell. On HIT-UAV's night people its logistic AUC is
-    0.86 with the better of two places, 0.75 with five, 0.70 with eight; the method's publication has 0.73 to 0.75.
+    The similarity of the ground decides how hard the real control is to detect. On HIT-UAV's night people its logistic
+    AUC is 0.86 with the better of two places, 0.75 with five, 0.70 with eight; the method's publication has 0.73 to
+    0.75.
 
     Args:
         picture: (h, w) in 8-bit levels.
         instance: The object to move.
-        level: Of its ring.
+        level: Median level of its ring.
         free: (h, w) pixels in no label's box; rings are read there.
         taken: (h, w) pixels in labels' boxes and earlier pastes.
         rng: Draws the places.
@@ -74,45 +75,56 @@ def free_place(
 
 
 def paste_real(source: Picture, target: Picture, found: Outline, ground: float, shift_xy: tuple[int, int]) -> None:
-    """Lay an object's own pixels elsewhere, with a soft matte, moved by the difference of the two grounds' levels.
+    """Paste an object's own pixels elsewhere with a soft matte, shifted by the difference in ground level.
 
     Args:
-        source: The picture it stands in, (h, w).
-        target: Of the same shape; changed in place.
-        found: The object in `source`.
+        source: (h, w) picture of the object.
+        target: Picture of the same shape to paste into; changed in place.
+        found: Outline of the object in `source`.
         ground: Level of the ring at the new place.
-        shift_xy: From the old place to the new one.
+        shift_xy: Offset from the old place to the new one.
     """
     alpha = cv2.GaussianBlur(
         cv2.dilate(_whole(source, found), _THREE, iterations=_MARGIN_PX).astype(np.float32), (0, 0), _SOFT_PX
     )
     moved = source[found.part] + np.float32(ground - found.level)
-    # What was at the sensor's ceiling cannot get brighter.
+    # Pixels at the sensor's ceiling cannot become brighter.
     moved = np.minimum(moved, max(float(source[found.part][found.silhouette].max()), 235.0))
     _lay(target, found.part, shift_xy, alpha, moved)
 
 
 def paste_flat(source: Picture, target: Picture, found: Outline, ground: float, shift_xy: tuple[int, int]) -> None:
-    """Lay a silhouette of one level with a hard edge: the new ground plus the object's median contrast."""
+    """Paste a hard-edged silhouette of one level: the new ground plus the object's median contrast."""
     level = float(np.median(source[found.part][found.silhouette])) - found.level + ground
     alpha = found.silhouette.astype(np.float32)
     _lay(target, found.part, shift_xy, alpha, np.full(alpha.shape, min(max(level, 16.0), 235.0), np.float32))
 
 
-def paste_controls(
-    picture: Picture, labels: Labels, objects: Sequence[tuple[int, Instance]], key: str
-) -> tuple[Picture, Picture, dict[int, Instance], Bool]:
-    """Both controls for some objects of a picture, each at its own free place of the same picture.
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """The controls of one picture.
+
+    Attributes:
+        real: (h, w) picture with the real pastes.
+        flat: (h, w) picture with the flat pastes.
+        labels: New label of each pasted object, by its number; objects without a free place are missing.
+        free: (h, w) pixels in no box of an old or new label.
+    """
+
+    real: Picture
+    flat: Picture
+    labels: dict[int, Instance]
+    free: Bool
+
+
+def paste_controls(picture: Picture, labels: Labels, objects: Sequence[tuple[int, Instance]], key: str) -> Controls:
+    """Paste both controls of some of a picture's objects, each at its own free place in the same picture.
 
     Args:
         picture: (h, w) in 8-bit levels.
         labels: All labels of the picture.
-        objects: Number and label of those to paste.
-        key: The picture's, for the random stream.
-
-    Returns:
-        Picture with the real pastes, picture with the flat pastes, the new labels by number (objects for which there
-        is no place are missing), pixels free of old and new labels.
+        objects: Number and label of the objects to paste.
+        key: Key of the picture, for the random stream.
     """
     real, flat = picture.copy(), picture.copy()
     taken = ~labels.free
@@ -130,11 +142,11 @@ def paste_controls(
         placed[number] = moved(instance, shift)
         x0, y0, x1, y1 = pixel_box(placed[number].box_xyxy, taken.shape)
         taken[y0:y1, x0:x1] = True
-    return real, flat, placed, ~taken
+    return Controls(real, flat, placed, ~taken)
 
 
 def _whole(source: Picture, found: Outline) -> NDArray[np.uint8]:
-    """More of the object than its silhouette: what differs from the ground by a quarter of its contrast, near it."""
+    """Extend the silhouette by nearby pixels that differ from the ground by a quarter of the contrast."""
     differs = np.abs(source[found.part] - found.level) > 0.25 * abs(found.contrast)
     near = cv2.dilate(found.silhouette.astype(np.uint8), _THREE, iterations=2)
     return np.asarray((differs & (near > 0)) | found.silhouette, np.uint8)

@@ -1,9 +1,9 @@
-"""What is measured of one object in one picture: the same for real and inserted ones.
+"""Features and measures of one object in one picture, the same for real and inserted objects.
 
-All follows from the saved picture and the label's box. Nothing that only an insert knows (its mask, its alpha, its
-scene) gets in, or a classifier would tell labels apart and not pictures.
+Everything is computed from the saved picture and the label's box. What is known of inserted objects only (mask, alpha,
+scene) is not used: otherwise a classifier would separate labels and not pictures.
 
-Pictures are taken in 8-bit levels. For HIT-UAV's night people the definitions give the medians published with the
+Pictures are in 8-bit levels. For HIT-UAV's night people the definitions reproduce the medians published with the
 method (docs/explanation/realism.md).
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,35 +53,35 @@ MEASURES = (
     "height_px",
     "width_px",
 )
-"""What is reported beside the features; NaN where it cannot be read."""
+"""Measures that are reported beside the features; NaN where they cannot be read."""
 
 PATCH_PX = 48
-RING_SHARE = 0.5  # of the longer side: how far the ring reaches
-LEAST_PX = 8  # of the longer side
-MOST_COVERED = 0.1  # of the box, by other labels
+RING_SHARE = 0.5  # reach of the ring, as a share of the longer side
+LEAST_PX = 8  # smallest longer side
+MOST_COVERED = 0.1  # largest share of the box that other labels may cover
 LEAST_CONTRAST = 10.0
 LEAST_INTERIOR_PX = 6
-EDGE_MARGIN_PX = 4  # a border nearer to the frame's edge has no ring
-_CLIPPED = (19.0, 232.0)  # grain is read between these levels only
+EDGE_MARGIN_PX = 4  # closer to the frame's edge a box has no complete ring
+_CLIPPED = (19.0, 232.0)  # grain is read only between these levels
 _THREE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One object.
+    """A measured object.
 
     Attributes:
-        key: `<image>#<number>`: unique among the objects it is compared with.
-        group: The background it stands on; objects of one background never part over folds.
-        category: Its class.
-        box_xyxy: (4,) the label's box.
-        altitude_m: Of the camera; None if unknown.
-        flaw: Why its outline cannot be made out (`no_ring`, `no_contrast`, `thin`); empty if it can. With a flaw the
+        key: `<image>#<number>`, unique among the objects of its population.
+        group: Background of the object; objects of one background stay in one fold.
+        category: Class of the object.
+        box_xyxy: (4,) box of the label.
+        altitude_m: Altitude of the camera; None if unknown.
+        flaw: Reason why the outline cannot be found (`no_ring`, `no_contrast`, `thin`), or empty. With a flaw the
             features are NaN, and so are the measures that need the outline.
         features: (14,) float64, see `FEATURES`.
         measures: (10,) float64, see `MEASURES`.
-        histogram: (64,) counts of the box's pixels, four levels a bin.
-        patch: (48, 48) uint8, the object and its surroundings; larger ones are scaled down.
+        histogram: (64,) counts of the box's pixels, four levels per bin.
+        patch: (48, 48) uint8 crop of the object and its surroundings; larger ones are scaled down.
     """
 
     key: str
@@ -96,20 +97,35 @@ class Measured:
 
     @property
     def height_px(self) -> float:
-        """Of the box."""
+        """Height of the box."""
         return float(self.box_xyxy[3] - self.box_xyxy[1])
 
 
 def eight_bit(pixels: NDArray[np.uint8] | NDArray[np.uint16], levels: tuple[float, float]) -> Picture:
-    """The picture in 8-bit levels: as it is, or for 16 bit with the dataset's `levels` at 16 and 235."""
+    """Return the picture in 8-bit levels; for 16 bit, the dataset's `levels` become 16 and 235."""
     if pixels.dtype == np.uint8:
         return pixels.astype(np.float32)
     low, high = levels
     return ((pixels.astype(np.float32) - np.float32(low)) * np.float32(219.0 / (high - low)) + 16).astype(np.float32)
 
 
+def from_eight_bit(
+    picture: Picture, dtype: np.dtype[Any], levels: tuple[float, float]
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Return a picture in 8-bit levels as pixels of a file's own type and levels; the inverse of `eight_bit`."""
+    if dtype == np.uint8:
+        return np.asarray(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+    low, high = levels
+    own = (picture.astype(np.float64) - 16) * (high - low) / 219 + low
+    return np.asarray(np.clip(np.rint(own), 0, 65535).astype(np.uint16))
+
+
 class Labels:
-    """Where a picture's labels are: which pixels are free, which boxes overlap."""
+    """The labels of a picture on its pixels.
+
+    Attributes:
+        free: (h, w) pixels in no label's box.
+    """
 
     def __init__(self, shape_hw: tuple[int, ...], labels: Sequence[Instance]) -> None:
         count = np.zeros(shape_hw, np.uint8)
@@ -121,20 +137,20 @@ class Labels:
         self._twice: Bool = count > 1
 
     def overlaps(self, box_xyxy: NDArray[np.float64]) -> bool:
-        """True if other labels cover more than a tenth of this label's box."""
+        """Return whether other labels cover more than a tenth of this label's box."""
         x0, y0, x1, y1 = pixel_box(box_xyxy, self.free.shape)
         return bool(self._twice[y0:y1, x0:x1].mean() > MOST_COVERED)
 
 
 def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """The box on whole pixels, within the frame."""
+    """Return the box rounded to whole pixels and cut to the frame."""
     h, w = shape_hw
     x0, y0, x1, y1 = (round(float(v)) for v in box_xyxy)
     return min(max(x0, 0), w), min(max(y0, 0), h), min(max(x1, 0), w), min(max(y1, 0), h)
 
 
 def unfit(instance: Instance, labels: Labels) -> str | None:
-    """Why an object is not measured, before looking at its pixels; None if it is."""
+    """Return why an object cannot be measured, from its label alone; None if it can."""
     h, w = labels.free.shape
     x0, y0, x1, y1 = instance.box_xyxy
     if max(x1 - x0, y1 - y0) < LEAST_PX:
@@ -147,7 +163,7 @@ def unfit(instance: Instance, labels: Labels) -> str | None:
 
 
 def ring(picture: Picture, box_xyxy: NDArray[np.float64], free: Bool) -> float | None:
-    """Median level of the free pixels around a box, out to half of its longer side; None if hardly one is free."""
+    """Return the median level of the free pixels within half a longer side around a box; None if too few are free."""
     x0, y0, x1, y1 = pixel_box(box_xyxy, picture.shape)
     reach = max(round(RING_SHARE * max(x1 - x0, y1 - y0)), 3)
     part = (slice(max(y0 - reach, 0), y1 + reach), slice(max(x0 - reach, 0), x1 + reach))
@@ -158,13 +174,14 @@ def ring(picture: Picture, box_xyxy: NDArray[np.float64], free: Bool) -> float |
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """An object as its pixels show it.
+    """The outline of an object, found from its pixels.
 
     Attributes:
         part: Rows and columns of the window.
-        level: Of the ring.
-        contrast: Of the brighter (positive) or darker (negative) end of the object to the ring, whichever is larger.
-        silhouette: Window's pixels beyond half of the contrast: the largest connected part of those in the box.
+        level: Median level of the ring.
+        contrast: Difference between ring and the object's bright end (positive) or dark end (negative), whichever is
+            larger.
+        silhouette: The window's pixels beyond half of the contrast; the largest connected part of those in the box.
     """
 
     part: tuple[slice, slice]
@@ -174,7 +191,7 @@ class Outline:
 
 
 def outline(picture: Picture, box_xyxy: NDArray[np.float64], free: Bool) -> Outline | str:
-    """The object in a box, or why none can be made out: `no_ring`, `no_contrast`, `thin`."""
+    """Find the outline of the object in a box, or return the reason why there is none: `no_ring`, `no_contrast`."""
     level = ring(picture, box_xyxy, free)
     if level is None:
         return "no_ring"
@@ -206,11 +223,11 @@ def measure(
     group: str,
     altitude_m: float | None = None,
 ) -> Measured:
-    """All that is measured of one object.
+    """Measure one object.
 
     Args:
         picture: (h, w) in 8-bit levels.
-        instance: Its label; only box and category are looked at.
+        instance: Label of the object; only box and category are used.
         free: (h, w) pixels in no label's box.
         key: See `Measured`.
         group: See `Measured`.
@@ -267,7 +284,7 @@ def _features(window: Picture, found: Outline, mask: NDArray[np.uint8], inner: B
     gradient = np.hypot(gx, gy)[border] / abs(found.contrast)
     bend = np.abs(cv2.Laplacian(window, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))[border] / abs(found.contrast)
     inside = window[inner]
-    # The tenth part of the surroundings that is farthest beyond the ring's level, away from the object.
+    # 90th percentile of how far the surroundings are beyond the ring's level, on the side away from the object.
     away = np.percentile((found.level - window[near]) / found.contrast, 90)
     return np.array(
         [
@@ -291,17 +308,17 @@ def _features(window: Picture, found: Outline, mask: NDArray[np.uint8], inner: B
 
 
 def _grains(window: Picture, found: Outline, inner: Bool, free: Bool) -> tuple[float, float]:
-    """Grain of the unclipped pixels inside and outside an object."""
+    """Return the grain of the unclipped pixels inside and outside an object."""
     unclipped = (window > _CLIPPED[0]) & (window < _CLIPPED[1])
     apart = ~cv2.dilate(found.silhouette.astype(np.uint8), _THREE, iterations=4).astype(np.bool_)
     return grain(window, inner & unclipped), grain(window, apart & unclipped & free)
 
 
 def edge(window: Picture, found: Outline) -> tuple[float, float]:
-    """Median width from 10 to 90 % of the profiles across an object's outline, px, and what they undershoot by.
+    """Return the median width from 10 to 90 % of the profiles across an object's outline, px, and their undershoot.
 
-    The undershoot is how far the median profile goes beyond the ring's level beside the object, as a share of the
-    contrast: the halo of detail enhancement. On the object's side clipping would hide it.
+    The undershoot shows the halo of detail enhancement: the distance by which the median profile passes the ring's
+    level beside the object, as a share of the contrast. On the object's own side, clipping would hide it.
     """
     soft = cv2.GaussianBlur(window, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE) * np.sign(found.contrast)
     gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, borderType=cv2.BORDER_REPLICATE)
@@ -331,7 +348,7 @@ def edge(window: Picture, found: Outline) -> tuple[float, float]:
 
 
 def _width_10_90(profile: NDArray[np.float64]) -> float | None:
-    """Distance between the last crossing of 10 % before, and the first of 90 % after the first of 50 %, px."""
+    """Return the distance, px, from the last crossing of 10 % before the first one of 50 % to the next of 90 %."""
     half = int(np.argmax(profile >= 0.5))
     above = np.flatnonzero(profile[half:] >= 0.9)
     below = np.flatnonzero(profile[: half + 1] <= 0.1)
@@ -354,12 +371,12 @@ _BASIS = _quadratic_basis(_GRAIN_SIDE)
 
 
 def grain(window: Picture, usable: Bool) -> float:
-    """Deviation of the flattest places from a quadratic surface, levels; NaN where no place is usable.
+    """Return the deviation of the flattest places from a quadratic surface, levels; NaN without any usable place.
 
-    The places are all 5 px blocks of usable pixels, an object being too small for the 32 px blocks that a picture's
-    grain is read from; flattest is the fifth of least deviation. So small a block takes much of the grain for a
-    surface: the number is for comparison between places only. Differences of neighbours (Haar) would be quantised to
-    nothing on compressed 8-bit pictures.
+    The places are all 5 px blocks of usable pixels, since an object is too small for the 32 px blocks that a picture's
+    grain is read from; the value is their 20th percentile. In a block this small the surface absorbs much of the
+    grain, so the number only serves to compare places. Differences of neighbours (Haar) would be quantised to nothing
+    on compressed 8-bit pictures.
     """
     whole = cv2.erode(usable.astype(np.uint8), np.ones((_GRAIN_SIDE, _GRAIN_SIDE), np.uint8), borderValue=0)
     if not whole.any():
@@ -373,11 +390,11 @@ def grain(window: Picture, usable: Bool) -> float:
 
 
 def patch(picture: Picture, box_xyxy: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(48, 48) crop around a box; half as much again as the box where that is more than 48 px, scaled down."""
+    """Return the (48, 48) crop around a box; for large boxes, 1.5 times the box scaled down."""
     x0, y0, x1, y1 = box_xyxy
     side = max(PATCH_PX, round(1.5 * max(x1 - x0, y1 - y0)))
     h, w = picture.shape
-    # Near the frame's edge the object is off the middle; a mirrored edge would look like an object of its own.
+    # Near the frame's edge the object is off-centre; a mirrored edge would look like an object of its own.
     left = max(min(round((x0 + x1 - side) / 2), w - side), min(0, (w - side) // 2))
     top = max(min(round((y0 + y1 - side) / 2), h - side), min(0, (h - side) // 2))
     pad = (max(-top, 0), max(top + side - picture.shape[0], 0), max(-left, 0), max(left + side - picture.shape[1], 0))

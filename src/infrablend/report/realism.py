@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from infrablend.core.rng import stream
+from infrablend.realism.class_comparison import ClassComparison
 from infrablend.realism.features import FEATURES, MEASURES, Measured
-from infrablend.realism.verdict import ClassVerdict
 from infrablend.report.figures import compact, interval
 from infrablend.report.page import render_page
 from infrablend.report.preview import FAINT, INK, PAPER
@@ -41,7 +41,7 @@ class CropSheet:
     png: bytes
 
 
-def sheets_of(verdict: ClassVerdict) -> list[CropSheet]:
+def sheets_of(verdict: ClassComparison) -> list[CropSheet]:
     """Draw inserted objects, each beside the most similar real one: the most obvious, the least obvious, and random.
 
     Every crop shows 48 px of the image, enlarged four times; larger objects are scaled down first.
@@ -94,7 +94,7 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
 # ---- the page
 
 
-def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassVerdict], sheets: Sequence[CropSheet]) -> str:
+def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
     """Return the HTML page; the same facts give the same bytes."""
     return render_page(
         "realism",
@@ -122,7 +122,7 @@ def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassVerdict], shee
     )
 
 
-def _class_section(v: ClassVerdict, sheets: Sequence[CropSheet]) -> dict[str, Any]:
+def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str, Any]:
     f = v.facts
     populations = {**f["medians"], **{s: a["medians"] for s, a in v.ablation.items()}}
     return {
@@ -168,7 +168,7 @@ def _mean_sd(value: Any) -> str:
     return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else compact(value)
 
 
-def _plots(v: ClassVerdict) -> bytes:
+def _plots(v: ClassComparison) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

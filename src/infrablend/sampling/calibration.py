@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from infrablend.core.camera import CameraSpec
+from infrablend.core.class_names import KnownClass, known_class
 from infrablend.core.dataset import Instance
-from infrablend.core.kinds import Kind, kind_of
+from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
-from infrablend.sampling.ground import ground_point, ground_z_m
 
 # Without any anchor the true height is taken as 1.15 of the stated one; HIT-UAV's groups spread by this much about it.
 NOMINAL_FACTOR = 1.15
@@ -42,7 +42,7 @@ class Reference:
 
 # 1.68 m people with 0.45 m shoulders (arms and stride make them some 0.5 m wide and 0.4 m deep); 4.6 x 1.8 m cars;
 # 1.75 m two-wheelers, mostly with nobody on them.
-REFERENCES: Mapping[Kind, Reference] = {
+REFERENCES: Mapping[KnownClass, Reference] = {
     "person": Reference((0.4, 0.5, 1.68), 0.22, turns=False),
     "car": Reference((4.6, 1.8, 1.45), 0.10),
     "bicycle": Reference((1.75, 0.6, 1.05), 0.18),
@@ -79,9 +79,9 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
         stated_m: That height.
         labels: The image's own objects; those cut by the frame's edge are left out.
     """
-    ratios: dict[Kind, list[float]] = {}
+    ratios: dict[KnownClass, list[float]] = {}
     for label in labels:
-        kind = kind_of(label.category)
+        kind = known_class(label.category)
         if kind is None or label.truncated:
             continue
         ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
+from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
 from infrablend.sampling.calibration import Calibration, calibrate
-from infrablend.sampling.ground import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.placement import MAX_OVERLAP, Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
 
 # A flying object keeps this share of the way to the ground at most.

@@ -1,10 +1,10 @@
-"""Drawing a scene: camera, objects, temperatures, and redrawing until the object can be seen."""
+"""Sampling of scenes: camera, objects, temperatures; places are redrawn until the object can be seen."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from infrablend.config.recipe import (
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import TimeOfDay
 from infrablend.core.mesh import Mesh
+from infrablend.core.placed import PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
 from infrablend.errors import ModelError
@@ -32,25 +33,17 @@ from infrablend.sampling.placement import Tally, Wanted, place_as_paper
 ZERO_C_K = 273.15
 
 
-@dataclass(frozen=True, eq=False)
-class SampledScene:
-    """A scene and the geometry of its objects (object coordinates, unscaled), in the same order."""
-
-    spec: SceneSpec
-    meshes: tuple[Mesh, ...]
-
-
 @dataclass(frozen=True)
 class FrameKey:
-    """Which frame: what its random streams depend on, beside the run's seed.
+    """Key of a frame: everything but the run's seed that its random streams depend on.
 
     Attributes:
         background_id: Id of the image record.
-        split: Of the image record.
+        split: Split of the image record.
         configuration: Number of the scene on this background, from 0.
         size_wh: Size of the background.
-        pitch_deg: Depression angle the metadata gives, or None.
-        time_of_day: Of the background, or None if unknown.
+        pitch_deg: Depression angle according to the metadata, or None.
+        time_of_day: Time of day of the background, or None if unknown.
     """
 
     background_id: str
@@ -68,16 +61,16 @@ class FrameKey:
 
 def sample_scene(
     frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int, site: Site | None = None
-) -> SampledScene:
-    """The scene of one frame.
+) -> PlacedScene:
+    """Draw the scene of one frame.
 
-    Depends on (seed, frame id) and the recipe alone. Shape and temperature come from other streams than placement,
-    so that a change of one leaves the others as they were.
+    The result depends only on the seed, the frame id and the recipe. Shape and temperature come from other streams
+    than placement, so that changing one leaves the others as they were.
 
     Args:
-        frame: Which frame.
-        recipe: What to draw.
-        models: Every model the recipe names, by that name.
+        frame: Key of the frame.
+        recipe: Distributions to draw from.
+        models: Every model that the recipe names, by that name.
         seed: The run's seed.
         site: The background; needed by metric placement and to keep clear of ignore regions.
     """
@@ -100,7 +93,7 @@ def sample_scene(
     objects, meshes = [], []
     for item, pose in zip(wanted, poses, strict=True):
         kind, model = item.kind, item.model
-        # Drawn also for an object that found no place: the next object's numbers must not depend on it.
+        # Also drawn for an object without a place: the next object's numbers must not depend on it.
         parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"])
         if pose is None:
             continue
@@ -148,14 +141,14 @@ def sample_scene(
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
         view=view,
     )
-    return SampledScene(spec, tuple(meshes))
+    return place(spec, meshes)
 
 
 def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int) -> Weather:
-    """What the frame's surfaces stand in and mirror; from a stream of its own."""
+    """Draw air, sky and ground of the frame, from a stream of its own."""
     rng, e = stream(seed, frame.frame_id, "weather"), recipe.environment
     below = float(rng.uniform(*e.dew_point_below_air_k))
-    rng.random()  # takes the place of a removed quantity, so that the draws after it stay as they were
+    rng.random()  # in place of a quantity that was removed, so that the draws after it stay the same
     clear, cover, base = (float(v) for v in rng.random(3))
     ground = e.ground_above_air_day_k if frame.time_of_day == "day" else e.ground_above_air_night_k
     return Weather(
@@ -168,7 +161,7 @@ def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int)
 
 
 def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
-    """Mean displacement by the motion tail: its length, in any direction; from a stream of its own."""
+    """Draw the mean displacement by the motion tail, in any direction, from a stream of its own."""
     length, turn = stream(seed, frame.frame_id, "motion").random(2)
     if isinstance(recipe.sensor, NoSensor):
         return 0.0, 0.0
@@ -179,16 +172,16 @@ def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
     return length_px * math.cos(2 * math.pi * turn), length_px * math.sin(2 * math.pi * turn)
 
 
-def build_meshes(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> tuple[Mesh, ...]:
-    """The geometry of a scene read back from its JSON."""
-    return tuple(models[o.model].build(o.params) for o in spec.objects)
+def rebuild_scene(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> PlacedScene:
+    """Rebuild the geometry of a scene that was read from its JSON."""
+    return place(spec, [models[o.model].build(o.params) for o in spec.objects])
 
 
 def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
     """Check that the recipe overrides only parts that its models have.
 
     Raises:
-        ModelError: Naming every part that does not exist.
+        ModelError: Some parts do not exist; the message names them.
     """
     wrong = [
         f"objects.{i}.parts.{part}: {kind.model} has no such part; it has {', '.join(sorted(models[kind.model].parts))}"
@@ -202,7 +195,7 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 
 def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> float:
     pitch = recipe.camera.pitch
-    drawn = float(rng.random())  # always taken, so that other draws do not depend on the choice
+    drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
     if isinstance(pitch, FixedPitch):
         return pitch.fixed_deg
     if isinstance(pitch, RandomPitch):
@@ -216,11 +209,11 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> flo
 def _wanted(
     recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, time_of_day: TimeOfDay | None
 ) -> list[Wanted]:
-    """Kind, parameters, mesh and scale of each object the frame shall hold."""
+    """Draw number, shape and size of the objects of a frame."""
     result = []
     for kind in recipe.objects:
         options = kind.options
-        # The artistic look stays as the paper tuned it, at all times of day.
+        # The artistic look stays as the paper tuned it, at any time of day.
         physical = recipe.appearance.mode == "physical"
         if physical and time_of_day is not None and "time_of_day" in models[kind.model].options:
             options = {"time_of_day": time_of_day, **options}
@@ -240,7 +233,10 @@ def _wanted(
 def _parts(
     kind: Object, roles: Mapping[str, PartRange], mesh: Mesh, air_k: float, rng: np.random.Generator
 ) -> dict[str, PartState]:
-    """State of every part in the mesh. One draw says how hot the object runs, one more varies each part about it."""
+    """Draw the state of every part in the mesh.
+
+    One draw decides how hot the object is as a whole, one more per part varies the part about that.
+    """
     heat = rng.random()
     parts = {}
     for name in sorted(roles):
@@ -261,14 +257,3 @@ def _parts(
                 opacity=role.opacity,
             )
     return parts
-
-
-def without_objects(scene: SampledScene, numbers: Sequence[int], reason: str) -> SampledScene:
-    """The scene less some of its objects, counted in its draws as absent for `reason`."""
-    keep = [i for i in range(len(scene.spec.objects)) if i not in set(numbers)]
-    draws = dict(scene.spec.draws)
-    absent = dict(draws.get("absent", {}))
-    absent[reason] = absent.get(reason, 0) + len(numbers)
-    draws["absent"] = absent
-    spec = replace(scene.spec, objects=tuple(scene.spec.objects[i] for i in keep), draws=draws)
-    return SampledScene(spec, tuple(scene.meshes[i] for i in keep))

@@ -1,1 +1,1 @@
-"""Physics of a thermal camera's view in plain numpy: radiance, surfaces, sky and air. SI units and kelvin."""
+"""Thermal radiation in plain numpy: band radiance, sky and air. SI units and kelvin."""

@@ -1,4 +1,4 @@
-"""The sky's radiance against zenith angle, and what the air between object and camera takes away and adds."""
+"""The sky's radiance by zenith angle, and the transmittance of the air between object and camera."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from infrablend.thermal.radiometry import STEFAN_BOLTZMANN_W_M2_K4, ZERO_C_K, ba
 
 Array = NDArray[np.float64]
 
-# A zenith that lets more through than this does not occur: its emissivity is at least 0.12.
+# The zenith never lets more through than this: its emissivity is at least 0.12.
 _CLEAREST = 0.88
-# The mean slant of the dome's radiation, as a multiple of the vertical path.
+# Mean slant of the sky's radiation, as a multiple of the vertical path.
 _DIFFUSIVITY = 1.66
 
 
 def clear_sky_emissivity(dew_point_k: float) -> float:
-    """e0 in [0, 1]: broadband emissivity of a clear sky at this dew point, K (Berdahl and Martin's form)."""
+    """Return e0 in [0, 1], the broadband emissivity of a clear sky at this dew point, K (Berdahl and Martin's form)."""
     t = (dew_point_k - ZERO_C_K) / 100
     return float(np.clip(0.711 + 0.56 * t + 0.73 * t**2, 0, 1))
 
 
 def window_transmittance(air_k: float, dew_point_k: float) -> float:
-    """Share in (0, 0.88] of the 8-14 um radiation that a clear sky lets through straight up.
+    """Return the share in (0, 0.88] of the 8-14 um radiation that a clear sky lets through straight up.
 
-    From the broadband emissivity e0: at the mean slant t53 = (1 - e0) / f, f = pi L(Ta) / (sigma Ta^4), since nearly
-    all that a clear sky lacks of a blackbody it lacks in this window; at the zenith t53^(1/1.66).
+    It follows from the broadband emissivity e0. Nearly everything that a clear sky lacks of a blackbody it lacks in
+    this window, so at the mean slant t53 = (1 - e0) / f with f = pi L(Ta) / (sigma Ta^4); at the zenith t53^(1/1.66).
 
     Raises:
-        ValueError: For a dew point above the air temperature.
+        ValueError: The dew point is above the air temperature.
     """
     if dew_point_k > air_k:
         raise ValueError(f"dew_point_k {dew_point_k:g} is above air_k {air_k:g}")
@@ -42,21 +42,21 @@ def window_transmittance(air_k: float, dew_point_k: float) -> float:
 def sky_radiance(
     air_k: float, dew_point_k: float, zenith_rad: ArrayLike, cloud: float = 0.0, cloud_base_k: float | None = None
 ) -> Array:
-    """8-14 um radiance of the sky, W m^-2 sr^-1, at angles from the zenith.
+    """Return the 8-14 um radiance of the sky, W m^-2 sr^-1, at angles from the zenith.
 
-    A clear sky at angle z is (1 - t^(1 / cos z)) L(Ta) with t = `window_transmittance`. Never above L(Ta), which the
-    horizon has. Uncertain by about 15 K of apparent temperature at the zenith, which is 1 K on a roof of emissivity
-    0.95.
+    A clear sky at angle z has (1 - t^(1 / cos z)) L(Ta) with t = `window_transmittance`; this never exceeds L(Ta), the
+    radiance of the horizon. At the zenith it is uncertain by about 15 K of apparent temperature, which is 1 K on a
+    roof of emissivity 0.95.
 
     Args:
         air_k: Air temperature, K.
         dew_point_k: Dew point, K; at most the air temperature.
-        zenith_rad: 0 up, pi/2 horizon; beyond counts as horizon.
-        cloud: Covered share of the sky, 0 to 1.
+        zenith_rad: Angle from the zenith: 0 is up, pi/2 and more is the horizon.
+        cloud: Share of the sky that clouds cover, 0 to 1.
         cloud_base_k: Temperature of the clouds; by default 7 K below the air.
 
     Raises:
-        ValueError: For a dew point above the air temperature or a cover outside [0, 1].
+        ValueError: The dew point is above the air temperature, or the cover outside [0, 1].
     """
     if not 0 <= cloud <= 1:
         raise ValueError(f"cloud {cloud:g} must lie in [0, 1]")
@@ -69,7 +69,7 @@ def sky_radiance(
 
 
 def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array:
-    """tau in (0, 1] of the air over a path, long-wave; FLIR's empirical form.
+    """Return tau in (0, 1], the long-wave transmittance of the air along a path; FLIR's empirical form.
 
     Valid for 0 to about 1000 m, -20 to 40 degrees Celsius. tau(0) = 1; it falls with distance, humidity and warmth.
 
@@ -79,7 +79,7 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
         humidity: Relative humidity, 0 to 1.
     """
     if not 0 <= humidity <= 1:
-        raise ValueError(f"humidity {humidity:g} must lie in [0, 1] (it is no percentage)")
+        raise ValueError(f"humidity {humidity:g} must lie in [0, 1] (it is not a percentage)")
     t = air_k - ZERO_C_K
     water = humidity * np.exp(1.5587 + 0.06939 * t - 0.00027816 * t**2 + 6.8455e-7 * t**3)
     s, q = np.sqrt(np.asarray(distance_m, np.float64)), np.sqrt(water)
@@ -87,15 +87,9 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
 
 
 def relative_humidity(air_k: float, dew_point_k: float) -> float:
-    """Relative humidity in [0, 1] from air temperature and dew point (at most the former), kelvin.
+    """Return the relative humidity in [0, 1] from air temperature and dew point (at most the former), kelvin.
 
     Magnus' formula with a = 17.625, b = 243.04 C, good to 0.4 % from -40 to 50 C (Alduchov and Eskridge 1996).
     """
     air_c, dew_c = air_k - ZERO_C_K, min(dew_point_k, air_k) - ZERO_C_K
     return math.exp(17.625 * dew_c / (243.04 + dew_c) - 17.625 * air_c / (243.04 + air_c))
-
-
-def at_sensor_radiance(leaving: ArrayLike, tau: ArrayLike, air_k: float) -> Array:
-    """Radiance that arrives: tau L + (1 - tau) L(Ta), W m^-2 sr^-1."""
-    tau_ = np.asarray(tau, np.float64)
-    return np.asarray(tau_ * np.asarray(leaving) + (1 - tau_) * float(band_radiance(air_k)))

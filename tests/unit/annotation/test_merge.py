@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infrablend.annotation.merge import MergeSettings, cover_of, covered_share, merge, partly_covered
+from infrablend.annotation import merge as merging
+from infrablend.annotation.merge import MergeSettings, Removal, cover_of, covered_share, partly_covered
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Instance
 from infrablend.core.masks import Mask
 
 HW = (48, 64)
+
+
+def merge(
+    original: list[Instance], new: list[Instance], settings: MergeSettings | None = None
+) -> tuple[tuple[Instance, ...], tuple[Removal, ...]]:
+    """The labels of the image, originals first, and the removed ones."""
+    found = merging.merge(original, new, settings)
+    return (*(original[n] for n in found.kept), *found.inserted), found.removed
 
 
 def original(box: tuple[float, float, float, float], category: str = "Car", **more: object) -> Instance:
@@ -59,9 +68,6 @@ def test_several_new_objects_cover_together() -> None:
     halves = [drone(10, 10, 15, 20), drone(15, 10, 20, 20)]
     assert merge([car], halves[:1])[1] == ()
     assert len(merge([car], halves)[1]) == 1
-    # An object that has no label hides as well.
-    assert halves[1].mask is not None
-    assert len(merge([car], halves[:1], unlabelled_masks=[halves[1].mask])[1]) == 1
 
 
 def test_the_oriented_box_decides_where_it_is_known() -> None:
@@ -110,14 +116,6 @@ def test_categories_to_keep_bind_originals_only() -> None:
     kept, removed = merge(labels[:2], labels[2:], MergeSettings(keep_categories=("Person",)))
     assert [i.category for i in kept] == ["Person", "drone"]
     assert [(r.reason, r.category) for r in removed] == [("category", "Car")]
-
-
-def test_regions_to_ignore_stay_or_go_as_asked() -> None:
-    labels = [original((1, 1, 5, 5), "DontCare"), original((7, 7, 9, 9))]
-    assert len(merge(labels, [], ignored={"DontCare"})[0]) == 2
-    kept, removed = merge(labels, [], MergeSettings(dont_care="drop"), ignored={"DontCare"})
-    assert [i.category for i in kept] == ["Car"]
-    assert [(r.reason, r.category) for r in removed] == [("dont_care", "DontCare")]
 
 
 @pytest.mark.parametrize(

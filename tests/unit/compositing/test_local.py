@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from infrablend.compositing.local import GainPrior, Insert, find_anchors, local_mapping, measure_levels, ring_level
-from infrablend.compositing.mapping import GreyMapping
+from infrablend.compositing.gain import Backdrop, GainPrior, find_anchors, ring_level
+from infrablend.compositing.local import Insert, LocalSettings, local_mapping
+from infrablend.compositing.mapping import GreyMapping, measure_levels
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
@@ -37,11 +38,13 @@ def scene(gain_k, people=0, cars=0, seed=0, ground=110.0):
     return np.clip(picture, *LEVELS).round().astype(np.uint8), labels
 
 
-def gains(picture, labels, time="night", **kwargs):
-    drawn = [
-        local_mapping(picture, INSERT, labels, WEATHER, time, LEVELS, np.random.default_rng(n), **kwargs)
-        for n in range(40)
-    ]
+def mapped(picture, inserts, labels, time="night", seed=0, levels=LEVELS, settings=None):
+    backdrop = Backdrop(picture, labels, time, levels)
+    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed))
+
+
+def gains(picture, labels):
+    drawn = [mapped(picture, INSERT, labels, seed=n) for n in range(40)]
     slope = float(band_radiance_slope(AIR_K))
     return np.array([(m.bright - m.dark) * slope for m, _ in drawn]), drawn
 
@@ -76,8 +79,9 @@ def test_without_anchors_the_prior_is_drawn_from():
 def test_a_clipped_face_is_a_lower_bound_and_no_reading():
     """Ground at 150 and faces clipped at 235: at least 85 levels over 16 K. Clipping is never fitted through."""
     picture, labels = scene(9, people=5, ground=150.0)
-    found = find_anchors(picture.astype(np.float32), np.ones(picture.shape, bool), labels, WEATHER, "night", LEVELS)
-    assert {a.what for a in found} == {"clothing", "face_clipped"}
+    free = np.ones(picture.shape, bool)
+    found = find_anchors(picture.astype(np.float32), free, Backdrop(picture, labels, "night", LEVELS), AIR_K)
+    assert {a.kind for a in found} == {"clothing", "face_clipped"}
     least = 85 / float(band_radiance(301.15) - band_radiance(WEATHER.ground_k)) * float(band_radiance_slope(AIR_K))
     assert gains(picture, labels)[0].min() >= least - 0.05
 
@@ -86,14 +90,15 @@ def test_cars_are_anchors_at_night_only():
     picture, labels = scene(6, cars=4)
     free = np.ones(picture.shape, bool)
     for time, number in (("night", 4), ("day", 0), (None, 0)):
-        assert len(find_anchors(picture.astype(np.float32), free, labels, WEATHER, time, LEVELS)) == number
+        backdrop = Backdrop(picture, labels, time, LEVELS)
+        assert len(find_anchors(picture.astype(np.float32), free, backdrop, AIR_K)) == number
 
 
 def test_black_hot_is_the_mirror_image():
     picture, labels = scene(6, people=4, cars=3)
     over = (LEVELS[0] + LEVELS[1] - picture).astype(np.uint8)
-    a, _ = local_mapping(picture, INSERT, labels, WEATHER, "night", LEVELS, np.random.default_rng(0))
-    b, _ = local_mapping(over, INSERT, labels, WEATHER, "night", LEVELS, np.random.default_rng(0), polarity="black-hot")
+    a, _ = mapped(picture, INSERT, labels)
+    b, _ = mapped(over, INSERT, labels, settings=LocalSettings(polarity="black-hot"))
     assert b.dark == pytest.approx(LEVELS[0] + LEVELS[1] - a.dark, abs=1e-3)
     assert b.bright == pytest.approx(LEVELS[0] + LEVELS[1] - a.bright, abs=1e-3)
 
@@ -110,9 +115,7 @@ def test_sixteen_bit_gains_scale_with_the_levels():
     picture, _ = scene(6)
     wide = (picture.astype(np.uint16) - 16) * 100 + 20_000
     levels = (20_000.0, 20_000.0 + 219 * 100)
-    m, facts = local_mapping(
-        wide, INSERT, [], WEATHER, None, levels, np.random.default_rng(1), prior=GainPrior(sd=0.01)
-    )
+    m, facts = mapped(wide, INSERT, [], None, 1, levels, LocalSettings(GainPrior(sd=0.01)))
     slope = float(band_radiance_slope(AIR_K))
     assert (m.bright - m.dark) * slope == pytest.approx(600, rel=0.03)
     assert facts["levels"] == list(levels)
@@ -142,10 +145,7 @@ def test_the_gain_of_warm_objects_comes_from_warm_anchors():
     means = {}
     for warm in (True, False):
         insert = [Insert(INSERT[0].box_xyxy, warm=warm)]
-        drawn = [
-            local_mapping(picture, insert, labels + cars, WEATHER, "night", LEVELS, np.random.default_rng(n))
-            for n in range(40)
-        ]
+        drawn = [mapped(picture, insert, labels + cars, seed=n) for n in range(40)]
         means[warm] = np.mean([(m.bright - m.dark) * float(band_radiance_slope(AIR_K)) for m, _ in drawn])
         assert set(drawn[0][1]["gain"]) == {"warm" if warm else "cold"}
     assert means[True] > means[False] + 1
@@ -156,7 +156,7 @@ def test_each_insert_is_set_against_its_own_ground():
     picture = np.full((512, 640), 80, np.uint8)
     picture[:, 320:] = 160
     inserts = [Insert(np.array([x, 200.0, x + 20, 240.0])) for x in (100.0, 500.0)]
-    mapping, facts = local_mapping(picture, inserts, [], WEATHER, "night", LEVELS, np.random.default_rng(0))
+    mapping, facts = mapped(picture, inserts, [])
     assert facts["ground_grey"] == [80, 160]
     assert GreyMapping.from_json(mapping.to_json()) == mapping
     ground = np.full((512, 640), band_radiance(WEATHER.ground_k), np.float32)
@@ -170,10 +170,7 @@ def test_each_insert_is_set_against_its_own_ground():
 def test_near_objects_lose_less_to_the_air():
     picture = np.full((512, 640), 100, np.uint8)
     box = INSERT[0].box_xyxy
-    (near, _), (on, _) = (
-        local_mapping(picture, [i], [], WEATHER, None, LEVELS, np.random.default_rng(0))
-        for i in (Insert(box, 20.0, 150.0), Insert(box, 150.0, 150.0))
-    )
+    (near, _), (on, _) = (mapped(picture, [i], [], None) for i in (Insert(box, 20.0, 150.0), Insert(box, 150.0, 150.0)))
     hot = float(band_radiance(AIR_K + 30))
     contrast = [m.dark + (m.bright - m.dark) * hot - 100 for m in (near, on)]
     assert 1.01 < contrast[0] / contrast[1] < 1.1

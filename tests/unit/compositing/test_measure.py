@@ -18,6 +18,8 @@ from infrablend.compositing.sensor import PIXEL_BOX_VARIANCE, SensorStrength, ap
 from infrablend.config.loading import load_recipe
 from infrablend.config.sensor_profile import PROFILES, Lens, SensorProfile, find_profile, read_profile
 from infrablend.core.camera import CameraSpec
+from infrablend.core.mesh import make_mesh
+from infrablend.core.placed import PlacedScene, place
 from infrablend.core.render import RenderResult
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
@@ -149,14 +151,19 @@ def test_defocus_adds_to_the_blur_of_near_objects_only():
     assert off.layer_sigma_px(0.45) == pytest.approx(math.hypot(0.45, 46.8 / 10 / 4), abs=0.01)
 
 
+def without_geometry(scene: SceneSpec) -> PlacedScene:
+    mesh = make_mesh([("body", np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), False)])
+    return place(scene, [mesh] * len(scene.objects))
+
+
 def test_the_range_is_that_of_the_nearest_object_and_of_the_real_camera_only():
     camera = CameraSpec(50.0, math.pi / 2, 0.0, 115.9, 36.0, (640, 512))
     objects = tuple(ObjectSpec("drone", "drone", {}, {}, (0.0, 0.0, z), 0.0) for z in (10.0, 30.0))
     scene = SceneSpec("train/a_c0", "a", "train", 0, camera, objects, 280.0, Appearance(), 0, 1)
-    assert nearest_range_m(scene) is None
+    assert nearest_range_m(without_geometry(scene)) is None
     metric = replace(scene, view=View(50.0, 50.0, 0.0, {}, 0.1))
-    assert nearest_range_m(metric) == pytest.approx(20.0)
-    assert nearest_range_m(replace(metric, objects=())) is None
+    assert nearest_range_m(without_geometry(metric)) == pytest.approx(20.0)
+    assert nearest_range_m(without_geometry(replace(metric, objects=()))) is None
 
 
 def test_a_disc_and_the_gaussian_for_it_differ_little():

@@ -33,9 +33,9 @@ from infrablend.compositing.sensor import (
 from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.recipe import Sensor as SensorFields
 from infrablend.config.sensor_profile import PROFILES
-from infrablend.core.fake_renderer import FakeRenderer
 from infrablend.pipeline.record import read_record
-from infrablend.sampling.scene import build_meshes
+from infrablend.rendering.flat import FlatRenderer
+from infrablend.sampling.scene import rebuild_scene
 
 LEVELS = (16.0, 235.0)
 OFF = SensorStrength(0, 0, 0, 0, clip=False)
@@ -299,7 +299,7 @@ def test_the_papers_recipes_do_without_and_give_the_plain_overlay(pictures, tmp_
         assert record.scene is not None
         assert record.mapping is not None
         below = np.array(Image.open(pictures / f"{record.background['id'].split('/')[-1]}.png"))
-        result = FakeRenderer().render(record.scene, build_meshes(record.scene, models))
+        result = FlatRenderer().render(rebuild_scene(record.scene, models))
         layer = make_layer(result, GreyMapping.from_json(record.mapping), 0.45)
         assert np.array_equal(picture, compose(below, layer))
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.polygons import polygon_iou
 
-from infrablend.core.boxes import corners_of_box, corners_of_cxcywha, polygon_iou
+from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.core.rng import stream

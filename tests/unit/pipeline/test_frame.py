@@ -127,7 +127,7 @@ def test_realism_says_which_times_of_day_there_are(tmp_path):
     pytest.importorskip("sklearn")
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
     generate(data, tmp_path / "run")
-    with pytest.raises(DatasetError, match=r"no frame by day .* those that have are night 2"):
+    with pytest.raises(DatasetError, match=r"no frame taken by day .* frames with one: night 2"):
         api.realism(tmp_path / "run", data, time_of_day="day")
 
 

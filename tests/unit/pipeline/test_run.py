@@ -453,9 +453,9 @@ def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):
 
 
 def test_a_renderer_that_cannot_start_leaves_no_run_behind(dataset, tmp_path, monkeypatch):
-    from infrablend.pipeline import frame
+    from infrablend.rendering import RENDERERS
 
-    monkeypatch.setitem(frame.RENDERERS, "fake", "infrablend.no_such_module:Renderer")
+    monkeypatch.setitem(RENDERERS, "fake", "infrablend.no_such_module:Renderer")
     with pytest.raises(MissingDependencyError):
         generate(dataset, tmp_path / "run")
     monkeypatch.undo()

@@ -13,12 +13,12 @@ from infrablend.compositing.sensor import Sensor, grain
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, MissingDependencyError
-from infrablend.pipeline.realism import STEPS, chain_steps
 from infrablend.realism import classify, controls, features, nets
+from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, unfit
 from infrablend.realism.matching import CALIPER_OCTAVES, pair_by_size
-from infrablend.realism.verdict import judge_class, validity
+from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 
 BOX = np.array([52.0, 52.0, 76.0, 76.0])
 
@@ -156,8 +156,9 @@ def both_controls(count: int):
         picture, labels = scene(seed)
         where = Labels(picture.shape, labels)
         chosen = [(n, i) for n, i in enumerate(labels) if unfit(i, where) is None]
-        soft, hard, placed, free = controls.paste_controls(picture, where, chosen, str(seed))
-        for n, i in placed.items():
+        made = controls.paste_controls(picture, where, chosen, str(seed))
+        soft, hard, free = made.real, made.flat, made.free
+        for n, i in made.labels.items():
             key, group = f"{seed}#{n}", str(seed)
             real.append(measure(picture, labels[n], where.free, key=key, group=group))
             pasted.append(measure(np.rint(soft), i, free, key=key, group=group))
@@ -179,8 +180,9 @@ def test_the_controls_bound_the_classifier():
 def test_a_paste_touches_its_place_and_nothing_else():
     picture, labels = scene(3)
     where = Labels(picture.shape, labels)
-    soft, hard, placed, free = controls.paste_controls(picture, where, [(0, labels[0])], "x")
-    (new,) = placed.values()
+    pasted = controls.paste_controls(picture, where, [(0, labels[0])], "x")
+    soft, hard, free = pasted.real, pasted.flat, pasted.free
+    (new,) = pasted.labels.values()
     x0, y0, x1, y1 = features.pixel_box(new.box_xyxy, picture.shape)
     np.testing.assert_allclose(new.box_xyxy[2:] - new.box_xyxy[:2], labels[0].box_xyxy[2:] - labels[0].box_xyxy[:2])
     assert not free[y0:y1, x0:x1].any()
@@ -191,7 +193,7 @@ def test_a_paste_touches_its_place_and_nothing_else():
         assert (changed.min(axis=0) >= [y0 - 8, x0 - 8]).all()
         assert (changed.max(axis=0) < [y1 + 8, x1 + 8]).all()
     assert len(np.unique(hard[hard != picture])) == 1
-    assert controls.paste_controls(picture, where, [(0, labels[0])], "x")[2][0].equals(new)
+    assert controls.paste_controls(picture, where, [(0, labels[0])], "x").labels[0].equals(new)
 
 
 def test_no_place_is_found_where_all_is_taken():
@@ -315,7 +317,7 @@ def test_figures_count_only_with_controls_that_behave():
 
 def test_a_verdict_ranks_what_tells():
     real, inserted = made_up(120, 0, 1), made_up(120, 1.5, 2)
-    v = judge_class("Person", real, inserted, list(zip(real, inserted, strict=True)), {"floor": real})
+    v = compare_class("Person", real, inserted, list(zip(real, inserted, strict=True)), {"floor": real})
     assert v.facts["tells"][0]["feature"] == "std"
     assert v.facts["tells"][0]["inserted_is"] == "larger"
     assert v.facts["auc_logistic"] > 0.75
@@ -326,8 +328,8 @@ def test_a_verdict_ranks_what_tells():
 
 def test_the_chain_comes_back_step_by_step():
     whole = Sensor("hit-uav", 0.8, 0.6, 1.6, 1.5, 1.05, 3, (16.0, 235.0), 68, 0.7, 9, 5, 80.0, 0.4)
-    steps = chain_steps(whole)
-    assert tuple(steps) == STEPS
+    steps = sensor_steps(whole)
+    assert tuple(steps) == SENSOR_STEPS
     assert steps["codec"] == whole
     off = steps["chain_off"]
     assert (off.blur_sigma_px, off.halo_gain, off.noise_grey, off.limits, off.codec_quality) == (None, 0, 0, None, None)
@@ -417,7 +419,7 @@ def test_a_run_is_compared(crowd, tmp_path):
     assert not report.valid
     # The whole chain, made again from the record, is the picture that was saved.
     assert facts["ablation"]["Person"]["codec"]["medians"] == person["medians"]["inserted"]
-    assert set(facts["ablation"]["Person"]) == set(STEPS)
+    assert set(facts["ablation"]["Person"]) == set(SENSOR_STEPS)
     assert facts["ablation"]["Person"]["chain_off"]["medians"] != person["medians"]["inserted"]
     assert person["hard_paste_logistic"] > 0.95
     assert seen[-1].done == seen[-1].total

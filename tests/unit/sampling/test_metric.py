@@ -9,8 +9,8 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
+from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, NOMINAL_FACTOR, REFERENCES, calibrate
-from infrablend.sampling.ground import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.metric import Site, is_even, relief_of
 from infrablend.sampling.scene import FrameKey, sample_scene
 

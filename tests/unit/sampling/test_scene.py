@@ -9,11 +9,10 @@ import pytest
 from infrablend.annotation.labels import annotate
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
-from infrablend.core.camera import object_to_world
 from infrablend.core.raster import inside_fraction
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import ModelError
-from infrablend.sampling.scene import FrameKey, build_meshes, require_parts, sample_scene
+from infrablend.sampling.scene import FrameKey, rebuild_scene, require_parts, sample_scene
 
 MODELS = {"drone": load_model("drone")}
 
@@ -38,8 +37,8 @@ def test_scene_survives_json_and_builds_the_same_mesh():
     sampled = sample_scene(key(), load_recipe("hit-uav-drone"), MODELS, 3)
     back = SceneSpec.from_json(json.loads(json.dumps(sampled.spec.to_json())))
     assert back == sampled.spec
-    for a, b in zip(build_meshes(back, MODELS), sampled.meshes, strict=True):
-        assert a.vertices_m.tobytes() == b.vertices_m.tobytes()
+    for a, b in zip(rebuild_scene(back, MODELS).objects, sampled.objects, strict=True):
+        assert a.mesh.vertices_m.tobytes() == b.mesh.vertices_m.tobytes()
 
 
 def test_draws_stay_in_range_and_the_object_shows():
@@ -52,8 +51,7 @@ def test_draws_stay_in_range_and_the_object_shows():
         assert math.degrees(c.pitch_rad) == pytest.approx(30 + n)
         assert max(abs(o.position_m[0]), abs(o.position_m[1])) <= 3
         assert 0 <= o.yaw_rad < 2 * math.pi
-        world = object_to_world(s.meshes[0].vertices_m, o.position_m, o.yaw_rad, o.scale)
-        inside, depth = inside_fraction(c, world, s.meshes[0].triangles)
+        inside, depth = inside_fraction(c, s.objects[0].world_m, s.objects[0].mesh.triangles)
         assert inside >= 0.5
         assert depth >= 0.3
 
@@ -94,9 +92,7 @@ def test_size_limits_hold():
     recipe = load_recipe("hit-uav-drone", {"placement.size_px": [40, 90], "placement.min_inside": 1.0})
     for n in range(15):
         s = sample_scene(key(name=f"f{n}"), recipe, MODELS, 0)
-        o = s.spec.objects[0]
-        xy, _ = s.spec.camera.project(object_to_world(s.meshes[0].vertices_m, o.position_m, o.yaw_rad, o.scale))
-        assert 40 <= np.ptp(xy, axis=0).max() <= 90
+        assert 40 <= np.ptp(s.objects[0].xy, axis=0).max() <= 90
 
 
 def test_size_limits_are_about_the_labels_box():
@@ -111,7 +107,7 @@ def test_size_limits_are_about_the_labels_box():
     truncated = 0
     for n in range(12):
         s = sample_scene(key(name=f"f{n}"), recipe, MODELS, 0)
-        labels, _ = annotate(s.spec, s.meshes)
+        labels, _ = annotate(s)
         for label in labels:
             assert 100 - 1e-6 <= np.ptp(label.box_xyxy.reshape(2, 2), axis=0).max() <= 130 + 1e-6
             truncated += bool(label.truncated)

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend.core.camera import CameraSpec
+from infrablend.core.class_names import known_class
 from infrablend.core.files import write_bytes
-from infrablend.core.kinds import kind_of
+from infrablend.core.ground_plane import ground_point
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.report.preview import INK, TITLE_PX, PreviewFrame, Rgb, draw_polygon, grid, load_frames, to_rgb
 from infrablend.report.preview import strip as text_strip
-from infrablend.sampling.ground import ground_point
 
 SCALE = 2
 PERSON_M = (0.3, 0.5, 1.7)  # depth, width, height
@@ -94,7 +94,7 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
         x0, y0, x1, y1 = label.box_xyxy
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))
-        size = {"person": PERSON_M, "car": CAR_M}.get(kind_of(label.category) or "")
+        size = {"person": PERSON_M, "car": CAR_M}.get(known_class(label.category) or "")
         place = ground_point(camera, float(x0 + x1) / 2, float(y0 + y1) / 2, view.ground_z_m)
         if size is None or place is None or twins >= _MAX_TWINS:
             continue

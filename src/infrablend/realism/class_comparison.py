@@ -1,4 +1,4 @@
-"""From measured objects to figures: what is told apart, how well, by what, and whether the figures count."""
+"""Comparison of one class: how well inserted objects can be told from real ones, by which features, how validly."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ Pairs = Sequence[tuple[Measured, Measured]]
 
 
 @dataclass(frozen=True, eq=False)
-class ClassVerdict:
-    """What is to be said of one class.
+class ClassComparison:
+    """The comparison of one class.
 
     Attributes:
         category: The class.
         facts: Plain JSON values, documented in docs/how_to/measure_realism.md.
-        ablation: Of the sensor chain's steps; empty if there are none.
-        pairs: (real, inserted), as scored.
-        logistic: Of these pairs; None if they are too few for folds.
-        boosting: Likewise.
+        ablation: Scores per step of the sensor chain; empty if there is none.
+        pairs: (real, inserted) pairs, as scored.
+        logistic: Score of the logistic classifier on these pairs; None if they are too few for folds.
+        boosting: Score of gradient boosting, likewise.
     """
 
     category: str
@@ -43,21 +43,22 @@ class ClassVerdict:
     boosting: Score | None
 
 
-def judge_class(
+def compare_class(
     category: str,
     real: Sequence[Measured],
     inserted: Sequence[Measured],
     pairs: Pairs,
     redone: Mapping[str, Sequence[Measured]],
-) -> ClassVerdict:
-    """The verdict on one class.
+) -> ClassComparison:
+    """Compare the objects of one class.
 
     Args:
-        category: Its name.
-        real: All that was measured of the dataset's objects.
-        inserted: All that was measured of the run's.
-        pairs: Those of like size.
-        redone: `floor` and `hard_paste` (keys of the pairs' real objects), steps of the chain (keys of the inserted).
+        category: Name of the class.
+        real: All measured objects of the dataset.
+        inserted: All measured objects of the run.
+        pairs: Pairs of similar size.
+        redone: Objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
+            objects), steps of the sensor chain (with the keys of the inserted ones).
     """
     reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
     logistic, boosting = _both(pairs)
@@ -65,7 +66,7 @@ def judge_class(
     facts |= _scores("auc", logistic, boosting)
     facts["ci"] = facts.pop("auc_ci")
     for name in ("floor", "hard_paste"):
-        facts |= judge_control(name, reals, redone.get(name, ()))
+        facts |= compare_control(name, reals, redone.get(name, ()))
     partner = {i.key: r for r, i in pairs}
     steps: dict[str, Any] = {}
     for step, objects in redone.items():
@@ -91,15 +92,15 @@ def judge_class(
     }
     facts["all_sizes"] = {"real": _box_measures(real), "inserted": _box_measures(inserted)}
     facts["size_by_altitude"] = _sizes(real, inserted)
-    facts["tells"] = _tells(reals, inserts) if logistic is not None else []
+    facts["tells"] = _separating_features(reals, inserts) if logistic is not None else []
     facts["cnn"] = _cnn(pairs, redone.get("floor", ()))
     facts["mmd_dct"] = _distances(reals, inserts)
     facts["kid"] = _kid(reals, inserts)
-    return ClassVerdict(category, facts, steps, pairs, logistic, boosting)
+    return ClassComparison(category, facts, steps, pairs, logistic, boosting)
 
 
-def judge_control(name: str, real: Sequence[Measured], made: Sequence[Measured]) -> dict[str, Any]:
-    """AUCs of untouched objects against a control made of them."""
+def compare_control(name: str, real: Sequence[Measured], made: Sequence[Measured]) -> dict[str, Any]:
+    """Return the AUCs of untouched objects against a control made of them."""
     by_key = {m.key: m for m in real}
     usable = [(by_key[m.key], m) for m in made if not m.flaw and m.key in by_key]
     facts = _scores(name, *_both(usable))
@@ -107,21 +108,21 @@ def judge_control(name: str, real: Sequence[Measured], made: Sequence[Measured])
 
 
 def validity(facts: Mapping[str, Any], person_floor: float | None) -> dict[str, Any]:
-    """Whether a class's figures count, and why not."""
+    """Return whether a class's figures are valid, and the reasons if they are not."""
     why = []
     if facts["n"] < LEAST_PAIRS:
-        why.append(f"{facts['n']} pairs of real and inserted objects, at least {LEAST_PAIRS} are needed")
+        why.append(f"{facts['n']} pairs of real and inserted objects; at least {LEAST_PAIRS} are needed")
     hard = facts["hard_paste_logistic"]
     if hard is None or hard < HARD_AT_LEAST:
-        why.append(f"the hard paste is told from real objects with {_show(hard)}, at least {HARD_AT_LEAST} is needed")
+        why.append(f"the AUC of hard pastes against real objects is {_show(hard)}; at least {HARD_AT_LEAST} is needed")
     low, high = FLOOR_RANGE
     if person_floor is None or not low <= person_floor <= high:
-        why.append(f"the floor of people is {_show(person_floor)}, expected {low:.2f} to {high:.2f}")
+        why.append(f"the AUC of people's real control is {_show(person_floor)}; expected {low:.2f} to {high:.2f}")
     return {"valid": not why, "invalid_because": why}
 
 
 def contrast_ratio(cars: Mapping[str, Any], people: Mapping[str, Any]) -> dict[str, float | None]:
-    """Median contrast of cars' middles over that of people's bright ends, by population: free of the gain."""
+    """Return the ratio of cars' to people's median contrast, by population; it does not depend on the gain."""
     found = {}
     for population in ("real", "inserted"):
         car = cars["all_sizes"][population]["centre_minus_ring"]
@@ -131,11 +132,11 @@ def contrast_ratio(cars: Mapping[str, Any], people: Mapping[str, Any]) -> dict[s
 
 
 def _show(value: float | None) -> str:
-    return "not known" if value is None else f"{value:.3f}"
+    return "unknown" if value is None else f"{value:.3f}"
 
 
 def _both(pairs: Pairs) -> tuple[Score | None, Score | None]:
-    """Both classifiers; None where there are too few pairs or backgrounds for the folds."""
+    """Return the scores of both classifiers; None where there are too few pairs or backgrounds for the folds."""
     if _too_few(pairs):
         return None, None
     real, other = [r for r, _ in pairs], [o for _, o in pairs]
@@ -166,7 +167,7 @@ def _scores(name: str, logistic: Score | None, boosting: Score | None) -> dict[s
 
 
 def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
-    """Of every feature and measure, over the objects for which it is known."""
+    """Return the median of every feature and measure over the objects for which it is known."""
     found: dict[str, float | None] = {}
     for names, rows in ((FEATURES, [m.features for m in objects]), (MEASURES, [m.measures for m in objects])):
         for k, name in enumerate(names):
@@ -176,7 +177,7 @@ def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
 
 
 def _box_measures(objects: Sequence[Measured]) -> dict[str, Any]:
-    """What needs no outline, of all objects whatever their size: contrasts, levels."""
+    """Return contrasts and levels of objects of all sizes; these need no outline."""
     contrast = {
         name: [float(m.measures[k]) for m in objects if not math.isnan(m.measures[k])]
         for k, name in enumerate(MEASURES[:2])
@@ -212,8 +213,8 @@ def _size(objects: Sequence[Measured]) -> dict[str, Any]:
     return {"n": len(sides), "long_side_px": round(float(np.median(sides)), 2) if sides else None}
 
 
-def _tells(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str, Any]]:
-    """The features by how well each alone tells the two apart, best first."""
+def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str, Any]]:
+    """Return the features by how well each alone separates the two populations, best first."""
     a, b = (np.array([m.features for m in objects], np.float64) for objects in (real, other))
     y = np.repeat([0, 1], [len(a), len(b)])
     by_weight = weights(real, other)
@@ -234,7 +235,7 @@ def _tells(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str
 
 
 def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> dict[str, Any]:
-    """The small network on the pairs and on the floor."""
+    """Return the scores of the small network on the pairs and on the real control."""
     if reason := missing("torch") or _too_few(pairs):
         return {"skipped": reason}
     s = score_crops([r for r, _ in pairs], [i for _, i in pairs])
@@ -254,15 +255,15 @@ def _kid(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, An
 
 
 def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
-    """MMD on cosine coefficients of the crops."""
+    """Return the MMD on cosine coefficients of the crops."""
     if min(len(real) // 2, len(inserted)) < SUBSET:
-        return {"skipped": f"{len(real)} pairs, {2 * SUBSET} are needed"}
+        return {"skipped": f"{len(real)} pairs; {2 * SUBSET} are needed"}
     a, b = dct_features(real), dct_features(inserted)
     return _apart(real, standardised(a, a), standardised(b, a))
 
 
 def _apart(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    """Distance of the inserted features `b` from the real `a`; its floor is that of two halves of the real ones."""
+    """Return the distance of the inserted features `b` from the real `a`, and that of two halves of the real ones."""
     apart = mmd(a, b)
     facts = {"inserted": [round(apart.mean, 6), round(apart.sd, 6)]}
     half = group_numbers(real) % 2 == 0

@@ -1,0 +1,125 @@
+"""Placed objects: the geometry of a frame's objects in the world and in the image, computed once and shared.
+
+Matching, the renderer, the labels and the realism report all need to know where an object's triangles are. They take
+it from here, so that they cannot disagree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.raster import NEAR_M, BoolArray, ProjectedTriangles, project_triangles
+from infrablend.core.scene import ObjectSpec, SceneSpec
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedObject:
+    """One object at its place, as its frame's camera sees it. Geometry is computed on first use and then kept.
+
+    Attributes:
+        spec: The object's place, size and part states.
+        mesh: Geometry in object coordinates, unscaled.
+        camera: The frame's camera.
+    """
+
+    spec: ObjectSpec
+    mesh: Mesh
+    camera: CameraSpec
+
+    @cached_property
+    def world_m(self) -> FloatArray:
+        """(V, 3) vertices in the world, metres."""
+        o = self.spec
+        return object_to_world(self.mesh.vertices_m, o.position_m, o.yaw_rad, o.scale)
+
+    @cached_property
+    def _projected(self) -> tuple[FloatArray, FloatArray]:
+        return self.camera.project(self.world_m)
+
+    @property
+    def xy(self) -> FloatArray:
+        """(V, 2) vertices in the image, pixels; NaN behind the camera."""
+        return self._projected[0]
+
+    @property
+    def depth_m(self) -> FloatArray:
+        """(V,) depth of the vertices; negative behind the camera."""
+        return self._projected[1]
+
+    @cached_property
+    def box_xyxy(self) -> FloatArray:
+        """(4,) box around all vertices in front of the camera; may reach outside the frame."""
+        return np.concatenate([np.nanmin(self.xy, axis=0), np.nanmax(self.xy, axis=0)])
+
+    @property
+    def range_m(self) -> float:
+        """Distance from the camera to the object's origin."""
+        return float(np.linalg.norm(np.asarray(self.spec.position_m) - self.camera.position_m))
+
+    @cached_property
+    def triangles(self) -> ProjectedTriangles:
+        """All triangles in the image, cut at the near plane; `source` indexes `mesh.triangles`."""
+        return project_triangles(self.camera, self.world_m, self.mesh.triangles)
+
+    def triangles_of(self, chosen: BoolArray) -> ProjectedTriangles:
+        """Return the projected triangles among those with `chosen` (T,) True.
+
+        Their `cut` says whether one of these reaches nearer than the near plane, whatever the others do.
+        """
+        pieces = self.triangles
+        keep = chosen[pieces.source]
+        near = pieces.cut and bool((self.depth_m[self.mesh.triangles[chosen]] < NEAR_M).any())
+        return ProjectedTriangles(pieces.xy[keep], pieces.inverse_depth[keep], pieces.source[keep], near)
+
+    @cached_property
+    def part_areas_px(self) -> Mapping[str, float]:
+        """Area of each part that faces the camera, px²; parts hidden behind others count in full."""
+        mesh = self.mesh
+        corners = self.xy[mesh.triangles]
+        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        # Counter-clockwise from outside in the world is clockwise, negative, with y down.
+        ahead = (self.depth_m[mesh.triangles] > 0).all(axis=1)
+        facing = np.where(ahead, np.maximum(b[:, 0] * a[:, 1] - a[:, 0] * b[:, 1], 0), 0)
+        areas = np.bincount(mesh.part_of_triangle, facing / 2, len(mesh.part_names))
+        return dict(zip(mesh.part_names, areas.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedScene:
+    """A scene together with the geometry of its objects.
+
+    Attributes:
+        spec: The scene.
+        objects: One per object of the scene, in the same order.
+    """
+
+    spec: SceneSpec
+    objects: tuple[PlacedObject, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.spec.objects)
+        if len(self.objects) != n:
+            raise ValueError(f"{self.spec.frame_id}: {n} objects need {n} meshes, got {len(self.objects)}")
+
+    def without(self, numbers: Collection[int], reason: str) -> PlacedScene:
+        """Return the scene without some of its objects, counted in its draws as absent for `reason`."""
+        keep = [k for k in range(len(self.objects)) if k not in set(numbers)]
+        return PlacedScene(self.spec.without(numbers, reason), tuple(self.objects[k] for k in keep))
+
+
+def place(spec: SceneSpec, meshes: Sequence[Mesh]) -> PlacedScene:
+    """Place the meshes (object coordinates, unscaled) of a scene's objects.
+
+    Raises:
+        ValueError: The scene has another number of objects than there are meshes.
+    """
+    n = len(spec.objects)
+    if len(meshes) != n:
+        raise ValueError(f"{spec.frame_id}: {n} objects need {n} meshes, got {len(meshes)}")
+    return PlacedScene(spec, tuple(PlacedObject(o, m, spec.camera) for o, m in zip(spec.objects, meshes, strict=True)))

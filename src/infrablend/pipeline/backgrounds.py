@@ -1,0 +1,59 @@
+"""Backgrounds of a run's frames: reading one, refusing those that cannot be used, facts for the record."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import Background
+from infrablend.pipeline.record import sha256_of
+
+# With fewer levels between dark and bright than this, the picture does not show how brightness follows temperature.
+MIN_SPAN_LEVELS = 4
+
+
+def require_thermal_levels(background: Background) -> None:
+    """Refuse a picture whose grey levels do not follow temperature: physical matching would be meaningless.
+
+    Raises:
+        DatasetError: The picture is colour-mapped or has no contrast.
+    """
+    name = background.path.name
+    if any(p.code == "image-colour" for p in background.problems):
+        problem = Problem(
+            name,
+            "image-colour-mapped",
+            "colours; grey levels computed from them do not follow temperature",
+            "a grey picture, as physical matching needs",
+            "export it from the camera in white-hot grey, or use matching.mode: percentile",
+        )
+        raise DatasetError(f"{background.path}: colour-mapped", [problem])
+    low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
+    if high - low < MIN_SPAN_LEVELS:
+        problem = Problem(
+            name,
+            "image-no-contrast",
+            f"grey levels {low:g} to {high:g}",
+            f"a picture with at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles",
+            "leave it out, or use matching.mode: percentile",
+        )
+        raise DatasetError(f"{background.path}: no contrast", [problem])
+
+
+def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: Path) -> dict[str, Any]:
+    """Return what a frame's record says of its background."""
+    return {
+        "id": source.id,
+        "path": os.path.relpath(source.path, data_root),
+        "sha256": sha256_of(source.path),
+        "size_wh": list(size_wh),
+        "pitch_deg": source.pitch_deg,
+        "altitude_m": source.altitude_m,
+        "time_of_day": source.time_of_day,
+        "source_id": source.source_id,
+    }

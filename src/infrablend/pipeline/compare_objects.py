@@ -1,0 +1,356 @@
+"""Comparison of a run's inserted objects with the real ones of its dataset, in four steps.
+
+survey:  measure every real and every inserted object in the saved pictures
+pair:    choose pairs of real and inserted objects of similar size
+redo:    for the pairs alone, make controls from the real objects, and render the inserted ones again with parts of
+         the sensor chain switched off
+compare: classifiers, medians, distances
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from infrablend.annotation.classes import rename_classes
+from infrablend.config.modes import recipe_from_json
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.rng import stream
+from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
+from infrablend.errors import DatasetError
+from infrablend.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.execution.serial import Serial
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
+from infrablend.pipeline.models import ready_model
+from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.pipeline.rerender import recipe_json
+from infrablend.realism.class_comparison import (
+    ClassComparison,
+    compare_class,
+    compare_control,
+    contrast_ratio,
+    validity,
+)
+from infrablend.realism.classify import require_sklearn
+from infrablend.realism.features import Measured
+from infrablend.realism.matching import pair_by_size
+from infrablend.realism.sensor_steps import SENSOR_STEPS
+from infrablend.report.realism import CropSheet, html_report, sheets_of
+
+Time = Literal["night", "day", "all"]
+
+# The class whose real control decides whether the method's figures are valid.
+REFERENCE_CLASS = "Person"
+WORKER = "infrablend.pipeline.measure_objects:make_measurer"
+_EIGHT_BIT = (16.0, 235.0)
+
+
+@dataclass(frozen=True)
+class ComparisonRequest:
+    """What to compare, and with how many processes.
+
+    Attributes:
+        categories: Classes to compare; by default all that are both inserted and annotated.
+        time_of_day: Time of day of the images to use.
+        most_pairs: Largest number of pairs per class; this bounds the time.
+        workers: Number of processes.
+        in_process: Whether to use no processes at all; for tests.
+    """
+
+    categories: Sequence[str] | None = None
+    time_of_day: Time = "all"
+    most_pairs: int = 1000
+    workers: int = 1
+    in_process: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Everything that was measured for a comparison.
+
+    Attributes:
+        categories: Classes to compare.
+        found: All measured objects, from the survey and from the redone pictures.
+        pairs: (real, inserted) pairs by class.
+        controlled: Real objects by class that controls were made of: those of the pairs, and always people, whose
+            controls decide whether the method is valid.
+        sensor: Whether the run has a sensor chain, so that there are steps to compare.
+    """
+
+    categories: tuple[str, ...]
+    found: Measurements
+    pairs: Mapping[str, Sequence[tuple[Measured, Measured]]]
+    controlled: Mapping[str, Sequence[Measured]]
+    sensor: bool
+
+
+def gather(run: Path, dataset: Dataset, request: ComparisonRequest, on_progress: OnProgress | None = None) -> Material:
+    """Survey, pair and redo.
+
+    Args:
+        run: Folder of a finished run.
+        dataset: The dataset that the run was made from, with all splits that the run has frames of.
+        request: What to compare.
+        on_progress: Called after each picture.
+
+    Raises:
+        OutputError: `run` is not a run.
+        DatasetError: The frames' backgrounds are not in the dataset, or there is nothing to compare.
+    """
+    folder = RunFolder(run)
+    about = folder.read_run()
+    recipe = recipe_from_json(recipe_json(about))
+    for o in recipe.objects:
+        ready_model(o.model)
+    dataset = rename_classes(dataset, recipe.labels.rename)
+    records = _records(run, request.time_of_day)
+    images = {image_key(i): i for i in dataset.images if request.time_of_day in ("all", i.time_of_day)}
+    lost = sorted({_background_key(r) for r in records} - set(images))
+    if lost:
+        raise DatasetError(
+            f"{dataset.root}: {len(lost)} of the backgrounds of {run} are missing, e.g. {lost[0]}; "
+            "expected the dataset that the run was made from. Give it with --against"
+        )
+    chosen = _categories(run, dataset, records, request.categories)
+    splits = {r.frame_id.split("/")[0] for r in records}
+    originals = [i for k, i in images.items() if i.split in splits]
+    named = {c.name for c in dataset.categories}
+    measured = chosen if REFERENCE_CLASS not in named or REFERENCE_CLASS in chosen else (*chosen, REFERENCE_CLASS)
+    settings = MeasuringSettings(
+        run,
+        recipe.model_dump_json(),
+        measured,
+        _run_levels(records),
+        about["machine"]["renderer"],
+        about["machine"]["device"],
+        not request.in_process,
+    )
+    surveyed = [PictureJob(i) for i in originals if any(o.category in measured for o in i.instances)]
+    surveyed += [
+        PictureJob(images[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
+    ]
+    clock = _Clock(on_progress, len(surveyed))
+    found = Measurements()
+    for part in _run(settings, surveyed, request, clock):
+        found.extend(part)
+    found.keep_with_real_beside()
+    pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
+    sensor = any(r.facts.get("sensor") for r in records)
+    controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
+    if measured != chosen:
+        controlled[REFERENCE_CLASS] = _some(
+            [m for m in found.of("real", REFERENCE_CLASS) if not m.flaw], request.most_pairs
+        )
+    redo = _redo(controlled, pairs, images, {r.frame_id: r for r in records}, sensor)
+    clock.total += len(redo)
+    for part in _run(settings, redo, request, clock):
+        found.extend(part)
+    return Material(chosen, found, pairs, controlled, sensor)
+
+
+def _background_key(record: FrameRecord) -> str:
+    return f"{record.frame_id.split('/')[0]}/{record.background['id']}"
+
+
+def _records(run: Path, time_of_day: Time) -> list[FrameRecord]:
+    inserted = []
+    for split in SPLITS:
+        for path in sorted((run / "scenes" / split).glob("*.json")):
+            record = read_record(path)
+            if record is None:
+                raise DatasetError(f"{path}: this frame record cannot be read. Run `generate --resume`.")
+            if record.inserted:
+                inserted.append(record)
+    found = [r for r in inserted if time_of_day in ("all", r.background["time_of_day"])]
+    if not inserted:
+        raise DatasetError(f"{run}: no frame has an inserted object; there is nothing to compare")
+    if not found:
+        times = Counter(r.background["time_of_day"] or "unknown" for r in inserted)
+        raise DatasetError(
+            f"{run}: no frame taken by {time_of_day} has an inserted object; frames with one: "
+            f"{', '.join(f'{t} {n}' for t, n in sorted(times.items()))}. Omit --time, or generate on more "
+            "backgrounds (--limit takes the first in sorted order)."
+        )
+    return found
+
+
+def _categories(
+    run: Path, dataset: Dataset, records: Sequence[FrameRecord], wanted: Sequence[str] | None
+) -> tuple[str, ...]:
+    inserted = {i.category for r in records for i in r.inserted}
+    real = {i.category for image in dataset.images for i in image.instances}
+    both = sorted(inserted & real)
+    if wanted is not None:
+        missing = sorted(set(wanted) - set(both))
+        if missing:
+            raise DatasetError(
+                f"{run}: {', '.join(missing)}: expected classes that are both inserted ({', '.join(sorted(inserted))}) "
+                f"and annotated in {dataset.root} ({', '.join(sorted(real)) or 'nothing'})"
+            )
+        return tuple(dict.fromkeys(wanted))
+    if not both:
+        raise DatasetError(
+            f"{run}: no class is both inserted ({', '.join(sorted(inserted))}) and annotated in {dataset.root} "
+            f"({', '.join(sorted(real)) or 'none'}). Give the inserted object the class of its real "
+            "counterparts (--set objects.0.category=Person)"
+        )
+    return tuple(both)
+
+
+def _run_levels(records: Sequence[FrameRecord]) -> tuple[float, float]:
+    """Return the dataset's levels as the run measured them; 8-bit pictures do not need them."""
+    for r in records:
+        levels = r.facts.get("matching", {}).get("levels") or (r.facts.get("sensor") or {}).get("limits")
+        if levels:
+            return float(levels[0]), float(levels[1])
+    return _EIGHT_BIT
+
+
+def _some(objects: Sequence[Measured], most: int) -> list[Measured]:
+    order = stream(0, "some").permutation(len(objects))[:most]
+    return [objects[int(k)] for k in sorted(order)]
+
+
+def _redo(
+    controlled: Mapping[str, Sequence[Measured]],
+    pairs: Mapping[str, Sequence[tuple[Measured, Measured]]],
+    images: Mapping[str, ImageRecord],
+    records: Mapping[str, FrameRecord],
+    sensor: bool,
+) -> list[PictureJob]:
+    reals: dict[str, list[int]] = {}
+    frames: dict[str, list[int]] = {}
+    keys = [(m.key, reals) for of_class in controlled.values() for m in of_class]
+    keys += [(inserted.key, frames) for of_class in pairs.values() for _, inserted in of_class]
+    for key, into in keys:
+        name, _, number = key.rpartition("#")
+        into.setdefault(name, []).append(int(number))
+    jobs = [PictureJob(images[k], None, tuple(sorted(n))) for k, n in sorted(reals.items())]
+    if sensor:
+        jobs += [
+            PictureJob(images[_background_key(records[k])], records[k], tuple(sorted(n)))
+            for k, n in sorted(frames.items())
+            if records[k].facts.get("sensor")
+        ]
+    return jobs
+
+
+class _Clock:
+    def __init__(self, on_progress: OnProgress | None, total: int) -> None:
+        self.total = total
+        self._on_progress, self._done, self._start = on_progress, 0, time.monotonic()
+
+    def tick(self) -> None:
+        self._done += 1
+        if self._on_progress is not None:
+            rate = self._done / max(time.monotonic() - self._start, 1e-9)
+            self._on_progress(Progress(self._done, self.total, rate, (self.total - self._done) / rate))
+
+
+def _run(
+    settings: MeasuringSettings, jobs: Sequence[PictureJob], request: ComparisonRequest, clock: _Clock
+) -> Iterator[Measurements]:
+    if not jobs:
+        return
+    spec = WorkerSpec(WORKER, settings)
+    executor: Executor = (
+        Serial(spec) if request.in_process else ProcessPool(spec, PoolSettings(workers=max(1, request.workers)))
+    )
+    tasks = [Task(j.record.frame_id if j.record else image_key(j.background), j) for j in jobs]
+    for result in executor.run(tasks):
+        if result.failure is not None:
+            raise result.failure.to_exception()
+        clock.tick()
+        yield result.value
+
+
+@dataclass(frozen=True)
+class RealismReport:
+    """The result of a comparison.
+
+    Attributes:
+        out: Folder of `realism.json`, `realism.html` and the sheets of crops.
+        facts: Content of `realism.json`.
+    """
+
+    out: Path
+    facts: Mapping[str, Any]
+
+    @property
+    def valid(self) -> bool:
+        """Whether the figures of every class are valid."""
+        return all(c["valid"] for c in self.facts["classes"].values())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of `realism.json`, and the folder."""
+        return {**self.facts, "out": str(self.out)}
+
+
+def compare(
+    run: Path,
+    dataset: Dataset,
+    out: Path,
+    request: ComparisonRequest | None = None,
+    on_progress: OnProgress | None = None,
+) -> RealismReport:
+    """Compare a run's inserted objects with real ones, and write the report; see `gather` for the arguments.
+
+    Raises:
+        MissingDependencyError: scikit-learn is not installed.
+        OutputError, DatasetError: See `gather`.
+    """
+    request = request if request is not None else ComparisonRequest()
+    require_sklearn()
+    material = gather(run, dataset, request, on_progress)
+    found = material.found
+    comparisons = [
+        compare_class(
+            c,
+            found.of("real", c),
+            found.of("inserted", c),
+            material.pairs[c],
+            {name: found.of(name, c) for name in ("floor", "hard_paste", *(SENSOR_STEPS if material.sensor else ()))},
+        )
+        for c in material.categories
+    ]
+    people = _people(material, comparisons)
+    by_name = {v.category: v.facts for v in comparisons}
+    for v in comparisons:
+        v.facts.update(validity(v.facts, people["floor_logistic"]))
+        for population in ("real", "inserted", "floor"):
+            v.facts.setdefault("left_out", {})[population] = dict(
+                sorted(found.left_out.get(f"{population}/{v.category}", Counter()).items())
+            )
+    facts: dict[str, Any] = {
+        "version": 1,
+        "time_of_day": request.time_of_day,
+        "most_pairs": request.most_pairs,
+        "run": {"seed": RunFolder(run).read_run()["seed"], "recipe": RunFolder(run).read_run()["recipe"]["name"]},
+        "unreadable": sorted(found.unreadable),
+        "person_floor": people,
+        "classes": by_name,
+        "ablation": {v.category: v.ablation for v in comparisons},
+    }
+    if "Car" in by_name and "Person" in by_name:
+        facts["car_to_person_contrast"] = contrast_ratio(by_name["Car"], by_name["Person"])
+    write_json(out / "realism.json", facts)
+    sheets: list[CropSheet] = [s for v in comparisons for s in sheets_of(v)]
+    for sheet in sheets:
+        write_bytes(out / f"{sheet.name}.png", sheet.png)
+    write_text(out / "realism.html", html_report(facts, comparisons, sheets))
+    return RealismReport(out, facts)
+
+
+def _people(material: Material, comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
+    """Return the real control of people, which decides on the method's validity, even where none were inserted."""
+    for v in comparisons:
+        if v.category == REFERENCE_CLASS:
+            return {k: v.facts[k] for k in ("floor_n", "floor_logistic", "floor_boosting", "floor_ci")}
+    real = material.controlled.get(REFERENCE_CLASS, ())
+    return compare_control("floor", real, material.found.of("floor", REFERENCE_CLASS))

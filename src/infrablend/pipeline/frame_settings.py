@@ -1,0 +1,88 @@
+"""Settings of frame workers: what a run hands to each of them, and what each step takes from the recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from infrablend.annotation.merge import MergeSettings
+from infrablend.compositing.gain import GainPrior
+from infrablend.compositing.local import LocalSettings
+from infrablend.compositing.mapping import PercentileSettings
+from infrablend.compositing.sensor import SensorStrength
+from infrablend.config.recipe import LocalMatching, MetricSensor, PercentileMatching, Recipe, Sensor
+from infrablend.core.dataset import TimeOfDay
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """Settings that all workers of a run share; picklable.
+
+    Attributes:
+        out: Folder of the run.
+        data_root: Folder that background paths are recorded relative to.
+        recipe_json: The recipe.
+        seed: The run's seed.
+        renderer: Name in `rendering.RENDERERS`.
+        device: Device that Cycles computes on.
+        pin_cores: Whether each worker keeps to a processor core of its own.
+        levels: Darkest and brightest level that the dataset uses; for `appearance.mode: physical` and the sensor.
+        ignored: The source's own names of the categories that mark ignore regions.
+    """
+
+    out: Path
+    data_root: Path
+    recipe_json: str
+    seed: int
+    renderer: str = "blender"
+    device: str = "cpu"
+    pin_cores: bool = True
+    levels: tuple[float, float] | None = None
+    ignored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameDone:
+    """A worker's report on a finished frame.
+
+    Attributes:
+        inserted: Number of objects with a label.
+        wanted: Number of objects that the recipe asked for.
+        seconds: Time spent per step of rendering.
+    """
+
+    inserted: int
+    wanted: int
+    seconds: Mapping[str, float]
+
+
+def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> LocalSettings:
+    """Return the settings of matching by physics for a background of this time of day."""
+    m = matching
+    low, high = m.gain_grey_per_k
+    mean = m.gain_prior_grey_per_k
+    if time_of_day == "day" and m.gain_prior_day_grey_per_k is not None:
+        mean = m.gain_prior_day_grey_per_k
+    return LocalSettings(GainPrior(mean, mean * m.gain_prior_spread, low, high), m.polarity, m.clothing_above_air_k)
+
+
+def percentile_settings(matching: PercentileMatching | LocalMatching) -> PercentileSettings:
+    """Return the settings of matching by percentiles: of the artistic look, and of physical frames without objects."""
+    m = matching if isinstance(matching, PercentileMatching) else PercentileMatching(polarity=matching.polarity)
+    return PercentileSettings(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
+
+
+def sensor_strength(sensor: Sensor) -> SensorStrength:
+    """Return the strength of each step of the sensor chain."""
+    s = sensor
+    defocus = s.defocus if isinstance(s, MetricSensor) else 0.0
+    return SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, defocus)
+
+
+def merge_settings(recipe: Recipe) -> MergeSettings:
+    """Return which labels an image carries.
+
+    Ignore regions stay in the record: each format leaves them out, or not, when it is written.
+    """
+    return MergeSettings(recipe.labels.mode, recipe.labels.keep_categories, recipe.labels.remove_covered)

@@ -1,0 +1,243 @@
+"""Workers that measure objects: real and inserted ones, those of controls, and those of frames rendered again."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from infrablend.assets.catalogue import load_model
+from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.sensor import Sensor
+from infrablend.config.modes import recipe_from_json
+from infrablend.core.cores import take_core
+from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.core.render import Renderer
+from infrablend.core.tasks import Task
+from infrablend.errors import DatasetError
+from infrablend.formats.images import Background, SaveKind, encode_image, load_background
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame import overlay
+from infrablend.pipeline.record import FrameRecord
+from infrablend.realism.controls import paste_controls
+from infrablend.realism.features import Bool, Labels, Measured, Picture, eight_bit, from_eight_bit, measure, unfit
+from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
+from infrablend.rendering import make_renderer
+from infrablend.sampling.scene import rebuild_scene
+
+
+@dataclass(frozen=True)
+class MeasuringSettings:
+    """Settings that all measuring workers share; picklable.
+
+    Attributes:
+        run: Folder of the run.
+        recipe_json: The run's recipe.
+        categories: Classes to measure.
+        levels: Darkest and brightest level of the dataset, for 16-bit pictures.
+        renderer: Name in `rendering.RENDERERS`.
+        device: Device that Cycles computes on.
+        pin_cores: Whether each worker keeps to a processor core of its own.
+    """
+
+    run: Path
+    recipe_json: str
+    categories: tuple[str, ...]
+    levels: tuple[float, float]
+    renderer: str
+    device: str
+    pin_cores: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class PictureJob:
+    """One picture to measure objects in.
+
+    | `record` | `redo` | what is measured |
+    |---|---|---|
+    | None | None | the real objects of the dataset's picture |
+    | given | None | the inserted objects of the run's frame |
+    | None | given | controls made from these real objects |
+    | given | given | these inserted objects, rendered again with each step of the sensor chain |
+
+    Attributes:
+        background: The dataset's image.
+        record: Frame of the run on that image, or None.
+        redo: Numbers of the objects to make controls of or to render again, or None.
+    """
+
+    background: ImageRecord
+    record: FrameRecord | None = None
+    redo: tuple[int, ...] | None = None
+
+
+@dataclass(eq=False)
+class Measurements:
+    """Measured objects by population, and a count of those that were not measured.
+
+    Attributes:
+        objects: Measured objects by population: `real`, `inserted`, `floor`, `hard_paste`, or a sensor step.
+        left_out: Objects that were not measured: `<population>/<class>` to reason to number.
+        unreadable: Messages about pictures that could not be read.
+    """
+
+    objects: dict[str, list[Measured]] = field(default_factory=dict)
+    left_out: dict[str, Counter[str]] = field(default_factory=dict)
+    unreadable: list[str] = field(default_factory=list)
+
+    def add(self, population: str, measured: Measured) -> None:
+        """Add an object."""
+        self.objects.setdefault(population, []).append(measured)
+
+    def leave_out(self, population: str, category: str, reason: str) -> None:
+        """Count an object that is not measured."""
+        self.left_out.setdefault(f"{population}/{category}", Counter())[reason] += 1
+
+    def extend(self, other: Measurements) -> None:
+        """Add everything from another picture."""
+        for population, objects in other.objects.items():
+            self.objects.setdefault(population, []).extend(objects)
+        for key, reasons in other.left_out.items():
+            self.left_out.setdefault(key, Counter()).update(reasons)
+        self.unreadable += other.unreadable
+
+    def keep_with_real_beside(self) -> None:
+        """Leave out inserted objects whose background shows no real object of their class to compare with."""
+        beside = {(m.category, m.group) for m in self.objects.get("real", [])}
+        inserted = self.objects.get("inserted", [])
+        self.objects["inserted"] = [m for m in inserted if (m.category, m.group) in beside]
+        for m in inserted:
+            if (m.category, m.group) not in beside:
+                self.leave_out("inserted", m.category, "none_beside")
+
+    def of(self, population: str, category: str) -> list[Measured]:
+        """Return a population's objects of one class, sorted by key: independent of the order of finishing."""
+        return sorted((m for m in self.objects.get(population, []) if m.category == category), key=lambda m: m.key)
+
+
+class ObjectMeasurer:
+    """Measures the objects of pictures; one per worker process."""
+
+    def __init__(self, settings: MeasuringSettings) -> None:
+        """Load the recipe. The renderer starts with the first frame that is rendered again."""
+        if settings.pin_cores:
+            take_core()
+        self._settings = settings
+        self._recipe = recipe_from_json(settings.recipe_json)
+        self._renderer: Renderer | None = None
+
+    def __call__(self, task: Task) -> Measurements:
+        """Do the `PictureJob` in the task's payload."""
+        job: PictureJob = task.payload
+        if job.record is not None:
+            if job.redo is None:
+                return self._inserted(job.background, job.record)
+            return self._rendered_again(job.background, job.record, job.redo)
+        return self._real(job.background) if job.redo is None else self._controls(job.background, job.redo)
+
+    def close(self) -> None:
+        """Release the renderer, if one was started."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _real(self, source: ImageRecord) -> Measurements:
+        try:
+            pixels = load_background(source.path, source.size_wh).pixels
+        except DatasetError as error:  # `generate` has left it out, too
+            return Measurements(unreadable=[error.message])
+        picture = eight_bit(pixels, self._settings.levels)
+        return self._all_of("real", picture, source, source.instances, source.instances, image_key(source))
+
+    def _inserted(self, source: ImageRecord, record: FrameRecord) -> Measurements:
+        pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
+        picture, labels = eight_bit(pixels, self._settings.levels), _labels_of(source, record)
+        return self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
+
+    def _all_of(
+        self,
+        population: str,
+        picture: Picture,
+        source: ImageRecord,
+        labels: Sequence[Instance],
+        objects: Sequence[Instance],
+        key: str,
+    ) -> Measurements:
+        """Measure the objects of the wanted classes; `labels` are all labels of the picture."""
+        found, where = Measurements(), Labels(picture.shape, labels)
+        for number, instance in enumerate(objects):
+            if instance.category not in self._settings.categories:
+                continue
+            reason = unfit(instance, where)
+            if reason:
+                found.leave_out(population, instance.category, reason)
+            else:
+                found.add(population, _measure(picture, instance, where.free, source, f"{key}#{number}"))
+        return found
+
+    def _controls(self, source: ImageRecord, numbers: Sequence[int]) -> Measurements:
+        found, key, levels = Measurements(), image_key(source), self._settings.levels
+        background = load_background(source.path, source.size_wh)
+        picture = eight_bit(background.pixels, levels)
+        chosen = [(n, source.instances[n]) for n in numbers]
+        controls = paste_controls(picture, Labels(picture.shape, source.instances), chosen, key)
+        for n, i in chosen:
+            if n not in controls.labels:
+                found.leave_out("floor", i.category, "no_place")
+        for population, pasted in (("floor", controls.real), ("hard_paste", controls.flat)):
+            pixels = from_eight_bit(pasted, background.pixels.dtype, levels)
+            saved = eight_bit(_saved_and_read(pixels, background, self._recipe.output.image), levels)
+            for n, i in sorted(controls.labels.items()):
+                found.add(population, _measure(saved, i, controls.free, source, f"{key}#{n}"))
+        return found
+
+    def _rendered_again(self, source: ImageRecord, record: FrameRecord, numbers: Sequence[int]) -> Measurements:
+        """Measure inserted objects with one more step of the sensor chain each time; the frame is rendered once."""
+        found, fitted = Measurements(), record.facts.get("sensor")
+        assert fitted is not None and record.scene is not None and record.mapping is not None
+        background = load_background(source.path, source.size_wh)
+        scene = rebuild_scene(record.scene, {o.model: load_model(o.model) for o in record.scene.objects})
+        if self._renderer is None:
+            self._renderer = make_renderer(self._settings.renderer, self._settings.device)
+        rendered, mapping = self._renderer.render(scene), GreyMapping.from_json(record.mapping)
+        free = Labels(background.pixels.shape, _labels_of(source, record)).free
+        for step, sensor in sensor_steps(Sensor.from_json(fitted)).items():
+            # The motion tail belongs to the optics, which the first step leaves out.
+            motion_px = (0.0, 0.0) if step == SENSOR_STEPS[0] else record.scene.motion_px
+            pixels = overlay(rendered, background.pixels, mapping, self._recipe.overlay, sensor, motion_px)
+            saved = _saved_and_read(pixels, background, self._recipe.output.image)
+            picture = eight_bit(saved, self._settings.levels)
+            for n in numbers:
+                found.add(step, _measure(picture, record.inserted[n], free, source, f"{record.frame_id}#{n}"))
+        return found
+
+
+def make_measurer(settings: MeasuringSettings) -> ObjectMeasurer:
+    """Return a measurer; the worker factory that `execution` calls by its dotted name."""
+    return ObjectMeasurer(settings)
+
+
+def image_key(image: ImageRecord) -> str:
+    """Return `<split>/<id>`, which is unique in the dataset."""
+    return f"{image.split}/{image.id}"
+
+
+def _labels_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
+    """Return all labels of a frame."""
+    return [source.instances[k] for k in record.kept] + list(record.inserted)
+
+
+def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageRecord, key: str) -> Measured:
+    return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.altitude_m)
+
+
+def _saved_and_read(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:
+    """Return the pixels as they are after saving and reading the picture."""
+    with Image.open(io.BytesIO(encode_image(pixels, like, kind))) as picture:
+        saved = np.array(picture)
+    grey = saved if saved.ndim == 2 else saved[..., 0]
+    return np.asarray(grey, np.uint8) if like.pixels.dtype == np.uint8 else np.asarray(grey, np.uint16)

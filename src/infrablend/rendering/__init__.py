@@ -1,0 +1,41 @@
+"""Renderers: a registry of the implementations of `core.render.Renderer`, and one that needs no Blender.
+
+`RENDERERS` maps the name that a run records to the dotted name of a class:
+
+`blender`
+    `blender.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
+`fake`
+    `rendering.flat.FlatRenderer`: flat shading on the software rasteriser. Fast and without Blender; for tests and
+    for trying out a recipe.
+
+To add a renderer, implement the protocol and add a line here. A class is called with the device as its one argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from infrablend.core.registry import resolve
+from infrablend.core.render import Renderer
+
+RENDERERS: Mapping[str, str] = {
+    "blender": "infrablend.blender.renderer:BlenderRenderer",
+    "fake": "infrablend.rendering.flat:FlatRenderer",
+}
+
+
+def make_renderer(name: str, device: str) -> Renderer:
+    """Start the renderer of that name; its module is imported here and only here.
+
+    Args:
+        name: A key of `RENDERERS`.
+        device: Where to compute: `cpu`, or a backend that the renderer knows.
+
+    Raises:
+        ValueError: There is no renderer of that name.
+        MissingDependencyError: The renderer's module cannot be imported, or it finds no such device.
+    """
+    if name not in RENDERERS:
+        raise ValueError(f"renderer {name!r} is unknown; expected one of {', '.join(RENDERERS)}")
+    start: Callable[[str], Renderer] = resolve(RENDERERS[name])
+    return start(device)

@@ -1,0 +1,33 @@
+"""Formulas that rendered pictures and material tables are checked against."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from infrablend.thermal.radiometry import band_radiance
+
+Array = NDArray[np.float64]
+
+_KELVIN = np.arange(150.0, 700.1, 0.25)
+_RADIANCE = band_radiance(_KELVIN, terms=20)
+
+
+def apparent_temperature(radiance: ArrayLike) -> Array:
+    """Return the temperature of the blackbody with this 8 to 14 um radiance: a table in ln L against 1/T."""
+    return np.asarray(1.0 / np.interp(np.log(radiance), np.log(_RADIANCE), 1.0 / _KELVIN))
+
+
+def leaving_radiance(emissivity: ArrayLike, own: ArrayLike, mirrored: ArrayLike) -> Array:
+    """Return eps L(T) + (1 - eps) L_env."""
+    e = np.asarray(emissivity, np.float64)
+    return np.asarray(e * np.asarray(own) + (1 - e) * np.asarray(mirrored))
+
+
+def fresnel_emissivity(n: float, k: float, angle_rad: ArrayLike) -> Array:
+    """Return eps(theta) of a smooth opaque surface of complex index n + i k, unpolarised, by Fresnel's equations."""
+    theta = np.asarray(angle_rad, np.float64)
+    m = complex(n, k)
+    cos = np.cos(theta)
+    q = np.sqrt(m * m - np.sin(theta) ** 2 + 0j)
+    r_s = (cos - q) / (cos + q)
+    r_p = (m * m * cos - q) / (m * m * cos + q)
+    return np.asarray(1 - (np.abs(r_s) ** 2 + np.abs(r_p) ** 2) / 2)
