@@ -18,7 +18,9 @@ def preview(
     out: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Picture to write [default: RUN/preview.png].")
     ] = None,
-    count: Annotated[int, typer.Option(min=1, max=400, help="Number of frames.")] = 12,
+    count: Annotated[
+        int | None, typer.Option(min=1, max=400, help="Number of frames [default: 12; 6 with --ground].")
+    ] = None,
     boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
     obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
@@ -31,8 +33,8 @@ def preview(
     from infrablend.cli.results import print_result
 
     if ground:
-        print_result(str(api.preview_ground(run, out or run / "ground.png", min(count, 6))))
+        print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
         return
     kinds: tuple[tuple[Draw, bool], ...] = (("boxes", boxes), ("obb", obb), ("masks", masks))
     chosen = tuple(name for name, on in kinds if on)
-    print_result(str(api.preview(run, out or run / "preview.png", count, chosen or ("boxes", "obb", "masks"))))
+    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen or ("boxes", "obb", "masks"))))

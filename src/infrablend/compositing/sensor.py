@@ -1,8 +1,8 @@
-"""What the camera behind a background does to what it sees: optics, detail enhancement, grain, range, codec.
+"""The sensor chain of the camera behind a background: optics, detail enhancement, grain, range, codec.
 
-An insert is an ideal picture; its background has been through a lens, a detector, sharpening and compression. What
-can be measured of that chain (`measure`) is measured in the background itself, the rest is its camera's profile; it is
-applied to the insert alone: pixels that the insert does not reach keep their value to the bit.
+An insert is an ideal picture; its background has been through a lens, a detector, sharpening and compression. As far as
+possible that chain is measured in the background itself (`measure`); the rest comes from the camera's profile. It is
+applied to the insert only: pixels that the insert does not reach keep their value to the bit.
 """
 
 from __future__ import annotations
@@ -28,16 +28,25 @@ from infrablend.compositing.measure import (
 from infrablend.compositing.overlay import Layer, blur_radius_px
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 
-# Variance of the renderer's pixel filter, a box of one pixel: part of the total blur, px^2.
+# Variance of the renderer's pixel filter, a box of one pixel, which is part of the total blur, px^2.
 PIXEL_BOX_VARIANCE = 1 / 12
-# How many edges the profile's own sharpness is worth. Much, as the bounds are narrow: a camera's optics hardly change,
-# and a picture without sharp edges (sunlit ground) says more of its scene than of its camera.
+# Weight of the profile's own sharpness, in edges. It is high since a camera's optics hardly change, and a picture
+# without sharp edges (sunlit ground) shows more of its scene than of its camera.
 _PRIOR_EDGES = 100.0
 
 
 @dataclass(frozen=True)
 class SensorStrength:
-    """How much of each step to apply: 0 leaves it out, 1 is as measured."""
+    """Strength of each step of the chain: 0 leaves it out, 1 applies it as measured.
+
+    Attributes:
+        optics: Blur by the optics.
+        halo: Detail enhancement.
+        noise: Grain.
+        codec: Compression.
+        clip: Whether to limit the insert's levels.
+        defocus: Blur by being out of focus.
+    """
 
     optics: float = 1.0
     halo: float = 1.0
@@ -49,22 +58,26 @@ class SensorStrength:
 
 @dataclass(frozen=True)
 class Sensor:
-    """The chain for one frame, with all strengths worked in; what a record keeps and `apply_sensor` needs.
+    """The chain fitted to one frame, with all strengths included; a record stores it, `apply_sensor` applies it.
 
     Attributes:
-        profile: Its name.
-        blur_sigma_px: Gaussian to blur the render with, its own pixel taken off; None leaves the recipe's softness.
-        halo_gain, halo_radius_px: Detail enhancement; gain 0 for none.
-        noise_grey, noise_grain_px: Grain, in the picture's own levels; 0 for none.
-        noise_seed: Of the grain.
-        limits: Darkest and brightest level the insert may take before the codec; None for no limit.
-        codec_quality: JPEG quality of the touched blocks; None for none.
-        edge_sigma_px: Sharpness found in the background, None if it has no edge that serves; for the reader.
-        edges: How many edges that rests on.
-        flat_blocks: How many blocks the grain rests on.
-        range_m: From the camera to the nearest object; None if that is not the real camera's (paper placement).
-        defocus_sigma_px: What being out of focus at that range adds to the blur, in quadrature.
-        speed_px_s: Motion against the camera that leaves the scene's motion tail; for the reader.
+        profile: Name of the profile.
+        blur_sigma_px: Sigma of the optics' blur of the render, without the render's own pixel; None for the recipe's
+            softness.
+        halo_gain: Gain of the detail enhancement; 0 for none.
+        halo_radius_px: Radius of the detail enhancement.
+        noise_grey: Standard deviation of the grain, in the picture's own levels; 0 for none.
+        noise_grain_px: Size of the grain.
+        noise_seed: Seed of the grain.
+        limits: Darkest and brightest level of the insert before the codec; None for no limit.
+        codec_quality: JPEG quality of the touched blocks; None for no codec.
+        edge_sigma_px: Sharpness measured in the background, None without a usable edge; for information.
+        edges: Number of edges measured.
+        flat_blocks: Number of blocks that the grain was measured in.
+        range_m: Distance from the camera to the nearest object; None with the paper's placement, whose camera is not
+            the real one.
+        defocus_sigma_px: Blur added by defocus at that range, in quadrature.
+        speed_px_s: Motion relative to the camera that causes the scene's motion tail; for information.
     """
 
     profile: str
@@ -84,17 +97,17 @@ class Sensor:
     speed_px_s: float = 0.0
 
     def layer_sigma_px(self, softness_px: float) -> float:
-        """Gaussian to blur the render with; `softness_px` is the recipe's, for chains without optics."""
+        """Return the sigma to blur the render with; `softness_px` is the recipe's, for chains without optics."""
         return math.hypot(softness_px if self.blur_sigma_px is None else self.blur_sigma_px, self.defocus_sigma_px)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         plain = asdict(self)
         return {**plain, "limits": None if self.limits is None else list(self.limits)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Sensor:
-        """The chain that `to_json` wrote."""
+        """Return the chain that `to_json` wrote."""
         limits = data["limits"]
         return cls(**{**data, "limits": None if limits is None else (limits[0], limits[1])})
 
@@ -109,17 +122,17 @@ def fit_sensor(
     range_m: float | None = None,
     motion_px: tuple[float, float] = (0.0, 0.0),
 ) -> Sensor:
-    """The chain of one background: measured where it can be, the profile's where not.
+    """Fit the chain to one background: measure what can be measured, and take the rest from the profile.
 
     Args:
         background: (h, w) grey, 8 or 16 bit.
-        profile: A shipped one's name, or one's own.
-        strength: Of each step.
-        levels: Darkest and brightest level that the dataset uses; a profile's own count more in 8-bit pictures.
-        noise_seed: Of the grain.
-        range_m: From the camera to the nearest object, for defocus; None for none. A Gaussian of a quarter of the blur
-            disc's diameter has the disc's variance; with the rest of the chain it differs from a true disc by less than
-            1 % of an edge's step up to 3 px of diameter (HIT-UAV: from 15 m), by 3 % at 9 px.
+        profile: Name of a shipped profile, or a profile.
+        strength: Strength of each step.
+        levels: Darkest and brightest level that the dataset uses; for 8-bit pictures a profile's own levels win.
+        noise_seed: Seed of the grain.
+        range_m: Distance from the camera to the nearest object, for defocus; None for no defocus. A Gaussian of a
+            quarter of the blur disc's diameter has the disc's variance. With the rest of the chain it differs from a
+            true disc by less than 1 % of an edge's step up to 3 px of diameter (HIT-UAV: from 15 m), by 3 % at 9 px.
         motion_px: The scene's motion tail.
     """
     p = find_profile(profile)
@@ -133,7 +146,7 @@ def fit_sensor(
         prior = sharpened_sigma(p.psf_sigma_px, p.halo_gain, p.halo_radius_px)
         low, high = p.edge_bounds_px
         believed = prior if sigma is None else (edges * sigma + _PRIOR_EDGES * prior) / (edges + _PRIOR_EDGES)
-        # What shows in the picture has been sharpened: undo that, since the insert is sharpened as well.
+        # Edges in the picture have been sharpened already: undo that, since the insert will be sharpened as well.
         total = strength.optics * unsharpened_sigma(min(max(believed, low), high), gain, p.halo_radius_px)
         blur = round(math.sqrt(max(total**2 - PIXEL_BOX_VARIANCE, 0.0)), 4)
     noise, grain, blocks = 0.0, p.noise_grain_px, 0
@@ -170,10 +183,10 @@ def fit_sensor(
 
 
 def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyImage:
-    """The layer on its background, as the camera would show it; `layer` is already blurred by the optics.
+    """Lay the layer, already blurred by the optics, over its background as the camera would show it.
 
-    Halo, grain and range act on what the layer changes; the codec on the 8 px blocks with a changed pixel. With
-    every step off this is `overlay.compose`.
+    Halo, grain and range apply to what the layer changes, the codec to the 8 px blocks with a changed pixel. With every
+    step off the result is that of `overlay.compose`.
     """
     rows, columns = layer.alpha.shape
     if not layer.alpha.size:
@@ -193,8 +206,8 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     grey[inner] = layer.grey
     mixed = np.where(alpha > 0, grey + (1 - alpha) * ground, ground)
     if sensor.halo_gain > 0:
-        # The background is sharpened already. What the insert hides of it must be taken away as it was before, or its
-        # texture would shine through the insert, inverted.
+        # The background is already sharpened. The part that the insert hides must be removed as it was before that, or
+        # its texture would show through the insert, inverted.
         wide = 3 * reach
         up, back = min(top, wide), min(left, wide)
         around = background[top - up : bottom + wide, left - back : right + wide].astype(np.float64)
@@ -203,12 +216,12 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
         added = np.where(alpha > 0, grey - alpha * before, 0.0)
         mixed = ground + enhance(added, sensor.halo_gain, sensor.halo_radius_px)
     if sensor.noise_grey > 0:
-        # The background keeps (1 - alpha) of its own grain; this weight brings the variance back to the whole.
+        # The background keeps (1 - alpha) of its own grain; this weight restores the full variance.
         weight = np.sqrt(alpha * (2 - alpha))
         mixed += weight * grain(ground.shape, sensor.noise_grey, sensor.noise_grain_px, sensor.noise_seed)
     if sensor.limits is not None:
         low, high = sensor.limits
-        # A background pixel beyond the limits (ringing of its own codec) is no fault of the insert.
+        # Background pixels may exceed the limits (ringing of their own codec) and are left as they are.
         mixed = np.clip(mixed, np.minimum(low, ground), np.maximum(high, ground))
     picture = background.copy()
     picture[top:bottom, left:right] = np.clip(np.rint(mixed), 0, np.iinfo(background.dtype).max).astype(picture.dtype)
@@ -220,13 +233,13 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
 
 
 def enhance(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
-    """Detail enhancement, `P + gain * (P - G * P)`; linear, so it may be had of what an insert adds alone."""
+    """Return the picture after detail enhancement, `P + gain * (P - G * P)`; linear, so it works on additions alone."""
     soft = cv2.GaussianBlur(picture, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(picture + gain * (picture - soft), np.float64)
 
 
 def unsharpen(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
-    """The picture of which `enhance` makes this one, by iteration; for gain 0.6 the error falls to 0.375 each time."""
+    """Invert `enhance` by iteration; with gain 0.6 each step reduces the error to 0.375 of it."""
     before = picture
     for _ in range(12):
         soft = cv2.GaussianBlur(before, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
@@ -235,14 +248,14 @@ def unsharpen(picture: NDArray[np.float64], gain: float, radius_px: float) -> ND
 
 
 def grain(shape_hw: tuple[int, ...], sigma_grey: float, grain_px: float, seed: int) -> NDArray[np.float64]:
-    """(h, w) white noise blurred by a Gaussian of `grain_px`, scaled to standard deviation `sigma_grey`."""
+    """Return (h, w) white noise blurred by a Gaussian of `grain_px`, scaled to standard deviation `sigma_grey`."""
     reach = math.ceil(4 * grain_px)
     h, w = shape_hw
     rng = np.random.Generator(np.random.PCG64(seed))
     white = rng.standard_normal((h + 2 * reach, w + 2 * reach))
     kernel = cv2.getGaussianKernel(2 * reach + 1, grain_px, cv2.CV_64F)
     soft = cv2.sepFilter2D(white, cv2.CV_64F, kernel, kernel)[reach : reach + h, reach : reach + w]
-    # By the kernel's own norm, not the sample's: a patch of few pixels keeps its chance deviation.
+    # Scaled by the kernel's norm and not by the sample's, so that a small patch keeps its chance deviation.
     return np.asarray(soft * (sigma_grey / float((kernel**2).sum())), np.float64)
 
 
@@ -252,10 +265,10 @@ def recode(
     quality: int,
     cover: NDArray[np.float32],
 ) -> GreyImage:
-    """The picture with its touched 8 px blocks (those with a changed pixel) through a JPEG of that quality.
+    """Return the picture with its touched 8 px blocks (those with a changed pixel) JPEG-compressed at that quality.
 
-    Around the object the background's own grain, which has already been through the codec, is put back: only what
-    the codec does to the object and its edges is new.
+    Around the object the background's own grain, which has been through the codec already, is restored: only the
+    codec's effect on the object and its edges is new.
     """
     height, width = picture.shape
     changed = picture != background
@@ -268,7 +281,7 @@ def recode(
     y0, y1 = int(block_rows[0]) * b, min((int(block_rows[-1]) + 1) * b, height)
     x0, x1 = int(block_columns[0]) * b, min((int(block_columns[-1]) + 1) * b, width)
     part = (slice(y0, y1), slice(x0, x1))
-    # Blocks of a grey JPEG are independent: encoding a block-aligned part gives the same blocks as the whole.
+    # Blocks of a grey JPEG are independent, so a block-aligned part gives the same blocks as the whole picture.
     new = through_jpeg(picture[part], quality).astype(np.float64)
     lost = background[part].astype(np.float64) - through_jpeg(background[part], quality)
     new += (1 - cover[part]) * lost
@@ -279,8 +292,8 @@ def recode(
 
 
 def through_jpeg(part: GreyImage, quality: int) -> NDArray[np.uint8]:
-    """An 8-bit picture as a JPEG of that quality gives it back."""
+    """Return an 8-bit picture after JPEG compression at that quality."""
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(part), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not ok:
-        raise ValueError(f"a {part.shape} picture cannot be encoded as JPEG")
+        raise ValueError(f"a picture of shape {part.shape} cannot be encoded as JPEG")
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.uint8)

@@ -30,7 +30,7 @@ def require_thermal_levels(background: Background) -> None:
             "image-colour-mapped",
             "colours; grey levels computed from them do not follow temperature",
             "a grey picture, as physical matching needs",
-            "export it from the camera in white-hot grey, or use matching.mode: percentile",
+            "export it from the camera in white-hot grey, or use appearance.mode: artistic",
         )
         raise DatasetError(f"{background.path}: colour-mapped", [problem])
     low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
@@ -40,7 +40,7 @@ def require_thermal_levels(background: Background) -> None:
             "image-no-contrast",
             f"grey levels {low:g} to {high:g}",
             f"a picture with at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles",
-            "leave it out, or use matching.mode: percentile",
+            "leave it out, or use appearance.mode: artistic",
         )
         raise DatasetError(f"{background.path}: no contrast", [problem])
 

@@ -1,7 +1,7 @@
-"""The ground that metric placement believes in, drawn over the pictures: so that a human can see it is wrong.
+"""A sheet of frames with the ground plane that metric placement assumes, so that errors in scale are visible.
 
-A grid of the ground plane, and a person of 1.7 m or a car of 4.6 x 1.8 x 1.45 m beside each annotated one: if they do
-not match in size, the camera's height, pitch or focal length is wrong.
+It shows a grid of the ground plane, and a person of 1.7 m or a car of 4.6 x 1.8 x 1.45 m beside each annotated one. If
+their sizes differ, the camera's height, pitch or focal length is wrong.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _PERSON = (255, 196, 0)
 _CAR = (255, 64, 160)
 _LABELLED = (112, 158, 120)
 _SPACINGS_M = (1, 2, 5, 10, 20, 50, 100, 200)
-_MAX_TWINS = 12
+_MAX_REFERENCES = 12
 
 
 def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
-    """Draw the ground of some frames of a run, one PNG.
+    """Write a PNG of frames with the assumed ground drawn over them.
 
     Args:
-        run: The folder of a run with metric placement.
-        out_png: Written beside and renamed.
-        count: How many frames at most.
+        run: Folder of a run with metric placement.
+        out_png: File to write, as a whole or not at all.
+        count: Largest number of frames.
 
     Raises:
-        DatasetError: No run, or one without metric placement.
+        DatasetError: There is no run, or it has no metric placement.
     """
     cells = []
     for frame in load_frames(run, count):
@@ -55,11 +55,11 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
             scene = SceneSpec.from_json(json.loads(path.read_text("utf-8"))["scene"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise DatasetError(
-                f"{path}: is no frame record ({type(error).__name__}). Run `generate --resume`."
+                f"{path}: not a readable frame record ({type(error).__name__}). Run `generate --resume`."
             ) from error
         if scene.view is None:
             raise DatasetError(
-                f"{run}: its objects are placed as in the paper, without a real ground; expected a run with metric "
+                f"{run}: objects are placed as in the paper, without a real ground; expected a run with metric "
                 "placement. Use a recipe with placement.mode: metric, such as hit-uav-drone-physical."
             )
         cells.append(_cell(frame, scene))
@@ -76,7 +76,7 @@ def _legend(width: int) -> Rgb:
         "the ground, as a grid": _GRID,
         "a person of 1.7 m": _PERSON,
         "a car of 4.6 m": _CAR,
-        "boxes of the labels: as large as the drawn ones?": _LABELLED,
+        "label boxes: compare their size with the drawn ones": _LABELLED,
     }
     widths = np.diff(np.linspace(0, width, len(texts) + 1).astype(int))
     strips = zip(widths, texts.items(), strict=True)
@@ -89,16 +89,16 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
     camera, view = scene.camera, scene.view
     assert view is not None
     spacing = _draw_grid(canvas, camera, view.ground_z_m)
-    twins = 0
+    references = 0
     for label in frame.instances:
         x0, y0, x1, y1 = label.box_xyxy
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))
         size = {"person": PERSON_M, "car": CAR_M}.get(known_class(label.category) or "")
         place = ground_point(camera, float(x0 + x1) / 2, float(y0 + y1) / 2, view.ground_z_m)
-        if size is None or place is None or twins >= _MAX_TWINS:
+        if size is None or place is None or references >= _MAX_REFERENCES:
             continue
-        twins += 1
+        references += 1
         aside = 1.0 if size is PERSON_M else 4.0
         _draw_cuboid(canvas, camera, place + np.array([aside, 0, 0]), size, _PERSON if size is PERSON_M else _CAR)
     w, h = camera.size_wh
@@ -116,14 +116,14 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
 
 
 def _draw_grid(canvas: Rgb, camera: CameraSpec, ground_m: float) -> int:
-    """Lines of the ground plane; gives their spacing in metres."""
+    """Draw lines of the ground plane and return their spacing in metres."""
     w, h = camera.size_wh
     corners = [ground_point(camera, u, v, ground_m) for u in (0.0, w / 2, float(w)) for v in (0.0, h / 2, float(h))]
     seen = np.array([c for c in corners if c is not None])
     if not len(seen):
         return 0
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
-    # Near the horizon the plane goes on for kilometres.
+    # Near the horizon the plane extends for kilometres.
     high = np.minimum(high, low + 400.0)
     spacing = next((s for s in _SPACINGS_M if (high - low).max() / s <= 14), _SPACINGS_M[-1])
     low, high = np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing
@@ -145,7 +145,7 @@ def _draw_cuboid(
     size_m: tuple[float, float, float],
     colour: tuple[int, int, int],
 ) -> None:
-    """The outline of a cuboid that stands on the ground, length across the view."""
+    """Draw the outline of a cuboid standing on the ground, with its length across the view."""
     length, width, height = size_m
     if size_m is PERSON_M:
         length, width = width, length

@@ -1,1 +1,1 @@
-"""From a background, a recipe and a seed to a scene: all randomness of a frame is here."""
+"""Sampling of scenes from a background, a recipe and a seed: all of a frame's randomness is here."""

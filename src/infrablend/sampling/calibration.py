@@ -1,8 +1,8 @@
-"""How high the camera really is: metadata give a nominal height, annotated objects of known size give the scale.
+"""Calibration of the camera's height: from the nominal height of the metadata and annotated objects of known size.
 
-A picture's scale depends on focal length over height alone. Heights in file names count from where the aircraft took
-off, and HIT-UAV's are wrong by up to a half, so the camera's height is corrected until the annotated people, cars and
-two-wheelers of the same image have the size they have in the world.
+A picture's scale depends only on focal length over height. Heights in file names are relative to the take-off point,
+and HIT-UAV's are wrong by up to a half, so the camera's height is corrected until the annotated people, cars and
+two-wheelers of the same image have their real size.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
 
-# Without any anchor the true height is taken as 1.15 of the stated one; HIT-UAV's groups spread by this much about it.
+# Without any anchor the true height is assumed to be 1.15 times the stated one; this is the spread in HIT-UAV's groups.
 NOMINAL_FACTOR = 1.15
 _NOMINAL_SD = 0.16  # of the logarithm
-# The correction believed at most, as true over stated height: 1/1.1 to 1/0.65.
+# Limits of the correction, as true over stated height: 1/1.1 to 1/0.65.
 FACTOR_BOUNDS = (1 / 1.1, 1 / 0.65)
 _MIN_SIDE_PX = 6.0
 _HEADINGS = np.deg2rad(np.arange(0.0, 180.0, 7.5))
@@ -30,9 +30,12 @@ _HEADINGS = np.deg2rad(np.arange(0.0, 180.0, 7.5))
 
 @dataclass(frozen=True)
 class Reference:
-    """A class whose size is known: length, width, height of its box in metres, and the spread of one reading.
+    """A class of known size.
 
-    `turns` is False where the heading hardly shows (people): its box is a mean over headings then.
+    Attributes:
+        size_m: Length, width, height of the object, metres.
+        sd: Standard deviation of the logarithm of one reading.
+        turns: Whether the heading shows in the box. If not (people), the expected box is a mean over headings.
     """
 
     size_m: tuple[float, float, float]
@@ -40,8 +43,8 @@ class Reference:
     turns: bool = True
 
 
-# 1.68 m people with 0.45 m shoulders (arms and stride make them some 0.5 m wide and 0.4 m deep); 4.6 x 1.8 m cars;
-# 1.75 m two-wheelers, mostly with nobody on them.
+# 1.68 m people with 0.45 m shoulders (about 0.5 m wide and 0.4 m deep with arms and stride); 4.6 x 1.8 m cars; 1.75 m
+# two-wheelers, most of them without a rider.
 REFERENCES: Mapping[KnownClass, Reference] = {
     "person": Reference((0.4, 0.5, 1.68), 0.22, turns=False),
     "car": Reference((4.6, 1.8, 1.45), 0.10),
@@ -51,12 +54,12 @@ REFERENCES: Mapping[KnownClass, Reference] = {
 
 @dataclass(frozen=True)
 class Calibration:
-    """The camera's height and what it rests on.
+    """The calibrated height of the camera.
 
     Attributes:
-        height_m: Above the ground, corrected.
-        stated_m: As the metadata say.
-        factor: The first over the second.
+        height_m: Corrected height above the ground.
+        stated_m: Height according to the metadata.
+        factor: Corrected over stated height.
         sd: Standard deviation of the factor's logarithm.
         anchors: Number of annotated objects used, by class.
     """
@@ -69,14 +72,14 @@ class Calibration:
 
 
 def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -> Calibration:
-    """The camera's height from the annotated boxes of one image.
+    """Calibrate the camera's height with the annotated boxes of one image.
 
-    The median ratio of each class (sitting people and half-hidden cars are outliers) is weighed against the nominal
-    correction by the spread of its readings.
+    The median size ratio of each class (sitting people and half-hidden cars are outliers) is weighted against the
+    nominal correction by the spread of its readings.
 
     Args:
-        camera: At the stated height (see `at_height`).
-        stated_m: That height.
+        camera: The camera at the stated height (see `at_height`).
+        stated_m: The stated height.
         labels: The image's own objects; those cut by the frame's edge are left out.
     """
     ratios: dict[KnownClass, list[float]] = {}
@@ -87,10 +90,10 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
         ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])
         if ratio is not None:
             ratios.setdefault(kind, []).append(math.log(ratio))
-    # A box seen larger than predicted: the camera is nearer than stated.
+    # A box larger than predicted means that the camera is closer than stated.
     weight, total = 1 / _NOMINAL_SD**2, math.log(NOMINAL_FACTOR) / _NOMINAL_SD**2
     for name, found in sorted(ratios.items()):
-        # Objects of one image share their errors (pose, annotator): more than a few add little.
+        # Objects of one image share their errors (pose, annotator), so more than a few add little.
         precision = min(len(found), 6) / REFERENCES[name].sd ** 2
         weight += precision
         total -= precision * float(np.median(found))
@@ -102,12 +105,10 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
 
 
 def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, reference: Reference) -> float | None:
-    """Size of a box over that of an object of known size at its place; None where it says nothing.
+    """Return the ratio of a box's size to that of a reference object at its place; None where it gives no reading.
 
-    `ground_m` is the ground plane's height in the world.
-
-    The object is a cuboid on the ground plane with the box's centre in its middle; its heading is the one whose box
-    has most nearly the same proportions.
+    The reference is a cuboid on the ground plane, centred on the box, with the heading whose box has the most similar
+    proportions. `ground_m` is the ground plane's height in the world.
     """
     x0, y0, x1, y1 = (float(v) for v in box_xyxy)
     w, h = camera.size_wh

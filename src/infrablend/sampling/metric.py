@@ -1,8 +1,8 @@
 """Metric placement: objects in the real camera's view, at its real height over a ground plane.
 
-The camera looks as the metadata say and is as high as the annotated objects show (`calibration`). What stands is put on
-the ground at a place drawn evenly over the image, where the picture shows even ground and nothing annotated; what
-flies is put on a ray through such a place at a drawn distance, always before the ground.
+The camera's pitch comes from the metadata, its height from the annotated objects (`calibration`). Standing objects are
+put on the ground at a place drawn uniformly over the image, where the picture shows even ground and nothing annotated.
+Flying objects are put on a ray through such a place at a drawn distance, always in front of the ground.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from infrablend.core.scene import View
 from infrablend.sampling.calibration import Calibration, calibrate
 from infrablend.sampling.placement import MAX_OVERLAP, Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
 
-# A flying object keeps this share of the way to the ground at most.
+# A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
-# Relief is judged in windows of this side, and under the feet with this margin, px.
+# Side of the windows that relief is measured in, and margin around the feet, px.
 _RELIEF_WINDOW_PX = 7
 _FEET_MARGIN_PX = 3
-# What of an object counts as its feet: its lowest part, share of its height.
+# The lowest part of an object that counts as its feet, as a share of its height.
 _FEET = 0.12
-# After this share of the draws beside its like, an object is put anywhere.
+# Share of the draws that place an object beside others of its kind; after that it may be anywhere.
 _IN_COMPANY = 0.5
-# Heading of a parked car against its neighbour's, degrees either way.
+# Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What metric placement knows of one background.
+    """A background as metric placement sees it.
 
     Attributes:
         pixels: (h, w) grey levels.
         labels: The background's own objects.
         ignored: Names of the categories that mark ignore regions.
-        altitude_m: Height of the camera as the metadata say, or None.
-        grey_unit: How many of its levels are one 8-bit level: 1, or more for 16-bit pictures.
+        altitude_m: Height of the camera according to the metadata, or None.
+        grey_unit: Levels of the picture per 8-bit level; 1 for 8-bit pictures.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -59,9 +59,9 @@ class Site:
 def real_camera(
     recipe: MetricRecipe, pitch_rad: float, size_wh: tuple[int, int], site: Site, rng: np.random.Generator
 ) -> tuple[CameraSpec, View]:
-    """The background's own camera over the ground; height and roll drawn where the recipe says so."""
+    """Return the background's own camera over the ground; height and roll are drawn where the recipe says so."""
     c = recipe.camera
-    drawn = float(rng.random())  # always taken, so that other draws do not depend on the choice
+    drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
     if isinstance(c.altitude, FixedAltitude):
         stated = c.altitude.fixed_m
     elif isinstance(c.altitude, RandomAltitude):
@@ -74,7 +74,7 @@ def real_camera(
     roll = math.radians(rng.uniform(*c.roll_deg))
     camera = CameraSpec(1.0, pitch_rad, roll, c.focal_length_mm, c.sensor_width_mm, size_wh)
     camera = at_height(camera, stated)
-    # A height that the recipe states is meant; only what metadata say is nominal.
+    # A height stated by the recipe is taken literally; only the metadata's height is nominal.
     nominal = c.calibrate and c.altitude == "metadata"
     found = calibrate(camera, stated, site.labels) if nominal else Calibration(stated, stated, 1.0, 0.0, {})
     camera = at_height(camera, found.height_m)
@@ -91,7 +91,7 @@ def place_metric(
     rng: np.random.Generator,
     tally: Tally,
 ) -> list[Pose | None]:
-    """A pose for each object, None for one that found no place; rejections are counted by reason in `tally`."""
+    """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`."""
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
     ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
@@ -142,7 +142,7 @@ def _kind(item: Wanted) -> MetricObject:
 
 
 def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator) -> Pose | str:
-    """A pose, or why this draw gives none. Always takes the same number of draws."""
+    """Draw a pose, or return why this draw gives none. Always uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
@@ -163,7 +163,7 @@ def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator
 
 
 def _beside(item: Wanted, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
-    """A pose beside one of those that are there, on the same ground."""
+    """Draw a pose beside one of the objects already placed, on the same ground."""
     kind = _kind(item)
     group = kind.group
     assert group is not None
@@ -179,7 +179,7 @@ def _beside(item: Wanted, mates: Sequence[Pose], rng: np.random.Generator) -> Po
 
 
 def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:
-    """(4,) box in the image of the lowest part of an object that stands."""
+    """Return the (4,) box in the image around the lowest part of a standing object."""
     z = world_m[:, 2]
     low = world_m[z <= z.min() + _FEET * np.ptp(z)]
     xy, _ = camera.project(low)
@@ -187,7 +187,7 @@ def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:
 
 
 def relief_of(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
-    """(h, w) standard deviation of the grey levels around each pixel: low on road, grass and sand."""
+    """Return the (h, w) standard deviation of the grey levels around each pixel: low on road, grass and sand."""
     grey = pixels.astype(np.float32)
     window = (_RELIEF_WINDOW_PX, _RELIEF_WINDOW_PX)
     grey -= grey.mean()
@@ -196,7 +196,7 @@ def relief_of(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.floa
 
 
 def is_even(relief: NDArray[np.float32], feet_xyxy: FloatArray, limit_grey: float) -> bool:
-    """Whether the ground under and closely around the feet is even: no more than a tenth of it beyond the limit."""
+    """Return whether the ground at the feet is even: at most a tenth of it has more relief than the limit."""
     h, w = relief.shape
     x0, y0 = (max(math.floor(c) - _FEET_MARGIN_PX, 0) for c in feet_xyxy[:2])
     x1 = min(math.ceil(feet_xyxy[2]) + _FEET_MARGIN_PX, w)

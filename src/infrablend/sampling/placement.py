@@ -1,4 +1,4 @@
-"""The paper's placement: objects around the origin of a virtual scene, redrawn until they can be seen."""
+"""The paper's placement: objects around the origin of a virtual scene, redrawn until they are visible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import inside_fraction, project_triangles
 
-# Share of an object's box that may lie over a box it has to keep clear of.
+# Largest share of an object's box that may overlap a box it has to avoid.
 MAX_OVERLAP = 0.02
 
 Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
@@ -26,7 +26,15 @@ Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """An object that the frame shall hold; `mesh` in object coordinates, unscaled."""
+    """An object to be placed.
+
+    Attributes:
+        kind: The recipe's entry.
+        model: Model of the object.
+        params: Arguments of the model's `build`.
+        mesh: Geometry in object coordinates, unscaled.
+        scale: Extra factor on the model's size.
+    """
 
     kind: Object
     model: ObjectModel
@@ -36,17 +44,24 @@ class Wanted:
 
     @property
     def labelled(self) -> NDArray[np.bool_]:
-        """(T,) triangles that the label's box is about."""
+        """(T,) triangles that labels count."""
         return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
 
     def in_world(self, pose: Pose) -> FloatArray:
-        """(V, 3) vertices in the world, metres."""
+        """Return the (V, 3) vertices in the world, metres."""
         return object_to_world(self.mesh.vertices_m, pose[:3], pose[3], self.scale)
 
 
 @dataclass
 class Tally:
-    """What happened while drawing one frame; goes into the scene's `draws`."""
+    """Counts made while drawing one frame, for the scene's `draws`.
+
+    Attributes:
+        attempts: Number of poses drawn.
+        first_distance_m: Camera distance of the first draw.
+        rejected: Rejected draws by reason.
+        absent: Objects without a place, by reason.
+    """
 
     attempts: int = 0
     first_distance_m: float | None = None
@@ -54,11 +69,11 @@ class Tally:
     absent: dict[str, int] = field(default_factory=dict)
 
     def reject(self, reason: str) -> None:
-        """Count a draw that does not serve."""
+        """Count a rejected draw."""
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
     def leave_out(self, reason: str) -> None:
-        """Count an object that found no place."""
+        """Count an object without a place."""
         self.absent[reason] = self.absent.get(reason, 0) + 1
 
 
@@ -71,19 +86,19 @@ def place_as_paper(
     rng: np.random.Generator,
     tally: Tally,
 ) -> tuple[CameraSpec, list[Pose | None]]:
-    """The camera and a pose for each object, None for one that found no place.
+    """Draw the camera and a pose per object, None where no place was found.
 
-    The first object is drawn together with the camera (paper: d, x, y, yaw, roll); further ones are drawn into that
-    camera's view one by one. Asking all of several objects at once would need astronomically many draws.
+    The first object is drawn together with the camera (paper: d, x, y, yaw, roll). Further ones are drawn into that
+    camera's view one by one: redrawing several objects together until all fit would take astronomically many draws.
 
     Args:
-        camera_of: The camera but for distance and roll.
-        recipe: With `placement.mode: paper`.
-        wanted: The objects.
-        labels: The background's own.
+        camera_of: The camera, apart from distance and roll.
+        recipe: A recipe with `placement.mode: paper`.
+        wanted: Objects to place.
+        labels: The background's own objects.
         ignored: Names of categories that mark ignore regions.
-        rng: Of placement alone.
-        tally: Counts on.
+        rng: Random stream of placement only.
+        tally: Counts to add to.
     """
     rules = recipe.placement
     avoid = boxes_of([i for i in labels if i.category in ignored]) if rules.clear_of_ignored else np.zeros((0, 4))
@@ -136,7 +151,7 @@ def place_as_paper(
 
 
 def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Placement) -> str | None:
-    """Why an object at these (V, 3) vertices cannot be seen as the rules want, or None."""
+    """Return why an object with these (V, 3) vertices breaks the rules on visibility and size, or None."""
     inside, depth_m = inside_fraction(camera, world_m, item.mesh.triangles)
     if depth_m < rules.min_depth_m:
         return "too_near"
@@ -153,7 +168,7 @@ def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Plac
 
 
 def box_px(camera: CameraSpec, world_m: FloatArray, item: Wanted) -> FloatArray | None:
-    """(4,) box that an object would get: of its labelled parts, cut to the frame, as labels are; None outside it."""
+    """Return the (4,) box around an object's labelled parts, cut to the frame as labels are; None outside it."""
     triangles: IntArray = item.mesh.triangles[item.labelled]
     xy = project_triangles(camera, world_m, triangles).xy
     points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
@@ -161,12 +176,12 @@ def box_px(camera: CameraSpec, world_m: FloatArray, item: Wanted) -> FloatArray 
 
 
 def boxes_of(labels: Sequence[Instance]) -> FloatArray:
-    """(n, 4) boxes of labels."""
+    """Return the (n, 4) boxes of labels."""
     return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
 
 
 def overlaps(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:
-    """Whether more than `share` of the box lies under one of (n, 4) others."""
+    """Return whether one of (n, 4) other boxes covers more than `share` of the box."""
     if box_xyxy is None or not len(others):
         return False
     low = np.maximum(others[:, :2], box_xyxy[:2])

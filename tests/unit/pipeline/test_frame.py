@@ -212,3 +212,21 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
     shown = np.array(Image.open(tmp_path / "flat" / "images" / flat.image))
     before = np.array(Image.open(data / flat.background["path"]))
     assert len(np.unique(shown[shown != before])) <= len(flat.inserted)
+
+
+@pytest.mark.parametrize(("options", "rows"), [(["--count", "8"], 4), (["--count", "1"], 1), ([], 3)])
+def test_the_ground_preview_shows_as_many_frames_as_asked(tmp_path, options, rows):
+    from typer.testing import CliRunner
+
+    from infrablend.cli.app import build_app
+
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(n)[:256, :320]) for n in range(8)})
+    generate(data, tmp_path / "run")
+    sheet = tmp_path / "sheet.png"
+    done = CliRunner().invoke(
+        build_app(), ["preview", str(tmp_path / "run"), "--ground", "--out", str(sheet), *options]
+    )
+    assert done.exit_code == 0, done.output
+    # Each cell shows a frame of 256 rows, twice enlarged.
+    with Image.open(sheet) as picture:
+        assert picture.height // (2 * 256) == rows
