@@ -312,7 +312,7 @@ def test_figures_count_only_with_controls_that_behave():
     bad = validity({"n": 40, "hard_paste_logistic": 0.9}, None)
     assert not bad["valid"]
     assert len(bad["invalid_because"]) == 3
-    assert validity(facts, 0.65)["invalid_because"] == ["the floor of people is 0.650, expected 0.70 to 0.80"]
+    assert validity(facts, 0.65)["invalid_because"] == ["the AUC of people's real control is 0.650; expected 0.70 to 0.80"]
 
 
 def test_a_verdict_ranks_what_tells():
