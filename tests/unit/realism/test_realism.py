@@ -312,7 +312,9 @@ def test_figures_count_only_with_controls_that_behave():
     bad = validity({"n": 40, "hard_paste_logistic": 0.9}, None)
     assert not bad["valid"]
     assert len(bad["invalid_because"]) == 3
-    assert validity(facts, 0.65)["invalid_because"] == ["the AUC of people's real control is 0.650; expected 0.70 to 0.80"]
+    assert validity(facts, 0.65)["invalid_because"] == [
+        "the AUC of people's real control is 0.650; expected 0.70 to 0.80"
+    ]
 
 
 def test_a_verdict_ranks_what_tells():
@@ -448,7 +450,7 @@ def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
 
 def test_a_run_of_other_backgrounds_is_refused(crowd, tmp_path, write_tiny_hit_uav):
     run, _ = crowd
-    with pytest.raises(DatasetError, match="12 of the backgrounds of .* are missing"):
+    with pytest.raises(DatasetError, match=r"12 of the backgrounds of .* are missing"):
         api.realism(
             run, write_tiny_hit_uav(tmp_path / "tiny"), tmp_path / "out", execution=api.Execution(in_process=True)
         )
