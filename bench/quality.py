@@ -68,7 +68,9 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
         renderer.reference = False
         if not reference.alpha.any():
             continue
-        mapping, span = stretched(percentile_mapping(background.pixels, percentile_settings(recipe)), reference)
+        mapping, span = stretched(
+            percentile_mapping(background.pixels, percentile_settings(recipe.matching)), reference
+        )
         spans.append(span)
         where = covered(reference)
         counts.append(int(where.sum()))

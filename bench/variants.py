@@ -73,7 +73,9 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
             scene = sample_scene(frame.key(background.size_wh), recipe, models, work.settings.seed)
             result = renderer.render(with_samples(scene, PAPER_SAMPLES))
             layer = make_layer(
-                result, percentile_mapping(background.pixels, percentile_settings(recipe)), recipe.overlay.softness_px
+                result,
+                percentile_mapping(background.pixels, percentile_settings(recipe.matching)),
+                recipe.overlay.softness_px,
             )
             pixels = compose(background.pixels, layer)
             name = f"{source.split}/{frame.name}{output_suffix(source.path, 'same')}"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes

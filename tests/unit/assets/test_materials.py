@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.thermal_reference import fresnel_emissivity
 
 from infrablend.assets import deer, person
 from infrablend.assets.catalogue import list_models, load_model
@@ -18,6 +17,7 @@ from infrablend.core.rng import stream
 from infrablend.core.scene import PartState, SceneSpec
 from infrablend.errors import ModelError, RecipeError
 from infrablend.sampling.scene import FrameKey, sample_scene
+from tests.thermal_reference import fresnel_emissivity
 
 
 def test_the_table_is_physical() -> None:

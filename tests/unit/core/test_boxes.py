@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.polygons import polygon_iou
 
 from infrablend.core import boxes
+from tests.polygons import polygon_iou
 
 
 def tilted(cx: float, cy: float, w: float, h: float, angle_deg: float) -> np.ndarray:

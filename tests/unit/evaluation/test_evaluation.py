@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.polygons import polygon_iou
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
@@ -25,6 +24,7 @@ from infrablend.evaluation.overlap import quad_areas, quad_intersections
 from infrablend.evaluation.precision import average_precisions, operating_point, precision_by_recall
 from infrablend.evaluation.strata import image_strata
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, match_classes, truths
+from tests.polygons import polygon_iou
 
 ALL = {"all": (0.0, float("inf"))}
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))

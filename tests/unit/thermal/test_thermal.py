@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.thermal_reference import apparent_temperature, fresnel_emissivity, leaving_radiance
 
 from infrablend.thermal.radiometry import STEFAN_BOLTZMANN_W_M2_K4, band_radiance, band_radiance_slope
 from infrablend.thermal.sky import clear_sky_emissivity, sky_radiance, transmittance
+from tests.thermal_reference import apparent_temperature, fresnel_emissivity, leaving_radiance
 
 PAINT = (1.5, 0.02)
 
