@@ -60,7 +60,7 @@ def check(
 
 
 def _lines(report: CheckReport) -> list[str]:
-    """Problems grouped by code, the first few of each, and the sum."""
+    """Return the problems grouped by code, the first few of each, and the totals."""
     lines: list[str] = []
     for title, problems in (("errors", report.errors), ("warnings", report.warnings)):
         if problems:

@@ -1,4 +1,4 @@
-"""`infrablend fetch`: public datasets, downloaded where licence and address allow it."""
+"""`infrablend fetch`: download a public dataset where licence and address allow it."""
 
 from __future__ import annotations
 
@@ -15,23 +15,25 @@ if TYPE_CHECKING:
 
 def fetch(
     ctx: typer.Context,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of a dataset, see --list.")] = None,
-    out: Annotated[Path | None, typer.Argument(metavar="DST", help="The folder to write; new or empty.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Dataset, see --list.")] = None,
+    out: Annotated[Path | None, typer.Argument(metavar="DST", help="Output folder, new or empty.")] = None,
     part: Annotated[
-        str | None, typer.Option("--part", metavar="LIST", help="Some of its parts, see --list [default: all].")
+        str | None, typer.Option("--part", metavar="LIST", help="Parts to fetch, see --list [default: all].")
     ] = None,
-    url: Annotated[str | None, typer.Option("--url", metavar="URL", help="Fetch the file from here instead.")] = None,
-    sha256: Annotated[str | None, typer.Option("--sha256", metavar="HEX", help="What its SHA-256 must be.")] = None,
+    url: Annotated[
+        str | None, typer.Option("--url", metavar="URL", help="Fetch the file from this address instead.")
+    ] = None,
+    sha256: Annotated[str | None, typer.Option("--sha256", metavar="HEX", help="Required SHA-256 of the file.")] = None,
     archive: Annotated[
-        Path | None, typer.Option("--archive", metavar="FILE", help="Unpack this file, fetched by hand.")
+        Path | None, typer.Option("--archive", metavar="FILE", help="Unpack this file instead of fetching it.")
     ] = None,
-    keep_archive: Annotated[bool, typer.Option("--keep-archive", help="Leave the archive in DST too.")] = False,
+    keep_archive: Annotated[bool, typer.Option("--keep-archive", help="Keep the archive in DST.")] = False,
     listing: Annotated[bool, typer.Option("--list", help="List the datasets and their licences.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fetch a public dataset; without DST, say where it is and under which licence.
+    """Fetch a public dataset; without DST, show its address and licence.
 
-    An interrupted fetch goes on with the same command.
+    Repeat the command to continue an interrupted fetch.
     """
     session: Session = ctx.obj
     session.json = as_json

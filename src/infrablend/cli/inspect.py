@@ -58,7 +58,7 @@ def inspect(
 
 
 def _blocks(facts: Inspection) -> list[str]:
-    """The text, in paragraphs."""
+    """Return the paragraphs of the text."""
     from infrablend.cli.results import grid, table
 
     splits = list(facts.splits)
@@ -88,7 +88,7 @@ def _blocks(facts: Inspection) -> list[str]:
         ]
         blocks.append("\n".join(["neighbours across splits", *lines]))
     if facts.remarks:
-        blocks.append("\n".join(["known of this dataset", *(f"  - {r}" for r in facts.remarks)]))
+        blocks.append("\n".join(["known faults of this dataset", *(f"  - {r}" for r in facts.remarks)]))
     return [*blocks, _problems(facts)]
 
 
@@ -104,7 +104,7 @@ def _coverage(facts: Inspection) -> str:
 
 
 def _further(facts: Inspection) -> dict[str, str]:
-    """Labels, sequences, dates, tracks, pictures in a line each."""
+    """Return one line each on labels, sequences, dates, tracks and pictures."""
     rows: dict[str, Any] = {"labels": _listed(facts.labels)}
     if facts.sequences:
         mean = sum(facts.sequences.values()) / len(facts.sequences)
@@ -130,7 +130,7 @@ def _listed(counts: Any) -> str:
 
 def _problems(facts: Inspection) -> str:
     if not facts.problems:
-        return "no problems found in the labels; `infrablend check` looks at the pictures, too"
+        return "no problems found in the labels; `infrablend check` also checks the pictures"
     lines = [f"{len(facts.problems)} problem(s)", *(f"  - {p.severity}: {p}" for p in facts.problems[:SHOWN])]
     if len(facts.problems) > SHOWN:
         lines.append(f"  ... and {len(facts.problems) - SHOWN} more; --json lists all")

@@ -1,4 +1,4 @@
-"""Everything wrong with a dataset: what its reader found, and what only the whole and the pictures show."""
+"""Check a dataset: the problems found by its reader, and those that only pictures and comparisons reveal."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from infrablend.formats.box_checks import check_box
 from infrablend.formats.images import Background, load_background
 from infrablend.formats.pictures import read_size
 
-# HIT-UAV truncates its boxes: they are less than a pixel off the oriented ones.
+# HIT-UAV truncates its boxes, which moves them by less than a pixel from the oriented ones.
 AGREE_PX = 1.0
-# A picture whose grey levels vary by less (standard deviation, of 255) shows nothing.
+# A picture whose grey levels vary by less (standard deviation, of 255) is taken as empty.
 CONSTANT_LEVELS = 1.0
 _BLOCK_BYTES = 1 << 20
 
@@ -30,12 +30,12 @@ class CheckReport:
     """The problems of a dataset, sorted: errors first, then by code and place.
 
     Attributes:
-        root: The folder.
-        format: The reader's name; None if the dataset could not be read at all.
-        images: How many were read.
-        objects: How many labels were read.
+        root: Folder of the dataset.
+        format: Name of the format; None if the dataset could not be read at all.
+        images: Number of images read.
+        objects: Number of labels read.
         decoded: Whether the pictures were decoded.
-        problems: Everything found.
+        problems: All errors and warnings.
     """
 
     root: Path
@@ -47,24 +47,24 @@ class CheckReport:
 
     @property
     def errors(self) -> tuple[Problem, ...]:
-        """Those that are errors: an item was skipped or is wrong."""
+        """Errors: an item was skipped or is wrong."""
         return tuple(p for p in self.problems if p.severity == "error")
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """The others."""
+        """Warnings: an item was kept."""
         return tuple(p for p in self.problems if p.severity != "error")
 
     def ok(self, strict: bool = False) -> bool:
-        """True without errors; if `strict`, without warnings too."""
+        """Return whether there are no errors and, if `strict`, no warnings."""
         return not (self.problems if strict else self.errors)
 
     def by_code(self) -> dict[str, int]:
-        """How many problems of each code, errors first."""
+        """Return the number of problems per code, errors first."""
         return dict(Counter(p.code for p in self.problems))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "root": str(self.root),
             "format": self.format,
@@ -84,12 +84,12 @@ def check_dataset(
     """Check every label and every picture; one picture is in memory at a time.
 
     Args:
-        dataset: As read; its problems are part of the report.
-        decode: Decode every picture; else only its header is read.
-        on_image: Called with how many of how many images are done.
+        dataset: Dataset to check; the problems of its reader become part of the report.
+        decode: Decode every picture; False reads only the headers.
+        on_image: Called with the number of images checked and of all images.
     """
     problems = list(dataset.problems)
-    # A reader that compares lines names them; saying it again without a line helps nobody.
+    # Some readers already report duplicates, with their lines.
     compares = any(p.code == "object-duplicate" for p in problems)
     prints: dict[bytes, list[ImageRecord]] = defaultdict(list)
     for n, image in enumerate(dataset.images, 1):
@@ -109,7 +109,7 @@ def check_dataset(
 
 
 def unreadable(root: Path, error: DatasetError) -> CheckReport:
-    """The report on a dataset whose reader gave up."""
+    """Return the report on a dataset that could not be read."""
     problems = error.problems or (Problem(root.name, "dataset-unreadable", error.message),)
     return CheckReport(root, None, 0, 0, False, _sorted(problems))
 
@@ -121,7 +121,7 @@ def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 def _check_picture(
     image: ImageRecord, where: str, decode: bool
 ) -> tuple[tuple[int, int] | None, list[Problem], bytes | None]:
-    """The picture's true size, what is wrong with it, and a digest of its pixels."""
+    """Return a picture's true size, its problems, and a digest of its pixels."""
     if not decode:
         size_wh, problem = read_size(image.path, where)
         if problem is not None:
@@ -137,8 +137,8 @@ def _check_picture(
     if image.size_wh is not None and picture.size_wh != image.size_wh:
         problems.append(_wrong_size(where, picture.size_wh, image.size_wh))
     if is_constant(picture):
-        found = f"grey levels {picture.pixels.min()} to {picture.pixels.max()}, hardly any difference"
-        problems.append(Problem(where, "image-constant", found, "a picture of something", severity="warning"))
+        found = f"grey levels {picture.pixels.min()} to {picture.pixels.max()}, almost uniform"
+        problems.append(Problem(where, "image-constant", found, "a picture with visible content", severity="warning"))
     pixels = picture.pixels
     digest = hashlib.blake2b(repr((pixels.shape, pixels.dtype.str)).encode(), digest_size=16)
     digest.update(np.ascontiguousarray(pixels).data)
@@ -150,8 +150,8 @@ def _placed(problem: Problem, where: str) -> Problem:
 
 
 def is_constant(picture: Background) -> bool:
-    """True for a picture that shows nothing: 8 bits that hardly vary, 16 bits that use three levels at most."""
-    if picture.bit_depth == 16:  # radiometric pictures use few of the 65,536 levels
+    """Return whether a picture is empty: 8 bits that barely vary, or 16 bits with at most three levels."""
+    if picture.bit_depth == 16:  # radiometric pictures use only a few of the 65,536 levels
         return int(picture.pixels.max()) - int(picture.pixels.min()) < 3
     return float(picture.pixels.std()) < CONSTANT_LEVELS
 
@@ -165,20 +165,20 @@ def _wrong_size(where: str, found: tuple[int, int] | None, annotated: tuple[int,
 def check_objects(
     image: ImageRecord, where: str, size_wh: tuple[int, int] | None, *, duplicates: bool = True
 ) -> list[Problem]:
-    """What is wrong with the labels of one image as read.
+    """Return the problems of the labels of one image.
 
     Args:
-        image: The image.
-        where: Its name in messages.
-        size_wh: The picture's true size, None if unknown.
-        duplicates: Look for objects that are given twice.
+        image: Image to check.
+        where: Name of the image in messages.
+        size_wh: True size of the picture; None if unknown.
+        duplicates: Whether to look for duplicate objects.
     """
     problems: list[Problem] = []
     seen: Counter[tuple[Any, ...]] = Counter()
     for k, o in enumerate(image.instances):
         number = k if o.source_id is None else o.source_id
         here = f"{where}: {'object' if o.source_id is None else 'annotation'} {number}"
-        # What the reader clipped to the annotated size is inside it: only another true size shows anything here.
+        # Readers clip to the annotated size, so this finds boxes only if the true size differs.
         _, problem = check_box(o.box_xyxy.tolist(), size_wh or image.size_wh, here)
         if problem is not None:
             problems.append(problem)
@@ -194,7 +194,7 @@ def check_objects(
         seen[_key(o)] += 1
         if duplicates and seen[_key(o)] == 2:
             box = ", ".join(f"{v:g}" for v in o.box_xyxy)
-            found = f"{o.category} [{box}] is there {sum(_key(p) == _key(o) for p in image.instances)} times"
+            found = f"{o.category} [{box}] occurs {sum(_key(p) == _key(o) for p in image.instances)} times"
             problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
     return problems
 
@@ -205,7 +205,7 @@ def _key(o: Instance) -> tuple[Any, ...]:
 
 
 def _apart(o: Instance, size_wh: tuple[int, int] | None) -> float:
-    """By how many px the box differs from the oriented box's bounds inside the frame; 0 where they may differ."""
+    """Return how far (px) the box is from the oriented box's bounds inside the frame; 0 where they may differ."""
     if o.corners_xy is None or o.inserted or o.extra.get("tight_box"):
         return 0.0
     bounds = np.concatenate([o.corners_xy.min(axis=0), o.corners_xy.max(axis=0)])
@@ -215,13 +215,13 @@ def _apart(o: Instance, size_wh: tuple[int, int] | None) -> float:
 
 
 def _same_files(images: Iterable[ImageRecord]) -> list[list[ImageRecord]]:
-    """Images whose files hold the same bytes; only files of equal length are read."""
+    """Group images whose files are equal; only files of equal length are read."""
     by_length: dict[int, list[ImageRecord]] = defaultdict(list)
     for image in images:
         try:
             status = image.path.stat()
         except OSError:
-            continue  # reported where the picture was opened
+            continue  # already reported when the picture was opened
         if stat.S_ISREG(status.st_mode):
             by_length[status.st_size].append(image)
     groups: dict[tuple[int, bytes], list[ImageRecord]] = defaultdict(list)
@@ -245,7 +245,7 @@ def _file_digest(path: Path) -> bytes | None:
 
 
 def _check_copies(same: list[ImageRecord]) -> list[Problem]:
-    """Problems of images that are the same picture."""
+    """Return the problem of several images that are the same picture."""
     if len(same) < 2:
         return []
     names = [f"{i.split}/{i.name}" for i in same]
@@ -253,5 +253,5 @@ def _check_copies(same: list[ImageRecord]) -> list[Problem]:
     if len(splits) > 1:
         found = f"the same picture in {' and '.join(splits)}: {', '.join(names[:4])}"
         return [Problem(names[0], "image-leak", found, "each picture in one split", "remove it from the others")]
-    found = f"{len(same)} times the same picture: {', '.join(names[:4])}"
+    found = f"the same picture {len(same)} times: {', '.join(names[:4])}"
     return [Problem(names[0], "image-repeated", found, "each picture once", severity="warning")]

@@ -1,4 +1,4 @@
-"""What a dataset holds: splits, classes, sizes, coverage, sequences, leakage, problems; as facts and as charts."""
+"""Summarise a dataset as figures and charts: splits, classes, sizes, coverage, sequences, leakage, problems."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
-# More distinct values than this are put into bins.
+# More distinct values than this are grouped into bins.
 MAX_DISTINCT = 12
 UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """The facts of one dataset; everything counted, nothing judged.
+    """Figures on one dataset; everything is counted, nothing is judged.
 
     Attributes:
         root: The folder.
@@ -77,7 +77,7 @@ class Inspection:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "root": str(self.root),
             "format": self.format,
@@ -107,7 +107,7 @@ class Inspection:
         }
 
     def quantiles(self, name: str) -> dict[str, float]:
-        """Quantiles of the square roots of a class's box areas in px, by `QUANTILES` as texts; empty without boxes."""
+        """Return quantiles of the square roots of a class's box areas, px, by the text of each; empty without boxes."""
         values = self.sizes_px[name]
         if not len(values):
             return {}
@@ -115,7 +115,7 @@ class Inspection:
 
 
 def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False) -> Inspection:
-    """Count what there is to know.
+    """Count everything worth knowing about a dataset.
 
     Args:
         dataset: As read.
@@ -183,7 +183,7 @@ def _counted(items: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
 
 
 def _binned(values: Sequence[float | None], unit: str, width: float) -> tuple[list[str], tuple[str, ...]]:
-    """The value of each item as a text, and all texts in order: as it is where there are few, else in bins."""
+    """Return the text of each value and all texts in order; many distinct values are grouped into bins."""
     known = sorted({v for v in values if v is not None})
     few = len(known) <= MAX_DISTINCT
     while not few and len({v // width for v in known}) > MAX_DISTINCT:
@@ -222,7 +222,7 @@ def _size(image: ImageRecord, problems: list[Problem]) -> tuple[int, int] | None
 
 
 def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem]]:
-    """Facts of the pixels; one picture is in memory at a time."""
+    """Return figures on the pixels; one picture is in memory at a time."""
     kinds: Counter[str] = Counter()
     lowest, highest, sums, pixels = None, None, 0.0, 0
     problems: list[Problem] = []
@@ -244,7 +244,7 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
 
 
 def _remarks(dataset: Dataset) -> tuple[str, ...]:
-    """What the modules of formats know of the datasets that come in them."""
+    """Return what the formats' modules know about published datasets."""
     found: list[str] = []
     for known in FORMATS:
         remarks = getattr(import_module(known.module), "remarks", None)
@@ -317,5 +317,5 @@ def write_charts(facts: Inspection, path: Path) -> Path:
 
 
 def _plain(names: Sequence[str]) -> list[str]:
-    """Class names as matplotlib shows them unchanged: its formulas stand between dollars."""
+    """Escape dollars, which start formulas in matplotlib."""
     return [n.replace("$", r"\$")[:40] for n in names]
