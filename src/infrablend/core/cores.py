@@ -1,4 +1,4 @@
-"""How many processor cores there are, and keeping a worker process on one of its own."""
+"""Processor cores: how many this process may use, and one of its own for each worker."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _CORE_LOCKS: list[int] = []
 
 
 def available_cores() -> int:
-    """Processor cores this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def take_core() -> int | None:
-    """Keep this process on one processor core that no other worker on this machine has; returns its number.
+    """Pin this process to a processor core that no other worker on this machine uses; return its number.
 
-    Measured: with one render thread, Cycles' main thread waits by spinning and burns as much processor time as the
-    render itself; on one core it cannot. Cores are handed out through file locks, which end with the process.
-    Without a free core (more workers than cores) nothing is pinned.
+    Measured: with one render thread, the main thread of Cycles waits by spinning and burns as much processor time as
+    the render itself; on a single core it cannot. File locks, which end with the process, assign the cores. Without a
+    free core (more workers than cores) nothing is pinned and None is returned.
     """
     if not hasattr(os, "sched_setaffinity"):
         return None
-    import fcntl  # not everywhere
+    import fcntl  # not available on every system
 
     folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp")
     for core in sorted(os.sched_getaffinity(0)):
@@ -42,5 +42,5 @@ def take_core() -> int | None:
         _CORE_LOCKS.append(handle)
         os.sched_setaffinity(0, {core})
         return core
-    log.info("no free core to keep this worker on")
+    log.info("no free core to pin this worker to")
     return None

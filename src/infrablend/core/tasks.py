@@ -1,7 +1,7 @@
-"""The executor's port: tasks in, results out in the order in which they finish.
+"""The port of executors: tasks in, results out in the order of completion.
 
-A task is a small picklable thing with a stable key. What is heavy (Blender, loaded models) is made once per
-worker by a factory, which is given by its dotted name so that the parent need not import it.
+A task is a small picklable value with a stable key. Heavy state (Blender, loaded models) is created once per worker by
+a factory, which is given by its dotted name so that the parent need not import it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class Task:
     """A piece of work.
 
     Attributes:
-        key: Names the task in results, logs and errors; stable from run to run (a frame id).
-        payload: What the work needs, picklable and small (kilobytes).
+        key: Name of the task in results, logs and errors; the same in every run (a frame id).
+        payload: Input of the work, picklable and small (kilobytes).
     """
 
     key: str
@@ -32,14 +32,14 @@ class Task:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a task gave no value, in plain picklable data.
+    """Reason why a task has no value, as picklable data.
 
     Attributes:
-        kind: `error`: the task raised; `crash`: its worker died; `timeout`: its worker hung and was ended.
+        kind: `error`: the task raised; `crash`: its worker died; `timeout`: its worker hung and was killed.
         error: Name of the exception class.
-        message: For people, one sentence.
-        problems: Of an `InfraBlendError`; empty otherwise.
-        traceback: Of the exception, or the last lines that a dead worker wrote; may be empty.
+        message: One sentence for people.
+        problems: Problems of an `InfraBlendError`; empty otherwise.
+        traceback: Traceback of the exception, or the last output of a dead worker; may be empty.
     """
 
     kind: FailureKind
@@ -49,7 +49,7 @@ class Failure:
     traceback: str = ""
 
     def to_exception(self) -> InfraBlendError:
-        """The failure as an exception: of the class that was raised if it is one of ours, else `RenderError`."""
+        """Return the failure as an exception: of the raised class if it is one of ours, else a `RenderError`."""
         known = getattr(errors, self.error, None)
         if isinstance(known, type) and issubclass(known, InfraBlendError):
             return known(self.message, self.problems)
@@ -60,13 +60,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What became of a task: `value` if `failure` is None.
+    """Outcome of a task: a value, or a failure.
 
     Attributes:
-        key: Of the task.
-        value: What the worker's callable returned.
-        failure: Why there is no value, or None.
-        attempts: How often the task was begun; more than 1 after a crash or a hang.
+        key: Key of the task.
+        value: Return value of the worker's callable.
+        failure: Reason for a missing value, or None.
+        attempts: Number of attempts; more than 1 after a crash or a hang.
         seconds: Wall-clock time in the worker, for the run record only.
         worker: Number of the worker, from 0; new workers get new numbers.
         rss_bytes: Resident memory of the worker after the task; 0 if it died.
@@ -82,18 +82,18 @@ class TaskResult:
 
     @property
     def ok(self) -> bool:
-        """True if there is a value."""
+        """Whether there is a value."""
         return self.failure is None
 
 
 @dataclass(frozen=True)
 class WorkerSpec:
-    """How a worker is made.
+    """Recipe for a worker.
 
     Attributes:
-        factory: Dotted name `module:function`. Called once in each worker with `settings`; returns a callable
+        factory: Dotted name `module:function`. Called once per worker with `settings`; returns a callable
             `task -> picklable value`. If that callable has a `close()`, it is called before the worker ends.
-        settings: Picklable.
+        settings: Picklable argument of the factory.
     """
 
     factory: str
@@ -104,31 +104,31 @@ WorkerFactory = Callable[[Any], Callable[[Task], Any]]
 
 
 class Executor(Protocol):
-    """Runs tasks. The same values come out whatever the executor, the number of workers and the order."""
+    """Runner of tasks. Values depend neither on the executor, nor on the number of workers, nor on the order."""
 
     def run(self, tasks: Iterable[Task]) -> Iterator[TaskResult]:
-        """Results in the order of completion, one for each task; `tasks` is read as workers become free.
+        """Yield one result per task in the order of completion; `tasks` is read as workers become free.
 
-        A task that raises gives a failed result; it does not stop the run. Closing the iterator ends the workers.
+        A task that raises yields a failed result; it does not stop the run. Closing the iterator ends the workers.
 
         Raises:
-            Interrupted: After the first SIGINT or SIGTERM, once running tasks have finished or were given up;
+            Interrupted: After the first SIGINT or SIGTERM, once running tasks have finished or were abandoned;
                 their results come first. A second signal raises `KeyboardInterrupt` at once.
-            InfraBlendError: If workers cannot start: the factory's own error, or `RenderError`.
+            InfraBlendError: Workers cannot start: the factory's own error, or `RenderError`.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is.
+    """Progress of a run.
 
     Attributes:
-        done: Frames finished, those of an earlier, resumed run included.
-        total: Frames of the whole run.
-        frames_per_s: Of this run; 0 before the first frame.
-        eta_s: Seconds to go, or None if not known yet.
-        counts: What became of the frames, e.g. `{"inserted": 40, "skipped": 1, "failed": 0}`.
+        done: Number of finished frames, including those of an earlier, resumed run.
+        total: Number of frames of the whole run.
+        frames_per_s: Frames per second of this run; 0 before the first frame.
+        eta_s: Remaining seconds, or None if not known yet.
+        counts: Number of frames per outcome, e.g. `{"inserted": 40, "skipped": 1, "failed": 0}`.
     """
 
     done: int

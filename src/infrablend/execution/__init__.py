@@ -1,4 +1,4 @@
-"""Executors: the port `core.tasks.Executor`, in this process (`Serial`) and in workers (`ProcessPool`)."""
+"""Runs tasks, in this process (`Serial`) or in worker processes (`ProcessPool`); the port is `core.tasks.Executor`."""
 
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM turned into a wish that an executor fulfils when it can."""
+"""Turns Ctrl-C and SIGTERM into a request that an executor honours when it can."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any
 
-STOPPED = "Stopped on request. What is finished is kept; the same command with --resume goes on."
+STOPPED = "Stopped on request. Finished work is kept; the same command with --resume continues."
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interruption:
-    """While entered: the first SIGINT or SIGTERM sets `requested`, the second raises KeyboardInterrupt.
+    """Context in which the first SIGINT or SIGTERM sets `requested` and the second raises KeyboardInterrupt.
 
-    Signals reach Python in the main thread only; entered in another thread this does nothing.
+    Signals only reach the main thread of Python; in another thread this does nothing.
 
     Attributes:
-        requested: True once the user asked to stop.
-        wakeup: A file descriptor that becomes readable with the first signal, for a wait that would sleep on.
+        requested: Whether the user asked to stop.
+        wakeup: File descriptor that becomes readable with the first signal, to interrupt a wait.
     """
 
     def __init__(self, on_force: Callable[[], None] = lambda: None) -> None:
-        """`on_force` is called with the second signal, before KeyboardInterrupt."""
+        """Call `on_force` with the second signal, before KeyboardInterrupt."""
         self.requested = False
         self.wakeup = -1
         self._on_force = on_force
@@ -45,7 +45,7 @@ class Interruption:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for s, handler in self._before.items():
-            # None: the handler was not set from Python and cannot be put back.
+            # None: the handler was not set from Python and cannot be restored.
             signal.signal(s, signal.SIG_DFL if handler is None else handler)
         self._before.clear()
         os.close(self.wakeup)
@@ -56,7 +56,7 @@ class Interruption:
             self.requested = True
             os.write(self._write_end, b"!")
             return
-        if self._forced:  # already on the way out: let the clean-up finish
+        if self._forced:  # already leaving: let the clean-up finish
             return
         self._forced = True
         self._on_force()

@@ -1,24 +1,20 @@
-"""Tasks in worker processes that may crash, hang or grow without taking the run down.
+"""Runs tasks in worker processes that may crash, hang or grow without ending the run.
 
-Workers are fresh Python interpreters (as multiprocessing's `spawn`), started by `subprocess` because that gives
-each its environment, its own process group (a Ctrl-C in the terminal reaches the parent alone) and a pipe for
-what Blender prints from C, and because it does not import the caller's main module again.
+Workers are fresh Python interpreters, like those of multiprocessing's `spawn`. They are started by `subprocess`, which
+gives each worker its own environment, its own process group (Ctrl-C in the terminal reaches only the parent) and a pipe
+for what Blender prints from C, and which does not import the caller's main module again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import json
 import logging
 import os
 import pickle
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
@@ -30,15 +26,16 @@ from pathlib import Path
 from typing import IO, Any
 
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, OutputError, Problem, RenderError, WorkerDiedError
+from infrablend.errors import Interrupted, RenderError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.scratch import scratch_folder
 from infrablend.execution.worker import ONE_THREAD, Done, Hello
 
 logger = logging.getLogger(__name__)
 
-IN_FLIGHT = 2  # tasks per worker: one runs, one waits in its inbox, so that it never idles
-TAIL_LINES = 20  # of a dead worker's output that its failure quotes
-MIN_TASKS_BEFORE_RSS = 20  # a worker that is born above the ceiling must still get work done
+IN_FLIGHT = 2  # tasks per worker: one runs and one waits in its inbox, so that the worker never idles
+TAIL_LINES = 20  # lines of a dead worker's output that its failure quotes
+MIN_TASKS_BEFORE_RSS = 20  # a worker that starts above the ceiling must still get work done
 
 # -c and not -m: the child must find the caller's modules, whatever the caller did to its sys.path.
 _BOOT = (
@@ -48,27 +45,27 @@ _BOOT = (
 
 
 def _module_path() -> list[str]:
-    """`sys.path` for a worker: the caller's, less what Blender put there when the caller imported bpy.
+    """Return `sys.path` for a worker: the caller's, without what Blender added when the caller imported bpy.
 
-    Its folder of scripts holds a package `bpy` too, which only works inside a Blender that is already running.
+    Blender's folder of scripts contains a second package `bpy` that only works in a running Blender.
     """
     return [p for p in sys.path if not {"bpy", "scripts"} <= set(Path(p).parts)]
 
 
 @dataclass(frozen=True)
 class PoolSettings:
-    """How a pool treats its workers.
+    """Limits and lifetimes of the workers of a pool.
 
     Attributes:
-        workers: How many at most; never more than there are tasks.
-        retries: How often a task is begun again after its worker crashed or hung.
-        task_timeout_s: A worker that takes longer for one task is ended; None: never.
-        start_timeout_s: A worker that takes longer until its first task is ended.
-        tasks_per_worker: A worker is replaced after so many tasks.
-        rss_ceiling_bytes: A worker above this is replaced, but not before its 20th task.
-        grace_s: How long running tasks may take to finish after an interruption.
-        log_path: Takes what workers write to stdout and stderr, each line with the worker's number; appended.
-        log_level: Of Python's logging in the workers; its lines go the same way.
+        workers: Maximum number of workers; a pool never starts more workers than there are tasks.
+        retries: Number of further attempts at a task after its worker crashed or hung.
+        task_timeout_s: Time limit for one task, after which its worker is killed; None for no limit.
+        start_timeout_s: Time limit for a worker to start.
+        tasks_per_worker: Number of tasks after which a worker is replaced.
+        rss_ceiling_bytes: Resident memory above which a worker is replaced, but not before its 20th task.
+        grace_s: Time for running tasks to finish after an interruption.
+        log_path: File to which the output of workers is appended, each line with the worker's number.
+        log_level: Level of Python's logging in the workers; its lines go to the same file.
     """
 
     workers: int = 1
@@ -90,15 +87,15 @@ class PoolSettings:
 
 
 class ProcessPool:
-    """The executor port on worker processes."""
+    """Executor that runs tasks in worker processes."""
 
     def __init__(self, worker: WorkerSpec, settings: PoolSettings | None = None) -> None:
-        """Nothing is started before `run`."""
+        """Keep the settings; workers start with `run`."""
         self._worker = worker
         self._settings = settings or PoolSettings()
 
     def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
-        """See `core.tasks.Executor`."""
+        """Run tasks and yield their results, see `core.tasks.Executor`."""
         spec = pickle.dumps(self._worker, pickle.HIGHEST_PROTOCOL)
         with contextlib.ExitStack() as stack:
             log = (
@@ -106,7 +103,7 @@ class ProcessPool:
                 if self._settings.log_path
                 else None
             )
-            scratch = stack.enter_context(_scratch_folder())
+            scratch = stack.enter_context(scratch_folder())
             run = _Run(self._settings, spec, log, scratch)
             stop = stack.enter_context(Interruption(run.signal_all))
             stack.callback(run.kill_all)
@@ -115,7 +112,13 @@ class ProcessPool:
 
 @dataclass
 class _Attempt:
-    """A task on its way: the how-manieth try it is on, and its number in the messages."""
+    """An attempt at a task.
+
+    Attributes:
+        index: Number of the task in the messages to and from workers.
+        task: The task.
+        number: Number of the current attempt, from 1.
+    """
 
     index: int
     task: Task
@@ -130,19 +133,19 @@ class _Worker:
     process: subprocess.Popen[bytes]
     conn: Connection
     output: IO[bytes]
-    since: float  # when it was started, or began its current task
+    since: float  # start of the worker or of its current task, by the monotonic clock
     ready: bool = False
-    ending: bool = False  # gets no more tasks
+    ending: bool = False  # receives no more tasks
     finished: int = 0
     rss_bytes: int = 0
     in_flight: deque[_Attempt] = field(default_factory=deque)
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
     partial: bytes = b""
-    silent: bool = False  # has closed its output
+    silent: bool = False  # its output is closed
 
 
 class _Run:
-    """One call of `ProcessPool.run`: its workers, and the tasks that wait."""
+    """State of one call of `ProcessPool.run`: its workers and the waiting tasks."""
 
     def __init__(self, settings: PoolSettings, spec: bytes, log: IO[bytes] | None, scratch: str) -> None:
         self._settings = settings
@@ -156,7 +159,7 @@ class _Run:
         self._pending: deque[_Attempt] = deque()
 
     def results(self, source: Iterator[Task], stop: Interruption) -> Iterator[TaskResult]:
-        """The main loop: feed, wait, collect; until nothing is left or the user stops it."""
+        """Feed workers, wait and collect results until no task is left or the user stops the run."""
         numbered = enumerate(source)
         exhausted = False
         give_up_at: float | None = None
@@ -187,7 +190,7 @@ class _Run:
     # ---- starting and feeding
 
     def _start_workers(self) -> None:
-        # A worker on its way out counts: it may still hold what its successor needs (a processor core, GPU memory).
+        # A worker that is leaving counts: it may still hold what its successor needs (a processor core, GPU memory).
         for _ in range(min(self._settings.workers, self._outstanding) - len(self._workers)):
             self._workers.append(self._start())
 
@@ -206,17 +209,17 @@ class _Run:
                 process_group=0,
             )
         finally:
-            theirs.close()  # else the worker's death would not end the stream
+            theirs.close()  # otherwise the death of the worker would not end the stream
         assert process.stdout is not None
         os.set_blocking(process.stdout.fileno(), False)
         worker = _Worker(number, process, ours, process.stdout, time.monotonic())
-        # Linux takes the end of the thread that started a child for the parent's: ask in the main thread only.
+        # Linux treats the end of the thread that started a child as that of the parent: ask in the main thread only.
         main_thread = threading.current_thread() is threading.main_thread()
         self._send(worker, Hello(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
         return worker
 
     def _feed(self) -> None:
-        """Hand out what waits, first one task to each worker, then the second."""
+        """Hand out waiting tasks: one to each worker first, then a second one to each."""
         for depth in range(1, IN_FLIGHT + 1):
             for w in self._workers:
                 if self._pending and w.ready and not w.ending and len(w.in_flight) < depth:
@@ -227,17 +230,17 @@ class _Run:
                     self._send(w, ("task", attempt.index, attempt.task))
 
     def _send(self, worker: _Worker, message: Any) -> None:
-        # A worker that has just died is noticed when its end of the stream is read.
+        # The death of a worker is noticed when its end of the stream is read.
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             worker.conn.send(message)
 
     # ---- collecting
 
     def _collect(self, stop: Interruption, give_up_at: float | None) -> Iterator[TaskResult]:
-        """Wait for news of any worker and give the results in it."""
+        """Wait for messages of any worker and yield their results."""
         streams: list[Any] = [w.conn for w in self._workers]
         streams += [w.output for w in self._workers if not w.silent]
-        # Once requested, the wake-up pipe stays readable; waiting on it again would spin.
+        # After a request to stop, the wake-up pipe stays readable; waiting on it again would spin.
         extra = [] if stop.requested else [stop.wakeup]
         readable: list[Any] = wait([*streams, *extra], self._patience(give_up_at))
         for w in [w for w in self._workers if w.output in readable]:
@@ -247,7 +250,7 @@ class _Run:
         now = time.monotonic()
         for w in list(self._workers):
             limit = self._limit(w)
-            # A consumer that kept us waiting is no hang: judge only when nothing lies in the stream unread.
+            # A slow consumer is not a hang: only judge when the stream has been read empty.
             if limit is not None and now - w.since > limit and not w.conn.poll():
                 yield from self._bury(w, "timeout")
 
@@ -259,7 +262,7 @@ class _Run:
         return self._settings.grace_s if w.ending else None
 
     def _patience(self, give_up_at: float | None) -> float | None:
-        """Seconds until some worker's time is up."""
+        """Return the seconds until the first time limit of a worker."""
         ends = [w.since + limit for w in self._workers if (limit := self._limit(w)) is not None]
         if give_up_at is not None:
             ends.append(give_up_at)
@@ -284,7 +287,7 @@ class _Run:
                 yield self._take(w, message[1], message[2])
 
     def _take(self, w: _Worker, index: int, done: Done) -> TaskResult:
-        """The result in a message; the worker is replaced if it has served its time."""
+        """Return the result in a message; dismiss the worker if it is due for replacement."""
         attempt = w.in_flight.popleft()
         assert attempt.index == index, "workers answer in order"
         w.since = time.monotonic()
@@ -294,7 +297,7 @@ class _Run:
         if done.value is not None:
             try:
                 value = pickle.loads(done.value)
-            except Exception as e:  # a class that only the worker knows
+            except Exception as e:  # for example a class that only the worker can import
                 failure = Failure("error", type(e).__name__, f"the result of {attempt.task.key} is unreadable: {e}")
         old = w.finished >= self._settings.tasks_per_worker
         big = w.finished >= MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
@@ -304,12 +307,12 @@ class _Run:
         return TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
 
     def _dismiss(self, w: _Worker) -> None:
-        """Let the worker go after what waits in its inbox."""
+        """Let the worker end after the tasks in its inbox."""
         w.ending = True
         self._send(w, ("finish",))
 
     def _read_output(self, w: _Worker) -> None:
-        """Move what the worker printed to the log, line by line with its number."""
+        """Copy the output of the worker to the log, line by line with its number."""
         if w.silent:
             return
         data = b""
@@ -326,12 +329,12 @@ class _Run:
             if self._log is not None:
                 with contextlib.suppress(OSError):
                     self._log.write(b"worker %d: %s\n" % (w.number, line))
-            # A full disk is told by what the run itself writes; its log must not end it.
+            # A full disk is reported by what the run itself writes; the log must not end the run.
 
     # ---- endings
 
     def _bury(self, w: _Worker, kind: FailureKind) -> Iterator[TaskResult]:
-        """Reap a worker that ended or must; the task it had begun is tried again or fails."""
+        """Reap a worker that died or hung; retry or fail the task that it was running."""
         code = self._reap(w, patience_s=0.0 if kind == "timeout" else 5.0)
         if self._winding_down or (w.ending and not w.in_flight):
             return
@@ -353,19 +356,19 @@ class _Run:
         self._pending.extendleft(reversed(innocent))
         what = f"took longer than {self._settings.task_timeout_s:g} s" if kind == "timeout" else code
         if guilty.number <= self._settings.retries:
-            logger.warning("worker %d %s on %s; it is tried again", w.number, what, guilty.task.key)
+            logger.warning("worker %d %s on %s; trying again", w.number, what, guilty.task.key)
             self._pending.appendleft(_Attempt(guilty.index, guilty.task, guilty.number + 1))
             return
         failure = Failure(
             kind,
             "WorkerDiedError",
-            f"{guilty.task.key}: its worker {what}, {guilty.number} times in all",
+            f"{guilty.task.key}: its worker {what}, in {guilty.number} of {guilty.number} attempts",
             traceback="\n".join(w.tail),
         )
         yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)
 
     def _raise_no_start(self, w: _Worker, failure: Failure) -> None:
-        """A factory that raised will raise again: one clear error instead of a loop."""
+        """Raise the error of a worker factory: it would fail again in every new worker."""
         self._reap(w, patience_s=5.0)
         error = failure.to_exception()
         logger.info("worker %d could not start:\n%s", w.number, failure.traceback)  # the error itself is raised
@@ -374,7 +377,7 @@ class _Run:
         raise RenderError(f"The renderer could not start: {error.message}", error.problems)
 
     def _wind_down(self) -> None:
-        """After an interruption: running tasks may finish, nothing else is begun."""
+        """Let running tasks finish after an interruption, and start nothing else."""
         self._winding_down = True
         self._pending.clear()
         for w in list(self._workers):
@@ -385,7 +388,7 @@ class _Run:
             self._send(w, ("stop",))
 
     def _finish_all(self) -> None:
-        """Everything is done: let the workers leave, but wait for no one long."""
+        """Let all workers end after the last task, and kill those that take too long."""
         for w in self._workers:
             if w.ready:
                 self._send(w, ("finish",))
@@ -394,7 +397,7 @@ class _Run:
             self._reap(w, patience_s=max(0.0, end - time.monotonic()) if w.ready else 0.0)
 
     def _reap(self, w: _Worker, patience_s: float) -> str:
-        """End the worker if it does not end itself, and forget it. Says how it ended."""
+        """Wait for the end of a worker, kill it if it takes too long, and return how it ended."""
         end = time.monotonic() + patience_s
         while w.process.poll() is None and time.monotonic() < end:
             self._read_output(w)  # it may be waiting for us to read
@@ -412,64 +415,15 @@ class _Run:
         return _ending(code)
 
     def kill_all(self) -> None:
-        """End every worker at once and leave no zombie."""
+        """Kill every worker and leave no zombie."""
         self.signal_all()
         for w in list(self._workers):
             self._reap(w, patience_s=0.0)
 
     def signal_all(self) -> None:
-        """SIGKILL to every worker; safe in a signal handler."""
+        """Send SIGKILL to every worker; safe in a signal handler."""
         for w in list(self._workers):
             _kill(w.process)
-
-
-_SCRATCH = "infrablend-workers-"
-_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give /dev/shm 64 MiB
-
-
-@contextlib.contextmanager
-def _scratch_folder() -> Iterator[str]:
-    """Where workers put temporary files: in memory unless TMPDIR says otherwise or there is no room.
-
-    The parent removes it, since a killed worker cannot; what a killed parent left behind the next one removes. A
-    folder in use is told by a lock on it, which ends with its process.
-    """
-    memory = Path("/dev/shm")
-    roomy = os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
-    folder = Path(tempfile.gettempdir()) if os.environ.get("TMPDIR") or not roomy else memory
-    try:
-        _sweep(folder)
-        # Made under another name, locked, then renamed: no sweep can meet it without its lock.
-        made = Path(tempfile.mkdtemp(prefix="infrablend-new-", dir=folder))
-        handle = os.open(made, os.O_RDONLY)
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        scratch = made.rename(folder / (_SCRATCH + made.name.removeprefix("infrablend-new-")))
-    except OSError as error:
-        raise OutputError(
-            f"{folder}: no temporary folder can be made ({error.strerror or error}); free some space there, or set "
-            "TMPDIR to another folder",
-            [Problem(str(folder), "disk-full" if error.errno == errno.ENOSPC else "not-writable", str(error))],
-        ) from error
-    try:
-        yield str(scratch)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        os.close(handle)
-
-
-def _sweep(folder: Path) -> None:
-    """Remove the scratch folders of parents that were killed."""
-    for left in sorted(folder.glob(_SCRATCH + "*")):
-        with contextlib.suppress(OSError):
-            if left.is_symlink() or left.stat().st_uid != os.getuid():
-                continue
-            handle = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(left, ignore_errors=True)
-            finally:
-                os.close(handle)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -493,4 +447,4 @@ def _ending(code: int) -> str:
 
 def _quote(lines: Iterable[str]) -> str:
     text = "\n".join(f"  | {line}" for line in lines if line.strip())
-    return f"\nIts last words:\n{text}" if text else ""
+    return f"\nLast lines of its output:\n{text}" if text else ""

@@ -1,4 +1,4 @@
-"""All tasks in this process, one after the other: for debugging, tests and small runs."""
+"""Runs all tasks in this process, one after the other: for debugging, tests and small runs."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from infrablend.execution.worker import close_callable, failure_of, make_callabl
 
 
 class Serial:
-    """The executor port without worker processes.
+    """Executor without worker processes.
 
-    It cannot do what needs a second process: a crash or a hang of a task is one of the program.
+    A crash or a hang of a task is one of the whole program.
     """
 
     def __init__(self, worker: WorkerSpec, log_path: Path | None = None) -> None:
-        """`log_path` takes what the tasks write to C-level stdout (appended); without it that is dropped."""
+        """Append what the tasks print from C to `log_path`, or drop it if None."""
         self._worker = worker
         self._log_path = log_path
 
     def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
-        """See `core.tasks.Executor`."""
+        """Run tasks and yield their results, see `core.tasks.Executor`."""
         process = psutil.Process()
         with Interruption() as stop:
             try:
@@ -59,9 +59,9 @@ class Serial:
 
 @contextlib.contextmanager
 def _stdout_to(path: Path | None) -> Iterator[None]:
-    """While entered, file descriptor 1 leads to the file: Blender prints there from C, where results belong.
+    """Redirect file descriptor 1 to a file: Blender prints to it from C, but stdout is for results.
 
-    Descriptor 2 stays, because a progress bar may be drawn on it meanwhile.
+    Descriptor 2 stays, because a progress bar may be drawn on it.
     """
     sys.stdout.flush()
     kept = os.dup(1)

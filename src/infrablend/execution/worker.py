@@ -1,6 +1,6 @@
-"""The worker's side: make the callable once, run tasks until told to stop, leave without a trace.
+"""The worker process: creates its callable once, runs tasks until told to stop, and leaves nothing behind.
 
-`main` is the whole life of a worker process. The parent speaks to it over one socket, in pickled tuples:
+`main` is the whole life of a worker process. It exchanges pickled tuples with the parent over one socket:
 
  parent -> worker   Hello; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
  worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, Done) for each task, in order
@@ -33,7 +33,7 @@ from infrablend.errors import InfraBlendError
 
 logger = logging.getLogger(__name__)
 
-# One process is one worker: libraries must not start threads of their own beside it.
+# A worker is one process with one thread: libraries must not start threads of their own.
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -57,7 +57,7 @@ class Hello:
 
 @dataclass(frozen=True)
 class Done:
-    """What a worker says of a task: a pickled value or a failure."""
+    """Message of a worker about a task: a pickled value or a failure."""
 
     value: bytes | None
     failure: Failure | None
@@ -66,7 +66,7 @@ class Done:
 
 
 def failure_of(error: BaseException) -> Failure:
-    """The failure that tells of an exception, with its traceback as text."""
+    """Return the failure that describes an exception, with its traceback as text."""
     text = "".join(traceback.format_exception(error))
     name = type(error).__name__
     if isinstance(error, InfraBlendError):
@@ -75,10 +75,10 @@ def failure_of(error: BaseException) -> Failure:
 
 
 def make_callable(spec: WorkerSpec) -> Callable[[Task], Any]:
-    """Import the factory and call it with its settings.
+    """Import a worker factory and call it with its settings.
 
     Raises:
-        ValueError: If the dotted name is not `module:function` or names nothing callable.
+        ValueError: The dotted name is not `module:function` or names nothing callable.
     """
     module, _, name = spec.factory.partition(":")
     if not module or not name:
@@ -95,7 +95,7 @@ def make_callable(spec: WorkerSpec) -> Callable[[Task], Any]:
 
 
 def close_callable(work: Callable[[Task], Any]) -> None:
-    """Call its `close()` if it has one; an error there is logged, since every result is out by then."""
+    """Call `work.close()` if there is one; log an error in it, since every result has been delivered by then."""
     close = getattr(work, "close", None)
     if callable(close):
         try:
@@ -105,7 +105,7 @@ def close_callable(work: Callable[[Task], Any]) -> None:
 
 
 def _ignore_signals() -> None:
-    # The parent decides what a Ctrl-C means. Said again after libraries that put in handlers of their own.
+    # The parent decides what Ctrl-C means. Repeated after imports that install handlers of their own.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
@@ -116,12 +116,12 @@ def _die_with_parent(parent_pid: int) -> None:
         return
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent_pid:  # it ended before we asked
+    if os.getppid() != parent_pid:  # the parent ended before the request
         os._exit(1)
 
 
 def _leave(code: int) -> None:
-    """End now: bpy may hang or crash when Python or C tears it down."""
+    """End the process at once: bpy may hang or crash during the tear-down of Python or C."""
     with contextlib.suppress(Exception):
         logging.shutdown()
         sys.stdout.flush()
@@ -131,9 +131,10 @@ def _leave(code: int) -> None:
 
 
 def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -> None:
-    """Move tasks from the socket to `inbox`, for ever. Ends the process when the parent is gone.
+    """Move tasks from the socket to `inbox`, and end the process when the parent is gone.
 
-    A thread of its own: the parent never blocks on a full socket, and its death is noticed during a task.
+    It runs in a thread of its own, so that the parent never blocks on a full socket and its death is noticed during
+    a task.
     """
     while True:
         try:
@@ -153,13 +154,13 @@ def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -
     begun = time.monotonic()
     try:
         value = pickle.dumps(work(task), pickle.HIGHEST_PROTOCOL)
-    except BaseException as e:  # SystemExit and the like too: the worker must outlive its task
+    except BaseException as e:  # SystemExit too: the worker must outlive its task
         failure = failure_of(e)
     return Done(value, failure, time.monotonic() - begun, int(process.memory_info().rss))
 
 
 def main(fd: int) -> None:
-    """The life of a worker whose socket is file descriptor `fd`. Does not return."""
+    """Serve as a worker on the socket with file descriptor `fd`; does not return."""
     _ignore_signals()
     faulthandler.enable()
     os.set_inheritable(fd, False)
