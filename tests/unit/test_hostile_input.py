@@ -17,7 +17,7 @@ from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import load_recipe, parse_recipe
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
-from infrablend.execution import process_pool
+from infrablend.execution import scratch
 from infrablend.pipeline import request, run
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.request import Execution
@@ -228,16 +228,16 @@ def test_every_image_left_out_counts(data, tmp_path):
 
 def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(process_pool.tempfile, "tempdir", None)
+    monkeypatch.setattr(scratch.tempfile, "tempdir", None)
     code = (
-        "import os, signal; from infrablend.execution import process_pool as p\n"
-        "with p._scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
+        "import os, signal; from infrablend.execution import scratch\n"
+        "with scratch.scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)
     (left,) = tmp_path.iterdir()
-    with process_pool._scratch_folder() as one:
+    with scratch.scratch_folder() as one:
         assert not left.exists()
-        with process_pool._scratch_folder() as two:
+        with scratch.scratch_folder() as two:
             assert Path(one).is_dir()
             assert one != two
     assert list(tmp_path.iterdir()) == []
