@@ -12,7 +12,7 @@ frames). Examples below run in the tests on a dataset of four pictures, without 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,16 +22,15 @@ from infrablend.config import loading
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing, require_apart
 from infrablend.core.tasks import OnProgress, paced
-from infrablend.errors import DatasetError
 from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchReport, OnFetch
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.writing import WriteSettings
-from infrablend.pipeline import experiment_inputs, world
+from infrablend.pipeline import world
 from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
 from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
-from infrablend.pipeline.experiment_inputs import require_training as _require_training
+from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
@@ -50,9 +49,9 @@ from infrablend.world.dataset import WorldRequest
 
 if TYPE_CHECKING:
     from infrablend.pipeline.evaluate import EvaluationReport
-    from infrablend.pipeline.experiment import ExperimentPlan, ExperimentReport
+    from infrablend.pipeline.experiments.plan import ExperimentPlan
+    from infrablend.pipeline.experiments.run import ExperimentReport, OnStage
     from infrablend.pipeline.profile import ProfileReport
-    from infrablend.pipeline.stages import Setting
     from infrablend.report.checking import CheckReport
     from infrablend.report.doctor import Diagnosis
     from infrablend.report.inspection import Inspection
@@ -62,6 +61,7 @@ __all__ = [
     "ClassChanges",
     "ConvertReport",
     "Execution",
+    "ExperimentRequest",
     "FetchReport",
     "PlanReport",
     "Reading",
@@ -665,128 +665,42 @@ def diagnose() -> Diagnosis:
 
 
 def list_experiments() -> dict[str, str]:
-    """Names of the shipped experiments and what they ask."""
+    """Return the names of the shipped experiments and the question each one answers."""
     from infrablend.config import experiment as experiments
 
     return {name: experiments.load_experiment(name).description for name in experiments.list_experiments()}
 
 
 def experiment(
-    name: str | Path,
-    data: str | Path | Sequence[str | Path] = (),
-    work: str | Path = "experiments",
-    out: str | Path | None = None,
-    *,
-    scale: str = "small",
-    seed: int = 0,
-    device: str = "auto",
-    training: Mapping[str, Any] | None = None,
-    only: Sequence[str] = (),
-    adopt: Mapping[str, str | Path] | None = None,
-    workers: int | None = None,
-    renderer: str = "blender",
-    on_stage: Callable[[str, str, int, int], None] | None = None,
-    on_progress: OnProgress | None = None,
+    request: ExperimentRequest, *, on_stage: OnStage | None = None, on_progress: OnProgress | None = None
 ) -> ExperimentReport:
-    """Run an experiment: data, trainings, evaluations, comparisons, page. The same call goes on after any interruption.
+    """Run an experiment: make its data, train, evaluate, compare, and write the page.
 
-    Stages lie in `work` by the digest of what decides them: experiments share those that are the same, and a finished
-    experiment makes nothing anew.
+    The same request continues an interrupted run. Stages are kept by a digest of everything that decides them, so
+    experiments share equal stages and a finished experiment makes nothing again.
 
     Args:
-        name: Of a shipped experiment, or the path of a YAML file.
-        data: Folders of the datasets that it needs, told apart by their formats.
-        work: Folder of the stages.
-        out: Folder of the page, its JSON and plots; `default_results` by default.
-        scale: `paper`, `small` or `smoke`.
-        seed: Of scenes, splits and trainings.
-        device: Of the trainer: auto, cpu, cuda:0, ...
-        training: Settings of every training over those of the scale's preset, as in `train`.
-        only: Kinds (`generate`), names or ids (`train:fixed`) of stages: these, and what they need.
-        adopt: Folders of trainings, runs and datasets made by `train`, `generate` and `convert`, by id of the stage to
-            take them for (`train:fixed`). Trainings and runs are checked; how datasets were made cannot be.
-        workers: Rendering processes; one per processor core by default.
-        renderer: `blender`; `fake` draws flat shapes, for tests.
-        on_stage: Told of each stage: id; `there`, `begins` or `done`; its number; how many.
-        on_progress: Given to the stages.
+        request: Experiment, datasets, scale and folders.
+        on_stage: Called with a stage's id, what happened (`found`, `started`, `done`, `adopted`), its number, and the
+            number of stages.
+        on_progress: Called by stages that report progress.
 
     Raises:
         RecipeError, DatasetError, OutputError, MissingDependencyError, RenderError, Interrupted: See
-            `infrablend.errors`. The page is written as far as it goes.
+            `infrablend.errors`. The page is written as far as the run got.
     """
-    from infrablend.pipeline import experiment as experiments
+    from infrablend.pipeline.experiments.prepare import prepare_experiment
+    from infrablend.pipeline.experiments.run import run_experiment
 
-    loaded, graph, setting = _experiment(
-        name, data, work, scale, seed, device, training, workers, renderer, on_progress
-    )
-    target = _results_folder(graph.given.values(), setting, out)
-    folders = {i: Path(folder) for i, folder in (adopt or {}).items()}
-    return experiments.run_experiment(loaded, graph, setting, target, only=only, adopt=folders, on_stage=on_stage)
+    return run_experiment(prepare_experiment(request), on_stage=on_stage, on_progress=on_progress)
 
 
-def plan_experiment(
-    name: str | Path,
-    data: str | Path | Sequence[str | Path] = (),
-    work: str | Path = "experiments",
-    out: str | Path | None = None,
-    *,
-    scale: str = "small",
-    seed: int = 0,
-    device: str = "auto",
-    training: Mapping[str, Any] | None = None,
-    only: Sequence[str] = (),
-    adopt: Mapping[str, str | Path] | None = None,
-    renderer: str = "blender",
-) -> ExperimentPlan:
-    """What `experiment` with the same arguments would do: stages, images, passes, disk, time. Writes nothing."""
-    from infrablend.pipeline import experiment as experiments
+def plan_experiment(request: ExperimentRequest) -> ExperimentPlan:
+    """Return stages, images, time and disk space of an experiment, without writing anything."""
+    from infrablend.pipeline.experiments.plan import plan_experiment as plan_stages
+    from infrablend.pipeline.experiments.prepare import prepare_experiment
 
-    loaded, graph, setting = _experiment(name, data, work, scale, seed, device, training, None, renderer, None)
-    _results_folder(graph.given.values(), setting, out)
-    folders = {i: Path(folder) for i, folder in (adopt or {}).items()}
-    return experiments.plan_experiment(loaded, graph, setting, only=only, adopt=folders)
-
-
-def _results_folder(data: Iterable[Path], setting: Setting, out: str | Path | None) -> Path:
-    """Where the page goes, apart from the data."""
-    target = experiment_inputs.default_results(setting.work, setting.scale) if out is None else Path(out)
-    for folder in data:
-        require_apart(folder, target)
-    return target
-
-
-def _experiment(
-    name: str | Path,
-    data: str | Path | Sequence[str | Path],
-    work: str | Path,
-    scale: str,
-    seed: int,
-    device: str,
-    training: Mapping[str, Any] | None,
-    workers: int | None,
-    renderer: str,
-    on_progress: OnProgress | None,
-) -> tuple[Any, Any, Any]:
-    """The experiment, its stages, and how they are made."""
-    from infrablend.config.experiment import SCALES, load_experiment
-    from infrablend.pipeline import experiment as experiments
-    from infrablend.pipeline.stages import Setting, Tools
-
-    loaded = load_experiment(name)
-    known = next((s for s in SCALES if s == scale), None)
-    if known is None:
-        raise DatasetError(f"scale: found {scale!r}, expected one of {', '.join(SCALES)}")
-    folders = [Path(data)] if isinstance(data, str | Path) else [Path(d) for d in data]
-    for folder in folders:
-        require_apart(folder, Path(work))
-    given = experiments.assign(loaded, folders)
-    inputs = experiment_inputs
-    tools = Tools(
-        inputs.read_dataset, inputs.generate, inputs.split, make_world, train, evaluate, compare_evaluations,
-        inputs.preset_facts, inputs.training_seconds, _require_training, inputs.require_training_settings,
-    )  # fmt: skip
-    setting = Setting(Path(work), known, seed, device, tools, dict(training or {}), renderer, workers, on_progress)
-    return loaded, experiments.build(loaded, given, setting), setting
+    return plan_stages(prepare_experiment(request))
 
 
 def _path(path: str | Path | None) -> Path | None:

@@ -10,7 +10,9 @@ import pytest
 
 from infrablend import api
 from infrablend.config.experiment import list_experiments
-from infrablend.pipeline.stages import Setting, Stage
+from infrablend.pipeline.experiments import making
+from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.experiments.stage import Stage
 
 pytestmark = [pytest.mark.slow, pytest.mark.blender]
 
@@ -43,7 +45,8 @@ def test_every_experiment_runs_at_the_smoke_scale(
     name: str, ultralytics: None, world: Path, work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data: list[Path] = [] if name == "monet-deer" else [world]
-    report = api.experiment(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
+    request = ExperimentRequest(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
+    report = api.experiment(request)
     assert report.status == "complete"
     facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
     assert facts["scale"] == "smoke" and facts["hardware"] and facts["versions"]
@@ -57,9 +60,9 @@ def test_every_experiment_runs_at_the_smoke_scale(
         by_stage = {s["stage"]: s["images"] for s in facts["stages"]}
         assert by_stage["convert:synthetic"] == by_stage["convert:real"] == by_stage["convert:flat"] > 0
 
-    def never(stage: Stage, key: str, before: Any, setting: Setting, adopt: Any = None) -> Any:
+    def never(stage: Stage, *args: Any, **kwargs: Any) -> Any:
         raise AssertionError(f"{stage.id} is made again")
 
-    monkeypatch.setattr("infrablend.pipeline.stages.make", never)
-    again = api.experiment(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
+    monkeypatch.setattr(making, "make_stage", never)
+    again = api.experiment(request)
     assert again.made == () and again.page.read_text("utf-8") == page

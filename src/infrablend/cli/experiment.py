@@ -1,8 +1,8 @@
-"""`infrablend experiment`: a table of the paper, or an experiment of one's own, in one command."""
+"""`infrablend experiment`: reproduce a table of the paper, or run an experiment of your own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,10 +13,11 @@ from infrablend.cli.options import JsonOption, SeedOption, WorkersOption, key_va
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
+    from infrablend.pipeline.experiments.request import ExperimentRequest
 
 
 class ScaleName(StrEnum):
-    """How much of it."""
+    """Scale of an experiment."""
 
     PAPER = "paper"
     SMALL = "small"
@@ -26,63 +27,61 @@ class ScaleName(StrEnum):
 def experiment(
     ctx: typer.Context,
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="A shipped name (see --list) or a YAML file.")
+        str | None, typer.Argument(metavar="[NAME]", help="Name of a shipped experiment (see --list), or a YAML file.")
     ] = None,
     data: Annotated[
         list[Path] | None,
-        typer.Option(metavar="DIR", help="A dataset that it needs; repeatable, they are told apart by their formats."),
+        typer.Option(metavar="DIR", help="Folder of a dataset it needs, recognised by its format; repeatable."),
     ] = None,
     scale: Annotated[
         ScaleName,
-        typer.Option(help="paper: as published, for a GPU; small: two cores, minutes a training; smoke: a test."),
+        typer.Option(help="paper: as published, needs a GPU; small: minutes per training on two cores; smoke: a test."),
     ] = ScaleName.SMALL,
     work: Annotated[
-        Path, typer.Option(metavar="DIR", help="The stages' folder; experiments share what is the same.")
+        Path, typer.Option(metavar="DIR", help="Folder of the stages. Experiments in one folder share equal stages.")
     ] = Path("experiments"),
     results: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the page [default: docs/results in a checkout, else results; for smoke WORK/results].",
-        ),
+        typer.Option(metavar="DIR", help="Folder of the page [default: results; WORK/results at the scale smoke]."),
     ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="STAGE",
-            help="A kind (generate), name or id (train:fixed): these and what they need; repeatable.",
+            help="Make only these stages and what they need: a kind (generate), name or id (train:fixed); repeatable.",
         ),
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="A setting of every training, e.g. passes=4000; repeatable.",
-        ),
+        typer.Option("--set", metavar="KEY=VALUE", help="Setting of every training, e.g. passes=4000; repeatable."),
     ] = None,
     adopt: Annotated[
         list[str] | None,
         typer.Option(
             metavar="STAGE=DIR",
-            help="Take over a training (train:fixed=DIR), run or dataset made elsewhere; repeatable.",
+            help="Use a training (train:fixed=DIR), run or dataset made by another command; repeatable.",
         ),
     ] = None,
-    device: Annotated[str, typer.Option(help="Where to train: auto, cpu, cuda, or a GPU's number.")] = "auto",
+    device: Annotated[str, typer.Option(help="Device to train on: auto, cpu, cuda, or the number of a GPU.")] = "auto",
     seed: SeedOption = 0,
     workers: WorkersOption = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Say stages, images, time and disk; do nothing.")] = False,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Show stages, images, time and disk space; write nothing.")
+    ] = False,
     show_list: Annotated[bool, typer.Option("--list", help="List the shipped experiments.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Data, trainings, evaluations and a page with the paper's figures beside ours; the same command goes on."""
+    """Run an experiment: make its data, train, evaluate, and write a page with the paper's figures beside yours.
+
+    The same command continues an interrupted run and makes nothing twice.
+    """
     session: Session = ctx.obj
     session.json = as_json
 
     from infrablend import api
-    from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_json, print_result, table
     from infrablend.core.yaml_text import read_yaml
+    from infrablend.pipeline.experiments.request import ExperimentRequest
 
     if show_list:
         if as_json:
@@ -92,54 +91,67 @@ def experiment(
         return
     if name is None:
         raise typer.BadParameter("which experiment? --list shows the shipped ones", param_hint="NAME")
-    training = {k: read_yaml(v) for k, v in key_values(settings, "--set").items()}
-    if plan:
-        planned = api.plan_experiment(
-            name, data or [], work, results, scale=scale.value, seed=seed, device=device, training=training,
-            only=only or [], adopt=key_values(adopt, "--adopt"),
-        ).to_json()  # fmt: skip
-        if as_json:
-            print_json(planned)
-        else:
-            print_result("\n\n".join(_plan_blocks(planned)))
+    request = ExperimentRequest(
+        name,
+        tuple(data or ()),
+        work,
+        results,
+        scale=scale.value,
+        seed=seed,
+        device=device,
+        training={k: read_yaml(v) for k, v in key_values(settings, "--set").items()},
+        only=tuple(only or ()),
+        adopt={stage: Path(folder) for stage, folder in key_values(adopt, "--adopt").items()},
+        workers=workers,
+    )
+    if not plan:
+        _run(session, request)
         return
+    planned = api.plan_experiment(request).to_json()
+    if as_json:
+        print_json(planned)
+    else:
+        print_result("\n\n".join(_plan_blocks(planned)))
 
-    def tell(stage: str, news: str, k: int, n: int) -> None:
+
+def _run(session: Session, request: ExperimentRequest) -> None:
+    from infrablend import api
+    from infrablend.cli.progress import shown_progress
+    from infrablend.cli.results import print_json, print_result
+
+    def show_stage(stage: str, event: str, number: int, total: int) -> None:
         if not session.quiet:
-            session.console.print(f"stage {k} of {n}, {stage}: {_NEWS[news]}", markup=False, soft_wrap=True)
+            text = f"stage {number} of {total}, {stage}: {_EVENTS[event]}"
+            session.console.print(text, markup=False, soft_wrap=True)
 
     with shown_progress(session, "working") as on_progress:
-        report = api.experiment(
-            name, data or [], work, results, scale=scale.value, seed=seed, device=device, only=only or [],
-            training=training, adopt=key_values(adopt, "--adopt"), workers=workers, on_stage=tell,
-            on_progress=on_progress,
-        )  # fmt: skip
+        report = api.experiment(request, on_stage=show_stage, on_progress=on_progress)
     for problem in report.problems:
         typer.echo(f"{problem.severity}: {problem}", err=True)
-    if as_json:
+    if session.json:
         print_json(report.to_json())
-    else:
-        print_result("\n\n".join(_blocks(report.facts)))
-        if report.facts["missing"]:
-            print_result(f"\nmissing: {', '.join(report.facts['missing'])}")
-        elif not report.made:
-            print_result("\nnothing to do: every stage was there")
-        print_result(f"\n{report.status}, scale {report.scale}: {report.page}")
+        return
+    print_result("\n\n".join(_result_blocks(report.facts)))
+    if report.facts["missing"]:
+        print_result(f"\nmissing: {', '.join(report.facts['missing'])}")
+    elif not report.made:
+        print_result("\nnothing to do: every stage was finished before")
+    print_result(f"\n{report.status}, scale {report.scale}: {report.page}")
 
 
-_NEWS = {"there": "is there", "begins": "begins", "done": "done", "taken over": "is taken over"}
+_EVENTS = {"found": "already finished", "started": "started", "done": "done", "adopted": "adopted"}
 
 
 def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
     from infrablend.cli.results import grid, human_bytes, human_seconds, table
-    from infrablend.pipeline.experiment import NOTHING_TO_DO
+    from infrablend.pipeline.experiments.plan import NO_WORK
 
     rows = []
     for s in plan["stages"]:
         preset = s.get("training", {})
         passes = preset.get("passes") and f"{preset['passes']:,} passes"
         epochs = preset.get("epochs") and f"at most {preset['epochs']} epochs"
-        todo = s["status"] not in NOTHING_TO_DO
+        todo = s["status"] not in NO_WORK
         rows.append(
             [
                 s["stage"],
@@ -163,35 +175,46 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
     return [grid(["stage", "status", "images", "training", "time", "disk"], rows), table(total)]
 
 
-def _blocks(facts: Mapping[str, Any]) -> list[str]:
-    """The tables, for the screen: paper, ours, difference."""
+def _result_blocks(facts: Mapping[str, Any]) -> list[str]:
+    """Return the page's tables and conclusions as text for the terminal."""
+    blocks = [_table_block(t) for t in facts["tables"]]
+    if facts["datasets"]:
+        blocks.append(_datasets_block(facts["datasets"]))
+    return [*blocks, *(_claim_block(c) for c in facts["checks"])]
+
+
+def _table_block(table: Mapping[str, Any]) -> str:
     from infrablend.cli.results import grid
 
-    def number(x: float | None, form: str = ".3f") -> str:
-        return "-" if x is None else format(x, form)
+    rows = []
+    for r in table["rows"]:
+        ours = r["ours"] or {}
+        cells = [r["title"]]
+        for k in ("map50", "map50_95"):
+            cells += [_figure(r["paper"][k]), _figure(ours.get(k)), _figure(r["difference"].get(k), "+.3f")]
+        rows.append(cells)
+    head = ["", "mAP50 paper", "ours", "difference", "mAP50-95 paper", "ours", "difference"]
+    return f"{table['title']}\n{grid(head, rows)}"
 
-    blocks = []
-    for t in facts["tables"]:
-        rows = []
-        for r in t["rows"]:
-            ours = r["ours"] or {}
-            cells = [r["title"]]
-            for k in ("map50", "map50_95"):
-                cells += [number(r["paper"][k]), number(ours.get(k)), number(r["difference"].get(k), "+.3f")]
-            rows.append(cells)
-        head = ["", "mAP50 paper", "ours", "difference", "mAP50-95 paper", "ours", "difference"]
-        blocks.append(f"{t['title']}\n{grid(head, rows)}")
-    if facts["datasets"]:
-        rows = [
-            [d["title"], *(f"{d['paper'][k]} / {d['ours'][k] if d['ours'] else '-'}" for k in ("images", "classes"))]
-            for d in facts["datasets"]
-        ]
-        blocks.append(grid(["paper / ours", "images", "classes"], rows))
-    for c in facts["checks"]:
-        verdict = {True: "yes", False: "no", None: c.get("missing", "no verdict asked")}[c["holds"]]
-        if "ci" in c:
-            found = f"{c['difference']:+.3f} [{c['ci'][0]:+.3f}, {c['ci'][1]:+.3f}]"
-        else:
-            found = f"ratio {c['ratio']:.3f}" if "ratio" in c else "-"
-        blocks.append(f"{c['text']}: {verdict} ({found})")
-    return blocks
+
+def _datasets_block(datasets: Sequence[Mapping[str, Any]]) -> str:
+    from infrablend.cli.results import grid
+
+    rows = [
+        [d["title"], *(f"{d['paper'][k]} / {d['ours'][k] if d['ours'] else '-'}" for k in ("images", "classes"))]
+        for d in datasets
+    ]
+    return grid(["paper / ours", "images", "classes"], rows)
+
+
+def _claim_block(claim: Mapping[str, Any]) -> str:
+    verdict = {True: "yes", False: "no", None: claim.get("missing", "no verdict")}[claim["holds"]]
+    if "ci" in claim:
+        found = f"{claim['difference']:+.3f} [{claim['ci'][0]:+.3f}, {claim['ci'][1]:+.3f}]"
+    else:
+        found = f"ratio {claim['ratio']:.3f}" if "ratio" in claim else "-"
+    return f"{claim['text']}: {verdict} ({found})"
+
+
+def _figure(x: float | None, form: str = ".3f") -> str:
+    return "-" if x is None else format(x, form)

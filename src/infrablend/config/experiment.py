@@ -1,7 +1,7 @@
-"""What an experiment is: data made from the user's datasets, trainings, evaluations, comparisons, tables, conclusions.
+"""The file of an experiment: datasets, trainings, evaluations, comparisons, tables and claims.
 
-A YAML file says it all, the paper's figures beside what they are compared with included. Every kind of data is a class
-here (what the file may say of it) and an entry in `pipeline/stages.py` (how it is made).
+The YAML file also contains the paper's figures that ours are compared with. Each kind of data is a class here (its
+fields in the file) and a maker in `pipeline/experiments/makers.py` (how it is made).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Name = Annotated[str, Field(pattern=_NAME)]
 
 
 def _names(given: Any) -> Any:
-    """One name needs no brackets."""
+    """Accept a single name in place of a list."""
     return (given,) if isinstance(given, str) else tuple(given) if isinstance(given, list) else given
 
 
@@ -40,26 +40,26 @@ Limits = dict[Split, Annotated[int, Field(ge=1)]]
 
 
 class Source(Strict):
-    """A dataset that the user has: `--data DIR`."""
+    """A dataset that the user gives with `--data DIR`."""
 
     format: str = Field(min_length=1)
-    """Its format, by which `--data` folders are told apart."""
+    """Format, by which the folders given with `--data` are recognised."""
     title: str = Field(min_length=1)
-    """Its name on the page."""
+    """Name on the page."""
     optional: bool = False
-    """Where it is absent, what depends on it is left out, and the page says so."""
+    """Whether the experiment also runs without it; the page then lists what is left out."""
     classes: tuple[str, ...] = ()
-    """Classes that it must have with labels."""
+    """Classes that must have labels in it."""
     options: dict[str, str] = Field(default_factory=dict)
-    """Options of its reader. A virtual world is read without them."""
+    """Options of its reader; not used for a virtual world."""
     stand_in: Literal["hit-uav", "monet"] | None = None
-    """The virtual world of this layout is rendered where no folder is given."""
+    """Layout of the virtual world that is rendered if no folder is given."""
     stand_in_images: dict[Scale, Annotated[int, Field(ge=3)]] = Field(default_factory=dict)
-    """How many of its images."""
+    """Number of images of that virtual world at each scale."""
     limits: dict[Scale, Limits] = Field(default_factory=dict)
-    """At most so many images of each split, evenly spread, every class among them; all by default."""
+    """Maximum number of images per split at each scale, evenly spread and showing every class; all by default."""
     paper_images: Limits = Field(default_factory=dict)
-    """Images of each split in the paper."""
+    """Images per split in the paper."""
 
 
 class Generate(Strict):
@@ -67,67 +67,67 @@ class Generate(Strict):
 
     kind: Literal["generate"]
     of: Name
-    """What the backgrounds are: a source, or another data item."""
+    """Source or data item that provides the backgrounds."""
     recipe: str = Field(min_length=1)
-    """A shipped recipe's name, or a YAML file beside this one."""
+    """Name of a shipped recipe, or a YAML file; its path is relative to this file."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Recipe fields to set."""
+    """Recipe fields to change."""
     splits: tuple[Split, ...] = SPLITS
-    """The splits that are needed; no others are made."""
+    """Splits to make."""
 
 
 class Convert(Strict):
-    """A part of another data item, its classes renamed or left out; see `infrablend convert`."""
+    """A part of another data item, with classes renamed or dropped; see `infrablend convert`."""
 
     kind: Literal["convert"]
     of: Name
-    """The data item."""
+    """Source or data item to take the part from."""
     rename: dict[str, str] = Field(default_factory=dict)
-    """New names of classes."""
+    """New class names by old ones."""
     drop: tuple[str, ...] = ()
-    """Classes to leave out, by the new name."""
+    """Classes to drop, by their new names."""
     only: str | None = None
-    """The one class to keep, instead of `drop`."""
+    """Only class to keep, instead of `drop`."""
     with_class: str | None = None
-    """Only images that show this class."""
+    """Use only images that show this class."""
     without: tuple[str, ...] = ()
-    """Only images that show none of these classes; those that the data do not have are none."""
+    """Use only images that show none of these classes; classes that the data do not have are ignored."""
     like: str | None = None
-    """Images drawn so that times of day, heights and pitches are shared out as among those that show this class."""
+    """Draw images with the same distribution of time of day, altitude and pitch as those that show this class."""
     images: dict[Scale, Limits] = Field(default_factory=dict)
-    """At most so many images of each split, drawn at random or as `like` says; all by default."""
+    """Maximum number of images per split at each scale, drawn at random or as with `like`; all by default."""
     loosen: float = Field(1.0, ge=1, le=2)
-    """Boxes of inserted objects so many times as wide and high, as annotators by hand leave room."""
+    """Enlarge the boxes of inserted objects by this factor, to match hand-drawn boxes."""
     match: Name | None = None
-    """As many images, and as many objects of `with_class`, in each split as this data item has."""
+    """Data item whose numbers of images and of `with_class` objects per split this part matches."""
     splits: tuple[Split, ...] = SPLITS
-    """The splits that are needed."""
+    """Splits to make."""
 
     @model_validator(mode="after")
     def _fits(self) -> Convert:
         if self.match is not None and self.with_class is None:
-            raise ValueError("match goes with with_class: the objects to count")
+            raise ValueError("match needs with_class, the class of the objects to count")
         if self.only is not None and self.drop:
-            raise ValueError("only and drop: one of the two")
+            raise ValueError("only and drop exclude each other; give one of them")
         return self
 
 
 class Resplit(Strict):
-    """New splits that keep together what belongs together."""
+    """New splits that keep related images in one split."""
 
     kind: Literal["split"]
     of: Name
-    """The data item."""
+    """Source or data item to split."""
     by: Literal["sequence", "date", "gap"]
-    """What is kept together."""
+    """Images that stay in one split: those of a sequence, of a date, or of a run of frame numbers."""
     gap: int | None = Field(None, ge=1)
-    """For `gap`: a run ends where the next frame is over so many away."""
+    """For `by: gap`: largest step between frame numbers within a run."""
     shares: tuple[float, float, float] = (0.7, 0.1, 0.2)
-    """Of train, val and test."""
+    """Shares of train, val and test."""
 
 
-def made_of(data: Generate | Convert | Resplit) -> list[str]:
-    """The items that one is made of."""
+def parents_of(data: Generate | Convert | Resplit) -> list[str]:
+    """Return the names of the items that a data item is made from."""
     match = data.match if isinstance(data, Convert) else None
     return [data.of, *([match] if match is not None else [])]
 
@@ -136,57 +136,57 @@ Data = Annotated[Generate | Convert | Resplit, Field(discriminator="kind")]
 
 
 class Training(Strict):
-    """A detector."""
+    """A detector to train."""
 
     data: Name
-    """Source or data item with train and val."""
+    """Source or data item with the splits train and val."""
     classes: tuple[str, ...] | None = None
-    """Only these classes; all by default."""
+    """Classes to train on; all by default."""
     task: Literal["detect", "obb", "segment"] = "detect"
-    """What it predicts."""
+    """Kind of labels it predicts."""
     weights: str = "auto"
-    """What it starts from: `auto`, `scratch`, a usual name or a file."""
+    """Start weights: `auto`, `scratch`, the name of published weights, or a file."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Trainer's settings over those of the scale's preset."""
+    """Settings to use instead of those of the scale's preset."""
     reseed: int = Field(0, ge=0)
-    """Added to the run's seed: the same once more, with other weights to start from and images in another order."""
+    """Number added to the run's seed, to train again with other start weights and another order of images."""
     paper_images: int | None = Field(None, ge=1)
     """Training images in the paper."""
 
 
 class Evaluation(Strict):
-    """A detector's figures on images."""
+    """A detector evaluated on a split."""
 
     training: Name
-    """Whose weights."""
+    """Training that provides the weights."""
     data: Name
-    """Source or data item that has the split."""
+    """Source or data item to evaluate on."""
     split: Split = "test"
-    """The images."""
+    """Split to evaluate on."""
     classes: tuple[str, ...] | Literal["joint"] | None = None
-    """`joint`: those that both detector and images have; all by default."""
+    """Classes to evaluate; `joint` for those that both detector and images have; all by default."""
     group: Literal["image", "sequence"] = "image"
-    """What the bootstrap draws."""
+    """Unit that the bootstrap draws."""
 
 
 class Comparison(Strict):
-    """Two evaluations on the same images and classes, paired: a - b."""
+    """The paired difference a - b of two evaluations on the same images and classes."""
 
     a: Names
-    """An evaluation; or several, of detectors trained alike but for `reseed`: their mean."""
+    """Evaluation, or several whose detectors differ only in `reseed`; their mean is compared."""
     b: Names
-    """Another one, or several."""
+    """Evaluation, or several, to subtract."""
     title: str = ""
-    """What it says, for the page."""
+    """Name on the page; `a - b` by default."""
 
 
 class Figures(Strict):
-    """What the paper prints."""
+    """Figures in the paper."""
 
     images: int | None = None
-    """Images with the class."""
+    """Number of images with the class."""
     instances: int | None = None
-    """Objects."""
+    """Number of objects."""
     p: float | None = None
     """Precision."""
     r: float | None = None
@@ -201,69 +201,69 @@ class Row(Strict):
     """A row of a table."""
 
     title: str = Field(min_length=1)
-    """Its first cell."""
+    """Text of the first cell."""
     evaluation: Name | None = None
-    """The table's by default."""
+    """Evaluation that gives the figures; the table's by default."""
     category: str = "all"
-    """The class, or `all`."""
+    """Class, or `all`."""
     paper: Figures = Figures()
-    """The paper's row."""
+    """Figures in the paper."""
 
 
 class Table(Strict):
     """A table of the page."""
 
     title: str = Field(min_length=1)
-    """Above it."""
+    """Heading."""
     evaluation: Name | None = None
-    """Of all rows that name none; its further classes follow without figures of the paper."""
+    """Evaluation of all rows that name none. Its remaining classes follow as rows without figures of the paper."""
     note: str = ""
-    """Below it."""
+    """Text below the table."""
     rows: tuple[Row, ...] = Field(min_length=1)
-    """Its rows."""
+    """Rows."""
 
 
 class FactsRow(Strict):
-    """A dataset's numbers."""
+    """A row of the table of datasets."""
 
     title: str = Field(min_length=1)
-    """Its name."""
+    """Name of the dataset."""
     data: tuple[Name, ...] = Field(min_length=1)
-    """The items that it consists of."""
+    """Sources and data items that make up the dataset."""
     images: int | None = None
-    """In the paper."""
+    """Number of images in the paper."""
     classes: int | None = None
-    """In the paper."""
+    """Number of classes in the paper."""
     labels: tuple[Literal["AABB", "OBB", "Masks"], ...] = ()
-    """In the paper."""
+    """Kinds of labels in the paper."""
 
 
 class Check(Strict):
-    """A conclusion, computed from intervals."""
+    """A claim, decided by an interval or a ratio."""
 
     text: str = Field(min_length=1)
-    """The claim."""
+    """Claim on the page."""
     comparison: Name | None = None
-    """The difference that decides."""
+    """Comparison that decides."""
     ratio: tuple[Name, Name] | None = None
-    """Or the ratio of two evaluations' figures."""
+    """Two evaluations whose ratio decides, instead of a comparison."""
     category: str = "all"
-    """The class."""
+    """Class, or `all`."""
     metric: Metric = "map50_95"
-    """The figure."""
+    """Metric."""
     expect: Literal["below", "above", "within", "not_below", "at_least", "report"]
-    """The whole interval below 0, above 0, 0 within it, not wholly below 0; a ratio of at least; or no verdict."""
+    """Whole interval below or above 0, 0 within it, not entirely below 0; ratio of at least `least`; or no verdict."""
     least: float | None = None
-    """For `at_least`."""
+    """Smallest ratio for `at_least`."""
     scales: tuple[Scale, ...] = SCALES
-    """Where it is asked."""
+    """Scales at which the claim is checked."""
 
     @model_validator(mode="after")
     def _whole(self) -> Check:
         if (self.comparison is None) == (self.ratio is None):
-            raise ValueError("a check needs either comparison or ratio")
+            raise ValueError("a check needs either comparison or ratio, not both")
         if (self.expect == "at_least") != (self.least is not None):
-            raise ValueError("expect: at_least goes with least")
+            raise ValueError("expect: at_least and least need each other")
         if self.expect in ("below", "above", "within", "not_below") and self.comparison is None:
             raise ValueError(f"expect: {self.expect} needs a comparison")
         if self.expect == "at_least" and self.ratio is None:
@@ -272,51 +272,51 @@ class Check(Strict):
 
 
 class Experiment(Strict):
-    """A whole experiment."""
+    """The content of an experiment's file."""
 
     name: str = Field(pattern=_NAME)
-    """Name of its page."""
+    """Name of the experiment and of its page."""
     title: str = Field(min_length=1)
-    """Heading of its page."""
+    """Heading of the page."""
     description: str = Field(min_length=1)
-    """What it asks."""
+    """Question it answers."""
     about: str = ""
-    """What readers of the page must know."""
+    """Background that readers of the page need."""
     sources: dict[Name, Source] = Field(min_length=1)
-    """The user's datasets."""
+    """Datasets that the user gives, by name."""
     data: dict[Name, Data] = Field(default_factory=dict)
-    """What is made of them."""
+    """Data items made from them, by name."""
     trainings: dict[Name, Training] = Field(default_factory=dict)
-    """Detectors."""
+    """Detectors to train, by name."""
     evaluations: dict[Name, Evaluation] = Field(default_factory=dict)
-    """Their figures."""
+    """Evaluations of them, by name."""
     comparisons: dict[Name, Comparison] = Field(default_factory=dict)
-    """Paired differences."""
+    """Paired differences, by name."""
     tables: tuple[Table, ...] = ()
-    """The page's tables."""
+    """Tables of the page."""
     facts: tuple[FactsRow, ...] = ()
-    """A table of datasets."""
+    """Rows of the table of datasets."""
     strata: str = "all"
-    """The class that the tables by size, pitch, altitude and time are of."""
+    """Class shown in the tables by size, pitch, altitude and time."""
     checks: tuple[Check, ...] = ()
-    """The page's conclusions."""
+    """Claims that the page decides."""
     only_at: dict[Name, tuple[Scale, ...]] = Field(default_factory=dict)
-    """Data, trainings, evaluations and comparisons that belong to some scales alone, by name."""
+    """Scales of data items, trainings, evaluations and comparisons that do not belong to every scale, by name."""
 
     @model_validator(mode="after")
-    def _names_lead_somewhere(self) -> Experiment:
-        wrong = sorted(set(self._dangling()))
+    def _names_exist(self) -> Experiment:
+        wrong = sorted(set(self._unknown_names()))
         if wrong:
             raise ValueError("; ".join(wrong))
         return self
 
-    def _dangling(self) -> Iterator[str]:
-        """What names something that is not there."""
+    def _unknown_names(self) -> Iterator[str]:
+        """Yield every reference to something that does not exist."""
         both = sorted(set(self.sources) & set(self.data))
         yield from (f"{n} is both in sources and in data" for n in both)
         items = {*self.sources, *self.data}
         for n, d in self.data.items():
-            yield from (f"data.{n}: no source or data {i}" for i in made_of(d) if i not in items)
+            yield from (f"data.{n}: no source or data {i}" for i in parents_of(d) if i not in items)
         for n, t in self.trainings.items():
             if t.data not in items:
                 yield f"trainings.{n}.data: no source or data {t.data}"
@@ -342,21 +342,21 @@ class Experiment(Strict):
         yield from (f"only_at: no stage {n}" for n in self.only_at if n not in known)
 
     def at(self, name: str, scale: Scale) -> bool:
-        """Whether what has that name belongs to the scale."""
+        """Return whether the entry of that name belongs to the scale."""
         return scale in self.only_at.get(name, SCALES)
 
 
 def list_experiments() -> list[str]:
-    """Names of the experiments that come with InfraBlend, sorted."""
+    """Return the names of the shipped experiments, sorted."""
     folder = resources.files("infrablend.config") / "experiments"
     return sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml"))
 
 
 def load_experiment(experiment: str | Path) -> Experiment:
-    """The experiment of that shipped name, or in that YAML file.
+    """Return the experiment of a shipped name or of a YAML file.
 
     Raises:
-        RecipeError: With every unknown key and bad value at once.
+        RecipeError: The file cannot be read, or is wrong; lists every unknown key and bad value.
     """
     path = Path(experiment)
     folder: Path | None = None
@@ -381,7 +381,16 @@ def load_experiment(experiment: str | Path) -> Experiment:
 
 
 def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
-    """The experiment in a YAML text; `where` names it in errors, `folder` is what paths of recipes are relative to."""
+    """Return the experiment in a YAML text.
+
+    Args:
+        text: Content of the file.
+        where: Name of the file in error messages.
+        folder: Folder that paths of recipes are relative to.
+
+    Raises:
+        RecipeError: Lists every unknown key and bad value.
+    """
     try:
         data = read_yaml(text)
     except ValueError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import platform
+import subprocess
 from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
@@ -49,6 +50,20 @@ def installed_version(package: str) -> str | None:
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
     """Return the versions of those packages that are installed, by name."""
     return {name: version for name in packages if (version := installed_version(name)) is not None}
+
+
+@cache
+def source_commit() -> str | None:
+    """Return the commit of the repository this code runs from, or None; `+` marks changed sources."""
+    root = Path(__file__).resolve().parents[3]
+    if not ((root / ".git").exists() and (root / "pyproject.toml").is_file()):
+        return None
+    try:
+        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=True)
+        changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "src"], cwd=root, check=False)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head.stdout.strip() + ("+" if changed.returncode else "")
 
 
 def usable_cores() -> float:

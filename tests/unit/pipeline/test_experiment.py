@@ -1,4 +1,4 @@
-"""Experiments: files, stages by content, sharing, interruption, pages. The trainer and the judge are stand-ins here."""
+"""Experiments: files, stages by content, sharing, interruption, pages. Training and evaluation are faked here."""
 
 from __future__ import annotations
 
@@ -7,26 +7,41 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+import infrablend.config
 from infrablend import api
 from infrablend.cli import main
 from infrablend.config.experiment import Check, list_experiments, load_experiment, parse_experiment
 from infrablend.config.loading import load_recipe
+from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
-from infrablend.pipeline import experiment as experiments
-from infrablend.pipeline import stages
-from infrablend.report import results
+from infrablend.pipeline.experiments import makers, training_setup
+from infrablend.pipeline.experiments.conclusions import judge_claim
+from infrablend.pipeline.experiments.dataset_facts import spread_images
+from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
+from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
+from infrablend.pipeline.request import Execution
+from infrablend.report.results.differences import list_differences
+from infrablend.report.results.page import page_text
+from infrablend.report.results.write import write_page
 
 RUN = {"scale": "smoke", "renderer": "fake", "workers": 1}
 
 
+SHIPPED = Path(infrablend.config.__file__).parent / "experiments"
+
+
 class Bench:
-    """A trainer and a judge that count their calls; what a detector is worth follows from what it was trained on."""
+    """Fake training, evaluation and comparison that count their calls.
+
+    The figures of a detector follow from the number of objects it was trained on.
+    """
 
     def __init__(self) -> None:
         self.trained: list[Path] = []
@@ -34,23 +49,22 @@ class Bench:
         self.compared: list[tuple[int, int]] = []
         self.stop: Callable[[str], None] = lambda what: None
 
-    def train(self, dataset: Path, out: Path, **said: Any) -> Any:
+    def train(self, dataset: Dataset, out: Path, **options: Any) -> Any:
         self.stop("train")
-        self.trained.append(Path(out))
-        data = api.read_dataset(dataset, api.Reading(options=said["options"]))
-        images = [i for i in data.images if i.split == "train"]
-        names = [c.name for c in data.categories if not c.ignore]
+        self.trained.append(out)
+        images = [i for i in dataset.images if i.split == "train"]
+        names = [c.name for c in dataset.categories if not c.ignore]
         objects = {n: sum(o.category == n for i in images for o in i.instances) for n in names}
-        Path(out).mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         record = {
             "infrablend": "x",
             "status": "complete",
-            "preset": said["preset"],
-            "task": said["task"],
-            "seed": said["seed"],
+            "preset": options["preset"].name,
+            "task": options["task"],
+            "seed": options["seed"],
             "classes": names,
-            "settings": json.loads(json.dumps(api.experiment_inputs.preset_facts(said["preset"], said["settings"]))),
-            "start_asked": said["weights"],
+            "settings": json.loads(json.dumps(training_setup.preset_inputs(options["preset"]))),
+            "start_asked": options["start"],
             "prepared": {
                 "images": 8,
                 "pictures": {"train": len(images)},
@@ -63,17 +77,16 @@ class Bench:
             "epochs_done": 1,
             "seconds": 1.5,
         }
-        (Path(out) / "weights.pt").write_text(json.dumps([names, sum(objects.values())]))
-        (Path(out) / "train.json").write_text(json.dumps(record))
-        return SimpleNamespace(out=Path(out), weights=Path(out) / "weights.pt", record=record)
+        (out / "weights.pt").write_text(json.dumps([names, sum(objects.values())]))
+        (out / "train.json").write_text(json.dumps(record))
+        return SimpleNamespace(out=out, weights=out / "weights.pt", record=record)
 
-    def evaluate(self, weights: Path, dataset: Path, out: Path, **said: Any) -> Any:
+    def evaluate(self, weights: Path, dataset: Dataset, out: Path, **options: Any) -> Any:
         self.stop("evaluate")
-        self.judged.append(Path(out))
-        names, worth = json.loads(Path(weights).read_text())
-        data = api.read_dataset(dataset, api.Reading(options=said["options"]))
-        images = [i for i in data.images if i.split == said["split"]]
-        chosen = said["classes"] or names
+        self.judged.append(out)
+        names, worth = json.loads(weights.read_text())
+        images = [i for i in dataset.images if i.split == options["split"]]
+        chosen = options["classes"] or names
         value = round(worth / 100, 6)
         of_all = {"p": value, "r": value, "map50": value, "map50_95": value / 2}
         ci = {"map50": [value - 0.01, value + 0.01], "map50_95": [value / 2 - 0.01, value / 2 + 0.01]}
@@ -87,12 +100,12 @@ class Bench:
             "strata": {"time": {"day": {"images": 1, "classes": {"all": {"instances": 3, **of_all}}}}},
             "curves": {"recall": [0.0, 1.0], "precision": {n: [1.0, 0.5] for n in table if n != "all"}},
         }
-        Path(out).mkdir(parents=True)
-        (Path(out) / "evaluation.json").write_text(json.dumps(metrics))
-        (Path(out) / "predictions.json").write_text("{}")
-        return SimpleNamespace(out=Path(out), metrics=metrics)
+        out.mkdir(parents=True)
+        (out / "evaluation.json").write_text(json.dumps(metrics))
+        (out / "predictions.json").write_text("{}")
+        return SimpleNamespace(out=out, metrics=metrics)
 
-    def compare(self, ours: list[Path], theirs: list[Path], **said: Any) -> Any:
+    def compare(self, ours: list[Path], theirs: list[Path], **options: Any) -> Any:
         self.compared.append((len(ours), len(theirs)))
         a, b = (json.loads((p[0] / "evaluation.json").read_text())["classes"] for p in (ours, theirs))
         both = [n for n in a if n in b]
@@ -109,10 +122,10 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     found = Bench()
-    monkeypatch.setattr(api, "train", found.train)
-    monkeypatch.setattr(api, "evaluate", found.evaluate)
-    monkeypatch.setattr(api, "compare_evaluations", found.compare)
-    monkeypatch.setattr(api, "_require_training", lambda device: None)
+    monkeypatch.setattr(makers, "train_dataset", found.train)
+    monkeypatch.setattr(makers, "evaluate_detector", found.evaluate)
+    monkeypatch.setattr(makers, "compare_evaluations", found.compare)
+    monkeypatch.setattr(training_setup, "require_trainer", lambda device: None)
     return found
 
 
@@ -122,7 +135,14 @@ def data(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
 
 
 def run(name: str, data: Path | list[Path], work: Path, **more: Any) -> Any:
-    return api.experiment(name, data, work, work / "results", **{**RUN, **more})
+    on_stage = more.pop("on_stage", None)
+    folders = tuple(data) if isinstance(data, list) else (data,)
+    request = ExperimentRequest(name, folders, work, work / "results", **{**RUN, **more})
+    return api.experiment(request, on_stage=on_stage)
+
+
+def plan(name: str, data: Path, work: Path, results: Path | None = None, **more: Any) -> Any:
+    return api.plan_experiment(ExperimentRequest(name, (data,), work, results, **{"scale": "smoke", **more}))
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -210,7 +230,13 @@ def test_a_run_ends_in_a_page_and_a_second_makes_nothing(bench: Bench, data: Pat
     assert ("train:fixed", "done") in news
     page = report.page.read_text("utf-8")
     assert report.page.name == "pitch-alignment-smoke.md"
-    for words in ("0.133 → ", "Fixed 0° is below random", "What differs from the paper", "Seed".lower(), "numpy"):
+    for words in (
+        "0.133 → ",
+        "A fixed pitch of 0° is worse than a random pitch",
+        "What differs from the paper",
+        "Seed".lower(),
+        "numpy",
+    ):
         assert words in page
     assert str(tmp_path) not in page and str(tmp_path) not in report.page.with_suffix(".json").read_text("utf-8")
     facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
@@ -235,14 +261,14 @@ def test_only_what_is_needed_is_generated(bench: Bench, data: Path, tmp_path: Pa
 
 
 def _name(folder: Path) -> str:
-    return str(json.loads((folder / stages.RECORD).read_text())["name"])
+    return str(json.loads((folder / RECORD).read_text())["name"])
 
 
 def test_experiments_share_what_is_the_same(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     run("pitch-alignment", data, work)
     report = run("hit-uav-drone", data, work)
-    assert report.made == () and "train:aligned" in report.there
+    assert report.made == () and "train:aligned" in report.reused
     more = run("hit-uav", data, work)
     assert set(more.made) == {
         "train:original", "evaluate:original", "evaluate:aligned-on-original", "compare:added-class",
@@ -267,7 +293,7 @@ def test_a_stopped_run_says_so_and_goes_on(bench: Bench, data: Path, tmp_path: P
             raise Interrupted("Stopped; the same command with --resume begins it again.")
 
     bench.stop = stop
-    with pytest.raises(Interrupted, match=r"The same command goes on\.$"):
+    with pytest.raises(Interrupted, match=r"Run the same command to continue\.$"):
         run("pitch-alignment", data, work)
     page = (work / "results" / "pitch-alignment-smoke.md").read_text("utf-8")
     assert "This run is not finished" in page and f"`{where}:fixed`" in page
@@ -280,11 +306,12 @@ def test_a_stopped_run_says_so_and_goes_on(bench: Bench, data: Path, tmp_path: P
 
 KILLED = """
 import os, signal, sys
-from infrablend import api
+from pathlib import Path
 sys.path.insert(0, {tests!r})
-from tests.unit.pipeline.test_experiment import Bench
+from infrablend import api
+from infrablend.pipeline.experiments import makers, training_setup
+from tests.unit.pipeline.test_experiment import Bench, run
 bench = Bench()
-real = {{n: getattr(api, n) for n in ("generate", "split")}}
 calls = []
 def killing(name, function):
     def call(*args, **kwargs):
@@ -294,11 +321,12 @@ def killing(name, function):
             os.kill(os.getpid(), signal.SIGKILL)
         return function(*args, **kwargs)
     return call
-api.train, api.evaluate = killing("train", bench.train), killing("evaluate", bench.evaluate)
-api.experiment_inputs.generate = killing("generate", api.experiment_inputs.generate)
-api.compare_evaluations = killing("compare", bench.compare)
-api._require_training = lambda device: None
-api.experiment("pitch-alignment", {data!r}, {work!r}, {out!r}, scale="smoke", renderer="fake", workers=1)
+makers.train_dataset = killing("train", bench.train)
+makers.evaluate_detector = killing("evaluate", bench.evaluate)
+makers.generate_run = killing("generate", makers.generate_run)
+makers.compare_evaluations = killing("compare", bench.compare)
+training_setup.require_trainer = lambda device: None
+run("pitch-alignment", Path({data!r}), Path({work!r}))
 """
 
 
@@ -306,11 +334,11 @@ api.experiment("pitch-alignment", {data!r}, {work!r}, {out!r}, scale="smoke", re
 def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
     work = tmp_path / "work"
     root = Path(__file__).resolve().parents[3]
-    code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work), out=str(work / "results"))
+    code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work))
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
     assert done.returncode == -9, done.stderr
     report = run("pitch-alignment", data, work)
-    assert report.status == "complete" and report.there and report.made
+    assert report.status == "complete" and report.reused and report.made
     whole = run("pitch-alignment", data, tmp_path / "other")
     figures = ("evaluations", "comparisons", "tables", "checks")
     assert {k: report.facts[k] for k in figures} == {k: whole.facts[k] for k in figures}
@@ -368,23 +396,19 @@ def test_data_that_a_finished_training_was_made_of_are_not_made_again(bench: Ben
 def test_keys_and_folders_of_finished_stages_stay_valid(tmp_path: Path) -> None:
     """Finished stages are found by these keys: a change would make every user repeat every training."""
     chain = [
-        stages.Stage("world", "town", {"layout": "hit-uav", "images": 8, "seed": 0, "version": "0.1.0"}, {}),
-        stages.Stage("source", "town", {"limits": {"train": 4}}, {"of": "world:town"}),
-        stages.Stage(
-            "generate", "run", {"recipe": {"name": "x"}, "splits": ["train"], "seed": 0}, {"of": "source:town"}
-        ),
-        stages.Stage("convert", "part", {"only": "drone", "splits": ["train"], "seed": 0}, {"of": "generate:run"}),
-        stages.Stage("split", "dates", {"by": "date", "gap": None, "shares": [0.7, 0.1, 0.2]}, {"of": "source:town"}),
-        stages.Stage("train", "a", {"preset": {"epochs": 1}, "seed": 0, "weights": "auto"}, {"data": "convert:part"}),
-        stages.Stage(
-            "evaluate", "a", {"split": "test", "bootstrap": 9}, {"training": "train:a", "data": "split:dates"}
-        ),
-        stages.Stage("compare", "aa", {"bootstrap": 9, "seed": 0}, {"a": "evaluate:a", "b": "evaluate:a"}),
+        Stage("world", "town", {"layout": "hit-uav", "images": 8, "seed": 0, "version": "0.1.0"}, {}),
+        Stage("source", "town", {"limits": {"train": 4}}, {"of": "world:town"}),
+        Stage("generate", "run", {"recipe": {"name": "x"}, "splits": ["train"], "seed": 0}, {"of": "source:town"}),
+        Stage("convert", "part", {"only": "drone", "splits": ["train"], "seed": 0}, {"of": "generate:run"}),
+        Stage("split", "dates", {"by": "date", "gap": None, "shares": [0.7, 0.1, 0.2]}, {"of": "source:town"}),
+        Stage("train", "a", {"preset": {"epochs": 1}, "seed": 0, "weights": "auto"}, {"data": "convert:part"}),
+        Stage("evaluate", "a", {"split": "test", "bootstrap": 9}, {"training": "train:a", "data": "split:dates"}),
+        Stage("compare", "aa", {"bootstrap": 9, "seed": 0}, {"a": "evaluate:a", "b": "evaluate:a"}),
     ]
-    keys = stages.keys_of(chain)
+    keys = stage_keys(chain)
     assert keys == PINNED_KEYS
-    assert stages.folder_of(tmp_path, chain[5], keys["train:a"]) == tmp_path / "train" / keys["train:a"]
-    assert stages.RECORD == "stage.json"
+    assert stage_folder(tmp_path, chain[5], keys["train:a"]) == tmp_path / "train" / keys["train:a"]
+    assert RECORD == "stage.json"
 
 
 PINNED_KEYS = {
@@ -400,8 +424,8 @@ PINNED_KEYS = {
 
 
 def keys(name: str, data: Path, tmp_path: Path, **more: Any) -> dict[str, str]:
-    plan = api.plan_experiment(name, data, tmp_path / "none", **{"scale": "smoke", "renderer": "fake", **more})
-    return {s["stage"]: s["key"] for s in plan.facts["stages"]}
+    facts = plan(name, data, tmp_path / "none", **{"renderer": "fake", **more}).facts
+    return {s["stage"]: s["key"] for s in facts["stages"]}
 
 
 def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
@@ -415,7 +439,7 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
     assert drone["evaluate:aligned"] == one["evaluate:aligned"]
 
     mine = tmp_path / "mine.yaml"
-    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav-drone.yaml").read_text()
+    text = (SHIPPED / "hit-uav-drone.yaml").read_text()
     mine.write_text(text.replace("recipe: hit-uav-drone,", "recipe: hit-uav-drone, settings: {camera.roll_deg: 3},"))
     changed = keys(str(mine), data, tmp_path)
     assert changed["source:hit-uav"] == drone["source:hit-uav"]
@@ -431,41 +455,41 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
 
 def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    plan = api.plan_experiment("pitch-alignment", data, work, scale="smoke", renderer="fake").facts
+    facts = plan("pitch-alignment", data, work, renderer="fake").facts
     assert not work.exists()
-    assert plan["to_do"] == len(plan["stages"]) == 14
-    assert plan["about_s"] > 0 and plan["disk_bytes"] > 0
+    assert facts["to_do"] == len(facts["stages"]) == 14
+    assert facts["about_s"] > 0 and facts["disk_bytes"] > 0
     run("hit-uav-drone", data, work)
     before = files_of(work)
-    plan = api.plan_experiment("pitch-alignment", data, work, scale="smoke", renderer="fake").facts
+    facts = plan("pitch-alignment", data, work, renderer="fake").facts
     assert files_of(work) == before
-    status = {s["stage"]: s["status"] for s in plan["stages"]}
+    status = {s["stage"]: s["status"] for s in facts["stages"]}
     assert status["train:aligned"] == "done" and status["train:fixed"] == "to do"
-    small = api.plan_experiment("pitch-alignment", data, work, scale="small").facts
+    small = plan("pitch-alignment", data, work, scale="small").facts
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
 
 
 def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path, tmp_path: Path) -> None:
-    def plan(**more: Any) -> dict[str, Any]:
-        facts = api.plan_experiment("pitch-alignment", data, tmp_path / "work", **{"scale": "smoke", **more}).facts
+    def statuses(**more: Any) -> dict[str, Any]:
+        facts = plan("pitch-alignment", data, tmp_path / "work", **more).facts
         return {s["stage"]: s["status"] for s in facts["stages"]} | {"to_do": facts["to_do"]}
 
     one = {"source:hit-uav": "to do", "generate:fixed": "to do", "train:fixed": "to do", "to_do": 3}
-    assert plan(only=["train:fixed"], renderer="fake") == one
+    assert statuses(only=["train:fixed"], renderer="fake") == one
     with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
-        plan(only=["train:foxed"])
+        statuses(only=["train:foxed"])
     with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
-        plan(adopt={"train:foxed": data})
+        statuses(adopt={"train:foxed": data})
     with pytest.raises(DatasetError, match="a stage of evaluate; expected a stage of train"):
-        plan(adopt={"evaluate:fixed": data})
-    with pytest.raises(DatasetError, match="generate:fixed is not there"):
-        plan(adopt={"train:fixed": data})
+        statuses(adopt={"evaluate:fixed": data})
+    with pytest.raises(DatasetError, match="generate:fixed is not finished"):
+        statuses(adopt={"train:fixed": data})
     with pytest.raises(DatasetError, match="no such folder"):
-        plan(adopt={"generate:fixed": tmp_path / "nowhere"})
-    taken = plan(adopt={"generate:fixed": data, "train:fixed": data}, only=["evaluate:fixed"])
-    assert (taken["train:fixed"], taken["generate:fixed"], taken["to_do"]) == ("taken over", "taken over", 3)
+        statuses(adopt={"generate:fixed": tmp_path / "nowhere"})
+    taken = statuses(adopt={"generate:fixed": data, "train:fixed": data}, only=["evaluate:fixed"])
+    assert (taken["train:fixed"], taken["generate:fixed"], taken["to_do"]) == ("adopted", "adopted", 3)
     with pytest.raises(OutputError, match="data folder"):
-        api.plan_experiment("pitch-alignment", data, tmp_path / "work", data, scale="smoke")
+        plan("pitch-alignment", data, tmp_path / "work", data, scale="smoke")
     assert not (tmp_path / "work").exists()
 
 
@@ -475,27 +499,43 @@ def test_a_plan_wants_the_device_that_is_asked_for(
     def refuse(device: str) -> None:
         raise MissingDependencyError(f"no {device}")
 
-    monkeypatch.setattr(api, "_require_training", refuse)
-    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cpu")
+    monkeypatch.setattr(training_setup, "require_trainer", refuse)
+    plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cpu")
     with pytest.raises(MissingDependencyError, match="no cuda"):
-        api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda")
-    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda", only=["generate"])
+        plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda")
+    plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda", only=["generate"])
 
 
 def test_a_misspelled_setting_is_refused_before_anything_is_made(bench: Bench, data: Path, tmp_path: Path) -> None:
     pytest.importorskip("ultralytics")
     wrong = {"training": {"pases": 100}}
     with pytest.raises(OutputError, match="pases"):
-        api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", **wrong)
+        plan("pitch-alignment", data, tmp_path / "work", scale="smoke", **wrong)
     with pytest.raises(OutputError, match="pases"):
         run("pitch-alignment", data, tmp_path / "work", **wrong)
     assert not (tmp_path / "work").exists()
-    api.plan_experiment("pitch-alignment", data, tmp_path / "work", scale="smoke", training={"passes": 100, "lr0": 0.1})
+    plan("pitch-alignment", data, tmp_path / "work", scale="smoke", training={"passes": 100, "lr0": 0.1})
+
+
+def test_the_users_settings_win_over_those_of_the_file() -> None:
+    """The key and the trainer use the same preset."""
+    spec = load_experiment("hit-uav").trainings["aligned-longer"]
+    assert training_setup.training_preset(spec, ExperimentRequest("hit-uav")).passes == 18840
+    chosen = training_setup.training_preset(spec, ExperimentRequest("hit-uav", training={"passes": 4000}))
+    assert chosen.passes == 4000
+
+
+def test_the_page_goes_to_the_current_folder_unless_another_is_named(tmp_path: Path) -> None:
+    assert ExperimentRequest("hit-uav").results_folder == DEFAULT_RESULTS == Path("results")
+    assert ExperimentRequest("hit-uav", work=tmp_path, scale="smoke").results_folder == tmp_path / "results"
+    assert ExperimentRequest("hit-uav", results=tmp_path).results_folder == tmp_path
+    with pytest.raises(DatasetError, match="expected one of smoke, small, paper"):
+        ExperimentRequest("hit-uav", scale="huge")  # type: ignore[arg-type]
 
 
 def test_the_same_with_other_seeds(bench: Bench, data: Path, tmp_path: Path) -> None:
     """`reseed` makes another training of the same data; a comparison of several says so on the page."""
-    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav.yaml").read_text()
+    text = (SHIPPED / "hit-uav.yaml").read_text()
     mine = tmp_path / "mine.yaml"
     mine.write_text(text.replace(": [small]", ": [small, smoke]").replace("scales: [small]", "scales: [small, smoke]"))
     one = keys(str(mine), data, tmp_path)
@@ -508,13 +548,13 @@ def test_the_same_with_other_seeds(bench: Bench, data: Path, tmp_path: Path) -> 
     assert bench.compared.count((3, 3)) == 1
     facts = json.loads(report.page.with_suffix(".json").read_text())
     assert facts["comparisons"]["added-class-seeds"]["a"] == ["aligned-longer", "aligned-longer-1", "aligned-longer-2"]
-    assert "the detectors are drawn, too" in report.page.read_text()
+    assert "the detectors are drawn as well" in report.page.read_text()
     assert "seed 2" in report.page.read_text()
 
 
 @pytest.mark.parametrize("which", ["[aligned-longer, original]", "[original, aligned]"])
 def test_only_evaluations_on_the_same_images_are_compared(which: str, data: Path, tmp_path: Path) -> None:
-    text = (Path(experiments.__file__).parents[1] / "config" / "experiments" / "hit-uav.yaml").read_text()
+    text = (SHIPPED / "hit-uav.yaml").read_text()
     mine = tmp_path / "mine.yaml"
     mine.write_text(text.replace("b: original, title: trained with drones -", f"b: {which}, title: trained with -"))
     if "aligned]" in which:  # `aligned` is on other images
@@ -574,7 +614,7 @@ def test_without_a_trainer_nothing_is_begun(
     def refuse(device: str) -> None:
         raise MissingDependencyError('pip install "infrablend[train]"')
 
-    monkeypatch.setattr(api, "_require_training", refuse)
+    monkeypatch.setattr(training_setup, "require_trainer", refuse)
     with pytest.raises(MissingDependencyError):
         run("hit-uav-drone", data, tmp_path / "w")
     assert not (tmp_path / "w" / "generate").exists()
@@ -615,7 +655,7 @@ def test_datasets_are_counted_without_training(bench: Bench, data: Path, tmp_pat
 
 def test_a_part_of_a_source_holds_every_class(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
     dataset = api.read_dataset(write_tiny_hit_uav(tmp_path / "d"))
-    some = list(stages.some_of(dataset, {"train": 1}))
+    some = list(spread_images(dataset, {"train": 1}))
     assert [i.split for i in some] == ["train", "val", "test"]
     assert {o.category for o in some[0].instances} == {"Car", "Person"}  # not the empty image
 
@@ -632,7 +672,7 @@ def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench,
     adopt = {"generate:aligned": generated / "out", "train:aligned": made / "out"}
     report = run("hit-uav-drone", data, tmp_path / "second", adopt=adopt)
     assert report.status == "complete" and len(bench.trained) == trained
-    assert "taken over" in report.page.read_text("utf-8")
+    assert "adopted and checked" in report.page.read_text("utf-8")
 
     record = json.loads((made / "out" / "train.json").read_text())
     other = tmp_path / "other"
@@ -695,42 +735,42 @@ def difference(low: float, high: float) -> dict[str, Any]:
 )
 def test_conclusions_follow_from_intervals(expect: Any, low: float, high: float, holds: bool | None) -> None:
     check = Check(text="t", comparison="c", category="Drone", expect=expect)
-    found = experiments.judge(check, {}, difference(low, high), {})
+    found = judge_claim(check, {}, difference(low, high), {})
     assert found["holds"] is holds and found["ci"] == [low, high]
 
 
 def test_a_ratio_is_judged_by_its_least() -> None:
     figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
     check = Check(text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7)
-    found = experiments.judge(check, figures, {}, {})
+    found = judge_claim(check, figures, {}, {})
     assert found["ratio"] == 0.7 and found["holds"] is True
     figures["a"]["classes"]["Person"]["map50"] = 0.34
-    assert experiments.judge(check, figures, {}, {})["holds"] is False
-    assert experiments.judge(check, {}, {}, {})["holds"] is None
+    assert judge_claim(check, figures, {}, {})["holds"] is False
+    assert judge_claim(check, {}, {}, {})["holds"] is None
 
 
 @pytest.mark.parametrize(
-    ("scale", "said"), [("smoke", "figures mean nothing"), ("small", "compared with each other"), ("paper", None)]
+    ("scale", "said"), [("smoke", "figures mean nothing"), ("small", "with each other"), ("paper", None)]
 )
 def test_a_page_says_what_its_figures_are_worth(
     scale: str, said: str | None, bench: Bench, data: Path, tmp_path: Path
 ) -> None:
     facts = run("hit-uav-drone", data, tmp_path / "work").facts
-    text = " ".join(results.differences({**facts, "scale": scale}))
-    assert [s for s in ("figures mean nothing", "compared with each other") if s in text] == ([said] if said else [])
+    text = " ".join(list_differences({**facts, "scale": scale}))
+    assert [s for s in ("figures mean nothing", "with each other") if s in text] == ([said] if said else [])
 
 
 def test_pages_of_scales_stand_side_by_side(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("hit-uav-drone", data, tmp_path / "work")
     out = tmp_path / "results"
     small = {**report.facts, "scale": "small"}
-    results.write_page(small, out)
-    results.write_page(report.facts, out)
+    write_page(small, out)
+    write_page(report.facts, out)
     assert {"hit-uav-drone.md", "hit-uav-drone-smoke.md", "index.md"} <= {p.name for p in out.iterdir()}
     index = (out / "index.md").read_text("utf-8")
     assert "| small | complete |" in index and "| smoke | complete |" in index
     before = files_of(out)
-    results.write_page(report.facts, out)
+    write_page(report.facts, out)
     assert files_of(out) == before
 
 
@@ -748,7 +788,7 @@ def test_the_json_alone_makes_the_page(bench: Bench, data: Path, tmp_path: Path)
         for p in [report.page.with_name(f"hit-uav-smoke_{name}.svg")]
     ]
     assert all((report.page.parent / name).is_file() for name, _ in shown)
-    assert results.page_text(facts, shown) == report.page.read_text("utf-8")
+    assert page_text(facts, shown) == report.page.read_text("utf-8")
 
 
 # The command.
@@ -757,10 +797,9 @@ def test_the_json_alone_makes_the_page(bench: Bench, data: Path, tmp_path: Path)
 def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = api.experiment_inputs.generate
-    monkeypatch.setattr(
-        api.experiment_inputs, "generate", lambda *a, **k: made(*a, **{**k, "renderer": "fake", "in_process": True})
-    )
+    make = makers.generate_run
+    fake = Execution(renderer="fake", in_process=True)
+    monkeypatch.setattr(makers, "generate_run", lambda run, tell: make(replace(run, execution=fake), tell))
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
     assert main(["experiment", "--list"]) == 0
     assert "pitch-alignment" in capsys.readouterr().out
@@ -781,7 +820,7 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     facts = json.loads(capsys.readouterr().out)
     assert facts["made"] == [] and facts["status"] == "complete"
     assert main(command) == 0
-    assert "nothing to do: every stage was there" in capsys.readouterr().out
+    assert "nothing to do: every stage was finished before" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,82 @@
+"""Conclusions of an experiment: whether a claim holds, computed from intervals and ratios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from infrablend.config.experiment import Check
+from infrablend.pipeline.experiments.dataset_facts import class_key
+
+
+def find_class(figures: Mapping[str, Any], category: str) -> str | None:
+    """Return the name under which an evaluation lists a class, whatever its case and blanks, or None."""
+    return next((n for n in figures if class_key(n) == class_key(category)), None)
+
+
+def judge_claim(
+    check: Check,
+    evaluations: Mapping[str, Any],
+    comparisons: Mapping[str, Any],
+    left_out: Mapping[str, str],
+    *,
+    verdict: bool = True,
+) -> dict[str, Any]:
+    """Return a claim with the numbers it rests on and `holds`: True, False, or None where that cannot be decided.
+
+    Without `verdict` (a smoke run trains only a few steps) `holds` is always None.
+    """
+    claim: dict[str, Any] = {
+        "text": check.text,
+        "class": check.category,
+        "metric": check.metric,
+        "expect": check.expect,
+        "holds": None,
+    }
+    if check.comparison is not None:
+        return claim | _judge_interval(check, comparisons, left_out, verdict)
+    return claim | _judge_ratio(check, evaluations, left_out, verdict)
+
+
+def _judge_interval(
+    check: Check, comparisons: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
+) -> dict[str, Any]:
+    assert check.comparison is not None
+    classes = comparisons.get(check.comparison, {}).get("classes", {})
+    name = find_class(classes, check.category)
+    found = None if name is None else classes[name].get(check.metric)
+    if found is None or found.get("ci") is None:
+        why = left_out.get(check.comparison, "not run yet, or no such class or figure")
+        return {"comparison": check.comparison, "missing": why}
+    low, high = found["ci"]
+    holds = {
+        "below": high < 0,
+        "above": low > 0,
+        "within": low <= 0 <= high,
+        "not_below": high >= 0,
+        "report": None,
+    }[check.expect]
+    return {
+        "comparison": check.comparison,
+        "difference": found["difference"],
+        "ci": [low, high],
+        "same_sign": found.get("same_sign"),
+        "holds": holds if verdict else None,
+    }
+
+
+def _judge_ratio(
+    check: Check, evaluations: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
+) -> dict[str, Any]:
+    assert check.ratio is not None
+    values = []
+    for e in check.ratio:
+        classes = evaluations.get(e, {}).get("classes", {})
+        name = find_class(classes, check.category)
+        values.append(None if name is None else classes[name].get(check.metric))
+    names = list(check.ratio)
+    if values[0] is None or not values[1]:
+        return {"ratio_of": names, "missing": next((left_out[e] for e in names if e in left_out), "not run yet")}
+    ratio = values[0] / values[1]
+    holds = None if check.least is None or not verdict else ratio >= check.least
+    return {"ratio_of": names, "values": values, "ratio": round(ratio, 6), "least": check.least, "holds": holds}

@@ -1,0 +1,114 @@
+"""Estimates of time and disk space, from finished stages in the work folder or else from constants."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.experiment import Generate
+from infrablend.config.loading import load_recipe
+from infrablend.core.cores import available_cores
+from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.experiments.stage import RECORD, Stage, read_stage_record
+from infrablend.pipeline.experiments.training_setup import runs_on_gpu, training_preset, training_seconds
+
+# Seconds on two cores, as in docs/explanation/performance.md.
+FRAME_S, OBJECT_S = 0.15, 0.1
+WORLD_S = 2.0
+COPY_S = 0.002
+PREDICT_S = {"cpu": 0.15, "gpu": 0.01}
+COMPARE_S = 20.0
+START_S = 5.0
+IMAGE_BYTES = 120_000
+WEIGHTS_BYTES = 60_000_000
+LABELS_BYTES = 2_000  # labels and predictions of an image; the pictures themselves are hard links
+
+Rates = Mapping[tuple[str, str], float]
+"""Measured seconds per image, by kind of stage and network."""
+
+
+def measured_rates(work: Path) -> Rates:
+    """Return seconds per image of the finished stages in a work folder; per image shown for trainings."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for path in sorted(work.glob(f"*/*/{RECORD}")):
+        record = read_stage_record(path.parent) or {}
+        if record.get("status") != "complete":
+            continue
+        with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):  # a record that is not ours
+            seconds, images = _seconds_and_images(record)
+            if images:
+                found.setdefault((str(record["kind"]), _network(record["inputs"])), []).append(seconds / images)
+    return {k: sum(v) / len(v) for k, v in found.items()}
+
+
+def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
+    """Return how long a stage took and on how many images; 0 images for kinds whose time says nothing of others."""
+    result, seconds = record["result"], float(record["seconds"])
+    match record["kind"]:
+        case "train":
+            return float(result["record"]["seconds"]), int(result["record"]["passes"])
+        case "evaluate":
+            return seconds, int(result["metrics"]["classes"]["all"]["images"])
+        case "world":
+            return seconds, sum(result["images"].values())
+    return seconds, 0
+
+
+def _network(inputs: Mapping[str, Any]) -> str:
+    """Return what the time of a training for one image depends on; empty for other stages."""
+    preset = inputs.get("preset") or {}
+    return " ".join(str(preset[k]) for k in ("model", "image_size") if k in preset)
+
+
+def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> float:
+    """Return about how many seconds a stage takes."""
+    images = sum(stage.images.values())
+    known = rates.get((stage.kind, _network(stage.inputs)))
+    if stage.kind == "train":
+        if known is not None and (passes := stage.inputs["preset"].get("passes")):
+            return START_S + float(passes) * known
+        gpu = runs_on_gpu(request.device)
+        return training_seconds(training_preset(stage.spec, request), stage.images.get("train", 0), gpu=gpu)
+    if known is not None:
+        return START_S + images * known
+    match stage.kind:
+        case "world":
+            return START_S + images * WORLD_S
+        case "generate":
+            return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
+        case "evaluate":
+            return START_S + images * PREDICT_S["gpu" if runs_on_gpu(request.device) else "cpu"]
+        case "compare":
+            return COMPARE_S * (0.1 if request.scale == "smoke" else 1.0)
+    return images * COPY_S
+
+
+def _mean_objects(spec: Generate) -> float:
+    """Return the mean number of objects that a recipe inserts into a frame."""
+    total = 0.0
+    for o in load_recipe(spec.recipe, spec.settings).objects:
+        if isinstance(o.count, int):
+            total += o.count
+        else:
+            weights = o.count.weights or (1.0,) * len(o.count.values)
+            total += sum(v * w for v, w in zip(o.count.values, weights, strict=True)) / sum(weights)
+    return total
+
+
+def estimate_bytes(stage: Stage) -> int:
+    """Return about how much disk space a stage takes."""
+    images = sum(stage.images.values())
+    if stage.kind in ("generate", "world"):
+        return images * IMAGE_BYTES
+    if stage.kind == "train":
+        return images * IMAGE_BYTES + WEIGHTS_BYTES
+    return images * LABELS_BYTES
+
+
+def free_bytes(work: Path) -> int:
+    """Return the free space where the work folder is, or will be."""
+    existing = next(p for p in (work.absolute(), *work.absolute().parents) if p.exists())
+    return shutil.disk_usage(existing).free

@@ -1,0 +1,320 @@
+"""From an experiment's file and the user's datasets to the graph of its stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend import __version__
+from infrablend.config.experiment import (
+    Convert,
+    Evaluation,
+    Experiment,
+    Generate,
+    Resplit,
+    Scale,
+    Source,
+    Training,
+    parents_of,
+)
+from infrablend.config.loading import load_recipe
+from infrablend.core.dataset import SPLITS
+from infrablend.core.wording import did_you_mean
+from infrablend.errors import DatasetError, Problem
+from infrablend.pipeline.content import content_digest
+from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset
+from infrablend.pipeline.experiments.recipe_inputs import recipe_inputs
+from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.experiments.sources import where_to_get
+from infrablend.pipeline.experiments.stage import Stage, stage_keys
+from infrablend.pipeline.experiments.training_setup import preset_inputs, training_preset
+from infrablend.report.card import WORLD_FILE
+
+BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
+"""Number of bootstrap draws at each scale."""
+OTHER_SCALES = "at other scales only"
+STAND_IN_IMAGES = 24
+
+
+@dataclass(frozen=True)
+class StageGraph:
+    """The stages of an experiment at one scale.
+
+    Attributes:
+        stages: Stages in an order in which each comes after those it needs.
+        keys: Key of each stage, by id.
+        left_out: Reason why a source, dataset, training, evaluation or comparison has no stage, by name.
+        given: Folders given by the user, by source.
+        stand_ins: Sources replaced by a virtual world.
+    """
+
+    stages: tuple[Stage, ...]
+    keys: Mapping[str, str]
+    left_out: Mapping[str, str]
+    given: Mapping[str, Path]
+    stand_ins: tuple[str, ...] = ()
+
+    @property
+    def by_id(self) -> dict[str, Stage]:
+        """Stages by id."""
+        return {s.id: s for s in self.stages}
+
+    def select(self, only: Sequence[str], finished: Collection[str] = ()) -> set[str]:
+        """Return the ids of the stages that `only` names (by kind, name or id) and of all that these need.
+
+        The stages that a `finished` one was made from are not included.
+
+        Raises:
+            DatasetError: A word names no stage.
+        """
+        by_id = self.by_id
+        if not only:
+            return set(by_id)
+        words = {w for s in self.stages for w in (s.kind, s.name, s.id)}
+        unknown = [w for w in only if w not in words]
+        if unknown:
+            raise unknown_stage("--only", unknown, by_id, words)
+        chosen: set[str] = set()
+        queue = [s.id for s in self.stages if any(w in (s.kind, s.name, s.id) for w in only)]
+        while queue:
+            if (one := queue.pop()) not in chosen:
+                chosen.add(one)
+                queue += [] if one in finished else by_id[one].needs.values()
+        return chosen
+
+
+def unknown_stage(option: str, unknown: Sequence[str], ids: Iterable[str], words: Iterable[str]) -> DatasetError:
+    """Return the error for words that name no stage, with the closest stage as a suggestion."""
+    todo = did_you_mean(unknown[0], words)
+    problem = Problem(option, "stage-unknown", ", ".join(unknown), f"some of {', '.join(ids)}", todo)
+    return DatasetError("no such stage", [problem])
+
+
+def build_graph(experiment: Experiment, given: Mapping[str, Path], request: ExperimentRequest) -> StageGraph:
+    """Return the stages of an experiment at the request's scale; reads the given datasets.
+
+    Raises:
+        DatasetError: A dataset cannot be read or lacks a class or split.
+        RecipeError: A recipe is wrong.
+    """
+    builder = _Builder(experiment, given, request)
+    for name, source in experiment.sources.items():
+        builder.add_source(name, source)
+    for name in _parents_first(experiment):
+        builder.add_data(name)
+    for name, training in experiment.trainings.items():
+        builder.add_training(name, training)
+    for name, evaluation in experiment.evaluations.items():
+        builder.add_evaluation(name, evaluation)
+    for name in experiment.comparisons:
+        builder.add_comparison(name)
+    if builder.problems:
+        raise DatasetError(f"experiment {experiment.name}: cannot be run on these data", builder.problems)
+    stages = _without_unused_sources(experiment, list(builder.stages.values()))
+    return StageGraph(stages, stage_keys(stages), builder.left_out, given, tuple(builder.stand_ins))
+
+
+def _without_unused_sources(experiment: Experiment, stages: Sequence[Stage]) -> tuple[Stage, ...]:
+    """Return the stages without sources that nothing at this scale needs."""
+    counted = {d for f in experiment.facts for d in f.data}
+    used = set()
+    for s in reversed(stages):
+        if s.kind not in ("source", "world") or s.id in used or s.name in counted:
+            used |= {s.id, *s.needs.values()}
+    return tuple(s for s in stages if s.id in used)
+
+
+def _parents_first(experiment: Experiment) -> list[str]:
+    """Return the names of data items, each after those it is made from.
+
+    Raises:
+        DatasetError: Some are made from each other.
+    """
+    order: list[str] = []
+    rest = list(experiment.data)
+    while rest:
+        ready = [n for n in rest if not set(parents_of(experiment.data[n])) & set(rest)]
+        if not ready:
+            problem = Problem("data", "experiment-value", f"{', '.join(rest)} are made from each other in a circle")
+            raise DatasetError(f"experiment {experiment.name}: data that need each other", [problem])
+        order += ready
+        rest = [n for n in rest if n not in ready]
+    return order
+
+
+class _Builder:
+    """Stages, problems and reasons for leaving something out, collected while walking through the file."""
+
+    def __init__(self, experiment: Experiment, given: Mapping[str, Path], request: ExperimentRequest) -> None:
+        self.experiment, self.given, self.request = experiment, given, request
+        self.stages: dict[str, Stage] = {}
+        self.left_out: dict[str, str] = {}
+        self.problems: list[Problem] = []
+        self.stand_ins: list[str] = []
+        self.made_by: dict[str, str] = {}  # id of the stage that makes a source or data item
+
+    def add(self, stage: Stage) -> None:
+        self.stages[stage.id] = stage
+
+    def add_source(self, name: str, source: Source) -> None:
+        path = self.given.get(name)
+        if path is not None:
+            self._add_given(name, source, path)
+        elif source.stand_in is not None:
+            self._add_stand_in(name, source)
+        else:
+            self.left_out[name] = f"no folder of {source.title} was given; {where_to_get(source)}"
+            return
+        self.made_by[name] = f"source:{name}"
+
+    def _limits(self, source: Source) -> dict[str, int]:
+        return {str(s): n for s, n in source.limits.get(self.request.scale, {}).items()}
+
+    def _add_stand_in(self, name: str, source: Source) -> None:
+        """Add a virtual world in place of a dataset that was not given."""
+        limits = self._limits(source)
+        count = source.stand_in_images.get(self.request.scale, STAND_IN_IMAGES)
+        inputs = {"layout": source.stand_in, "images": count, "seed": self.request.seed, "version": __version__}
+        images = {"train": round(0.7 * count), "val": round(0.1 * count), "test": count - round(0.8 * count)}
+        self.add(Stage("world", name, inputs, {}, source, images))
+        needs = {"of": f"world:{name}"}
+        self.add(Stage("source", name, {"limits": limits}, needs, source, _limited(images, limits)))
+        self.stand_ins.append(name)
+
+    def _add_given(self, name: str, source: Source, path: Path) -> None:
+        limits = self._limits(source)
+        virtual = (path / WORLD_FILE).is_file()
+        options = {} if virtual else dict(source.options)
+        if virtual:
+            self.stand_ins.append(name)
+        dataset = read_dataset(path, options=options)
+        facts = dataset_facts(dataset)
+        labelled = {class_key(c) for of_split in facts["labels"].values() for c in of_split}
+        missing = [c for c in source.classes if class_key(c) not in labelled]
+        if missing:
+            found = f"no label of {', '.join(missing)}; it has {', '.join(facts['classes']) or 'no class'}"
+            self.problems.append(Problem(str(path), "class-missing", found, f"labels of {', '.join(missing)}"))
+        needed = self._needed_splits(name)
+        empty = [s for s in needed if not facts["images"].get(s)]
+        if empty:
+            found, expected = f"no image in {', '.join(empty)}", f"images in {', '.join(needed)}"
+            self.problems.append(Problem(str(path), "split-empty", found, expected, "see `infrablend split`"))
+        inputs = {"content": content_digest(dataset), "options": options, "limits": limits}
+        self.add(Stage("source", name, inputs, {}, source, _limited(facts["images"], limits), path))
+
+    def _needed_splits(self, name: str) -> list[str]:
+        """Return the splits of a source that data, trainings or evaluations use."""
+        e = self.experiment
+        found = {s for d in e.data.values() if d.of == name for s in getattr(d, "splits", ())}
+        found |= {s for t in e.trainings.values() if t.data == name for s in ("train", "val")}
+        found |= {v.split for v in e.evaluations.values() if v.data == name}
+        return [s for s in SPLITS if s in found]
+
+    def skips(self, name: str, needs: Sequence[str]) -> bool:
+        """Return whether an entry has no stage: it belongs to other scales, or something it needs is left out."""
+        if not self.experiment.at(name, self.request.scale):
+            self.left_out[name] = OTHER_SCALES
+            return True
+        for need in needs:
+            if need in self.left_out:
+                self.left_out.setdefault(name, self.left_out[need])
+                return True
+        return False
+
+    def add_data(self, name: str) -> None:
+        spec = self.experiment.data[name]
+        parents = parents_of(spec)
+        if self.skips(name, parents):
+            return
+        needs = dict(zip(("of", "match"), (self.made_by[i] for i in parents), strict=False))
+        # A part that matches another item has as many images as that item.
+        like = self.stages[needs.get("match", needs["of"])]
+        inputs, images = _DATA_INPUTS[spec.kind](spec, like.images, self.request)
+        self.add(Stage(spec.kind, name, inputs, needs, spec, images))
+        self.made_by[name] = f"{spec.kind}:{name}"
+
+    def add_training(self, name: str, spec: Training) -> None:
+        if self.skips(name, [spec.data]):
+            return
+        inputs = {
+            "preset": preset_inputs(training_preset(spec, self.request)),
+            "scale": self.request.scale,
+            "seed": self.request.seed + spec.reseed,
+            "task": spec.task,
+            "classes": spec.classes,
+            "weights": spec.weights,
+        }
+        images = self.stages[self.made_by[spec.data]].images
+        used = {s: images[s] for s in ("train", "val") if s in images}
+        self.add(Stage("train", name, inputs, {"data": self.made_by[spec.data]}, spec, used))
+
+    def add_evaluation(self, name: str, spec: Evaluation) -> None:
+        training = self.experiment.trainings[spec.training]
+        if self.skips(name, [spec.training, spec.data, training.data]):
+            return
+        inputs = {
+            "split": spec.split,
+            "classes": spec.classes,
+            "group": spec.group,
+            "bootstrap": BOOTSTRAP[self.request.scale],
+            "seed": self.request.seed,
+        }
+        needs = {"training": f"train:{spec.training}", "data": self.made_by[spec.data]}
+        images = self.stages[self.made_by[spec.data]].images
+        used = {str(s): n for s, n in images.items() if s == spec.split}
+        self.add(Stage("evaluate", name, inputs, needs, spec, used))
+
+    def add_comparison(self, name: str) -> None:
+        spec = self.experiment.comparisons[name]
+        if self.skips(name, [*spec.a, *spec.b]):
+            return
+        first = self.experiment.evaluations[spec.a[0]]
+        for e in (*spec.a[1:], *spec.b):
+            other = self.experiment.evaluations[e]
+            if (other.data, other.split, other.group) != (first.data, first.split, first.group):
+                found = f"{spec.a[0]} is on {first.data} {first.split}, {e} on {other.data} {other.split}"
+                self.problems.append(Problem(f"comparisons.{name}", "experiment-value", found, "the same images"))
+        inputs = {"bootstrap": BOOTSTRAP[self.request.scale], "seed": self.request.seed}
+        # Roles are a, a1, a2, ... and b, b1, b2, ...
+        needs = {
+            f"{side}{k or ''}": f"evaluate:{e}" for side, of in (("a", spec.a), ("b", spec.b)) for k, e in enumerate(of)
+        }
+        images = self.stages[f"evaluate:{spec.a[0]}"].images
+        self.add(Stage("compare", name, inputs, needs, spec, images))
+
+
+def _limited(images: Mapping[str, int], limits: Mapping[str, int]) -> dict[str, int]:
+    return {s: min(n, limits.get(s, n)) for s, n in images.items()}
+
+
+DataInputs = tuple[dict[str, Any], dict[str, int]]
+"""Inputs of a data stage, and about how many images it makes per split."""
+
+
+def _run_inputs(spec: Generate, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+    recipe = load_recipe(spec.recipe, spec.settings)
+    times = recipe.configurations + int(recipe.output.originals)
+    inputs = {**recipe_inputs(spec), "seed": request.seed, "renderer": request.renderer}
+    return inputs, {s: images[s] * times for s in spec.splits if s in images}
+
+
+def _part_inputs(spec: Convert, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+    inputs = spec.model_dump(mode="json", exclude={"kind", "of", "match", "images"}, exclude_defaults=True)
+    limits: dict[str, int] = {str(s): n for s, n in spec.images.get(request.scale, {}).items()}
+    inputs = {**inputs, "splits": list(spec.splits), "seed": request.seed} | ({"images": limits} if limits else {})
+    return inputs, _limited({s: images[s] for s in spec.splits if s in images}, limits)
+
+
+def _split_inputs(spec: Resplit, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+    inputs = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
+    total, shares = sum(images.values()), sum(spec.shares)
+    return inputs, {s: round(total * k / shares) for s, k in zip(SPLITS, spec.shares, strict=True)}
+
+
+_DATA_INPUTS: Mapping[str, Callable[[Any, Mapping[str, int], ExperimentRequest], DataInputs]] = {
+    "generate": _run_inputs,
+    "convert": _part_inputs,
+    "split": _split_inputs,
+}

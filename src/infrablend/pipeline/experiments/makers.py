@@ -1,0 +1,258 @@
+"""How each kind of stage is made, by the same functions that the commands of these names call."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Training
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.run_layout import RUN_FILE
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.errors import DatasetError, Problem, RenderError
+from infrablend.formats.reading import Reading
+from infrablend.pipeline.convert import ClassChanges, convert_dataset
+from infrablend.pipeline.evaluate import compare_evaluations, evaluate_detector
+from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
+from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+from infrablend.pipeline.experiments.training_setup import training_preset
+from infrablend.pipeline.generate import generate_run
+from infrablend.pipeline.request import Execution, RunRequest
+from infrablend.pipeline.select import Selection, select
+from infrablend.pipeline.split import SplitRule, split_dataset
+from infrablend.pipeline.train import train_dataset
+from infrablend.pipeline.world import make_world
+from infrablend.world.dataset import WorldRequest
+
+
+@dataclass(frozen=True)
+class StageJob:
+    """Everything a maker needs.
+
+    Attributes:
+        stage: Stage to make.
+        out: Folder for its output, which belongs to this stage alone.
+        needs: Finished stages that it needs, by role.
+        request: Request of the experiment.
+        on_progress: Called by makers that report progress.
+    """
+
+    stage: Stage
+    out: Path
+    needs: Mapping[str, FinishedStage]
+    request: ExperimentRequest
+    on_progress: OnProgress | None = None
+
+    def empty_out(self) -> Path:
+        """Remove what an interrupted run left in the output folder; return the folder."""
+        if self.out.exists():
+            shutil.rmtree(self.out)
+        return self.out
+
+    def relative(self, path: Path) -> str:
+        """Return a path relative to the stage's folder, as records store it."""
+        return os.path.relpath(path, self.out.parent)
+
+
+def _make_source(job: StageJob) -> dict[str, Any]:
+    """Record the user's folder as it is, or write a part of it."""
+    stage = job.stage
+    path = stage.path or job.needs["of"].dataset
+    dataset = read_dataset(path, options=stage.inputs.get("options"))
+    limits = stage.inputs.get("limits") or {}
+    facts = dataset_facts(dataset)
+    if all(facts["images"].get(s, 0) <= n for s, n in limits.items()):
+        folder = job.relative(path)
+        stand_in = {} if stage.path else {"dataset": folder, "there": [folder]}
+        return {**facts, "whole": facts["images"], **stand_in}
+    part = replace(dataset, images=tuple(spread_images(dataset, limits)))
+    convert_dataset(part, "coco", job.empty_out())
+    return {**dataset_facts(part), "whole": facts["images"], "dataset": "out", "there": ["out"]}
+
+
+def _make_world(job: StageJob) -> dict[str, Any]:
+    """Render a virtual world that stands in for a dataset."""
+    inputs, out = job.stage.inputs, job.empty_out()
+    workers = Execution(job.request.workers).worker_count()
+    make_world(out, WorldRequest(inputs["images"], inputs["seed"], inputs["layout"]), workers, job.on_progress)
+    return {**dataset_facts(read_dataset(out)), "dataset": "out", "there": ["out"]}
+
+
+def _make_run(job: StageJob) -> dict[str, Any]:
+    """Insert objects by a recipe; frames that failed are tried a second time."""
+    spec: Generate = job.stage.spec
+    source, request = job.needs["of"], job.request
+    if job.out.exists() and not (job.out / RUN_FILE).is_file():  # killed before its first record
+        shutil.rmtree(job.out)
+    execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "fake")
+    report = None
+    for _ in range(2):
+        run = RunRequest(
+            spec.recipe,
+            source.dataset,
+            job.out,
+            seed=request.seed,
+            settings={**spec.settings, "output.formats": ["coco"]},
+            reading=Reading(splits=spec.splits, options=source.reader_options),
+            execution=execution,
+            existing="resume" if job.out.exists() else "refuse",
+        )
+        report = generate_run(run, job.on_progress)
+        if not report.counts.get("failed_frames"):
+            break
+    else:
+        problems = [p for p in report.problems if p.code.startswith("frame-")] if report else []
+        raise RenderError(f"{job.stage.id}: frames failed twice; run the same command to try them again", problems)
+    made = read_dataset(job.out / "coco")
+    counts = {k: report.counts[k] for k in ("frames", "objects_inserted", "skipped_backgrounds") if k in report.counts}
+    return {**dataset_facts(made), "run": counts, "dataset": "out/coco", "there": ["out/coco", "out/images"]}
+
+
+def _make_part(job: StageJob) -> dict[str, Any]:
+    """Write a part of a dataset with its classes renamed or dropped."""
+    spec: Convert = job.stage.spec
+    source, out = job.needs["of"], job.empty_out()
+    dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
+    images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
+    dataset = replace(dataset, images=tuple(images))
+    classes = ClassChanges(spec.rename, spec.drop, spec.only)
+    report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen)
+    loosened = {k: report.counts[k] for k in ("boxes_loosened", "loosened_by") if k in report.counts}
+    return {**dataset_facts(read_dataset(out)), **loosened, "dataset": "out", "there": ["out"]}
+
+
+def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:
+    """Return the images of a split that the part contains."""
+    spec: Convert = job.stage.spec
+    known = {c.name for c in dataset.categories}
+    without = tuple(c for c in spec.without if c in known)
+    part = replace(dataset, images=tuple(i for i in dataset.images if i.split == split))
+    wanted = Selection(spec.with_class, without, like=spec.like, seed=job.request.seed)
+    if spec.like is not None:
+        wanted = replace(wanted, images=_matchable_images(part, spec.like, without))
+    if (most := job.stage.inputs.get("images", {}).get(split)) is not None:
+        wanted = replace(wanted, images=min(most, len(part.images) if wanted.images is None else wanted.images))
+    if split != "train" and (wanted.images == 0 or not _has_class(part, spec.with_class)):
+        return ()  # a training can do without val
+    if (match := job.needs.get("match")) is not None:
+        n = match.result["images"].get(split, 0)
+        objects = match.result["labels"].get(split, {}).get(spec.with_class, 0)
+        wanted = replace(wanted, images=n, objects=objects)
+        if not n:
+            return ()
+    return select(part, wanted)[0].images if part.images and wanted else part.images
+
+
+def _has_class(part: Dataset, category: str | None) -> bool:
+    return category is None or any(o.category == category for i in part.images for o in i.instances)
+
+
+def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
+    """Return how many images to draw like those of a class, so that as many images with the class can match them."""
+    classes = [{o.category for o in i.instances} for i in part.images]
+    others = set(without) - {like}
+    return min(sum(not c & set(without) for c in classes), sum(like in c and not c & others for c in classes))
+
+
+def _make_split(job: StageJob) -> dict[str, Any]:
+    """Write a dataset with new splits."""
+    spec: Resplit = job.stage.spec
+    source, out = job.needs["of"], job.empty_out()
+    dataset = read_dataset(source.dataset, options=source.reader_options)
+    rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed)
+    report = split_dataset(dataset, out, rule, to="coco")
+    facts = dataset_facts(read_dataset(out))
+    empty = [s for s in SPLITS if not facts["images"].get(s)]
+    if empty:
+        found = f"no image in {', '.join(empty)}: {len(report.groups)} group(s) by {spec.by}"
+        expected = "a group for each of train, val and test"
+        problem = Problem(job.stage.id, "split-empty", found, expected, "use a dataset with more groups")
+        raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
+    return {
+        **facts,
+        "leakage_before": [one.to_json() for one in report.before],
+        "leakage_after": [one.to_json() for one in report.after],
+        "dataset": "out",
+        "there": ["out"],
+    }
+
+
+def _make_training(job: StageJob) -> dict[str, Any]:
+    """Train a detector."""
+    spec: Training = job.stage.spec
+    data, out = job.needs["data"], job.out
+    report = train_dataset(
+        read_dataset(data.dataset, options=data.reader_options),
+        out,
+        preset=training_preset(spec, job.request),
+        task=spec.task,
+        start=spec.weights,
+        device=job.request.device,
+        seed=job.stage.inputs["seed"],
+        classes=spec.classes,
+        resume=out.is_dir() and any(out.iterdir()),
+        on_progress=job.on_progress,
+    )
+    weights = job.relative(report.weights)
+    return {"record": dict(report.record), "weights": weights, "there": [weights]}
+
+
+def _make_evaluation(job: StageJob) -> dict[str, Any]:
+    """Evaluate a detector."""
+    spec: Evaluation = job.stage.spec
+    training, data = job.needs["training"], job.needs["data"]
+    report = evaluate_detector(
+        training.folder / training.result["weights"],
+        read_dataset(data.dataset, options=data.reader_options),
+        job.empty_out(),
+        split=spec.split,
+        task=training.record["inputs"]["task"],
+        device=job.request.device,
+        classes=_evaluated_classes(spec, training.result["record"], data.result, job.stage.id),
+        bootstrap=job.stage.inputs["bootstrap"],
+        group=spec.group,
+        seed=job.request.seed,
+        on_image=paced(job.on_progress),
+    )
+    return {"metrics": dict(report.metrics), "there": ["out/evaluation.json", "out/predictions.json"]}
+
+
+def _evaluated_classes(
+    spec: Evaluation, trained: Mapping[str, Any], data: Mapping[str, Any], stage_id: str
+) -> tuple[str, ...] | None:
+    """Return the classes to evaluate: those listed, or those that both detector and images have."""
+    if spec.classes != "joint":
+        return spec.classes
+    known = {class_key(c) for c in trained["classes"]}
+    labels = data["labels"].get(spec.split, {})
+    joint = tuple(c for c in data["classes"] if class_key(c) in known and labels.get(c))
+    if not joint:
+        found = f"the detector has {', '.join(trained['classes'])}, the images have {', '.join(labels) or 'no labels'}"
+        problem = Problem(stage_id, "class-none", found, "at least one class that both have")
+        raise DatasetError(f"{stage_id}: no joint class", [problem])
+    return joint
+
+
+def _make_comparison(job: StageJob) -> dict[str, Any]:
+    """Compare detectors on the same images."""
+    a, b = ([made.folder / "out" for role, made in job.needs.items() if role.startswith(side)] for side in "ab")
+    found = compare_evaluations(a, b, bootstrap=job.stage.inputs["bootstrap"], seed=job.request.seed)
+    return {"classes": found["classes"], "left_out": found["left_out"]}
+
+
+MAKERS: Mapping[str, Callable[[StageJob], dict[str, Any]]] = {
+    "source": _make_source,
+    "world": _make_world,
+    "generate": _make_run,
+    "convert": _make_part,
+    "split": _make_split,
+    "train": _make_training,
+    "evaluate": _make_evaluation,
+    "compare": _make_comparison,
+}
+"""The maker of each kind of stage: it writes the stage's output and returns the result to record."""

@@ -1,0 +1,60 @@
+"""A request to run or plan an experiment: made once by the caller and passed on whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.experiment import SCALES, Scale
+from infrablend.errors import DatasetError
+
+DEFAULT_RESULTS = Path("results")
+
+
+@dataclass(frozen=True)
+class ExperimentRequest:
+    """A request to run or plan an experiment.
+
+    Attributes:
+        experiment: Name of a shipped experiment, or the path of a YAML file.
+        data: Folders of the datasets; their formats show which source each of them is.
+        work: Folder of the stages. Experiments that use the same folder share equal stages.
+        results: Folder of the page, its JSON and plots; None for `results`, or `WORK/results` at the scale `smoke`.
+        scale: `paper`, `small` or `smoke`.
+        seed: Seed of scenes, splits and trainings.
+        device: Device to train and evaluate on: auto, cpu, cuda, or the number of a GPU.
+        training: Settings that every training uses instead of those of the scale's preset.
+        only: Kinds (`generate`), names or ids (`train:fixed`) of stages to make, with all they need; empty for all.
+        adopt: Folders written by `train`, `generate` or `convert`, by the id of the stage to use them for.
+        workers: Number of rendering processes; None for one per core.
+        renderer: `blender`, or `fake`, which draws flat shapes without Blender.
+
+    Raises:
+        DatasetError: There is no such scale.
+    """
+
+    experiment: str | Path
+    data: Sequence[Path] = ()
+    work: Path = Path("experiments")
+    results: Path | None = None
+    scale: Scale = "small"
+    seed: int = 0
+    device: str = "auto"
+    training: Mapping[str, Any] = field(default_factory=dict)
+    only: Sequence[str] = ()
+    adopt: Mapping[str, Path] = field(default_factory=dict)
+    workers: int | None = None
+    renderer: str = "blender"
+
+    def __post_init__(self) -> None:
+        if self.scale not in SCALES:
+            raise DatasetError(f"scale: found {self.scale!r}, expected one of {', '.join(SCALES)}")
+
+    @property
+    def results_folder(self) -> Path:
+        """Folder of the page. It never depends on where the command is run, except through a relative path."""
+        if self.results is not None:
+            return self.results
+        return self.work / "results" if self.scale == "smoke" else DEFAULT_RESULTS

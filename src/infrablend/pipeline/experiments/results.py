@@ -1,0 +1,220 @@
+"""The results of an experiment, collected from the records of its stages: everything that the page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.experiment import METRICS, FactsRow, Row, Training
+from infrablend.pipeline.experiments.conclusions import find_class, judge_claim
+from infrablend.pipeline.experiments.graph import OTHER_SCALES, StageGraph
+from infrablend.pipeline.experiments.prepare import PreparedExperiment
+from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+
+Finished = Mapping[str, FinishedStage]
+
+_DATA_KINDS = ("world", "source", "generate", "convert", "split")
+_OF_EVALUATION = ("classes", "confidence", "ultralytics", "strata", "counts", "settings", "curves")
+_OF_TRAINING = (
+    "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
+    "seconds", "precision", "device", "batch", "threads", "versions", "note", "status", "adopted",
+)  # fmt: skip
+_OF_STAGE = ("adopted", "boxes_loosened", "loosened_by")
+_FIGURES = ("images", "instances", *METRICS)
+
+
+def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: str | None = None) -> dict[str, Any]:
+    """Return everything that the page shows, as plain JSON, from the records of finished stages alone.
+
+    Args:
+        prepared: The experiment.
+        finished: Its finished stages by id.
+        stopped: Reason why the run stopped; None if it did not.
+    """
+    experiment, graph, request = prepared.experiment, prepared.graph, prepared.request
+    evaluations = {
+        n: {k: finished[i].result["metrics"].get(k) for k in _OF_EVALUATION}
+        for n in experiment.evaluations
+        if (i := f"evaluate:{n}") in finished
+    }
+    comparisons = {
+        n: {
+            "title": c.title or f"{', '.join(c.a)} - {', '.join(c.b)}",
+            "a": c.a,
+            "b": c.b,
+            "classes": finished[i].result["classes"],
+        }
+        for n, c in experiment.comparisons.items()
+        if (i := f"compare:{n}") in finished
+    }
+    required = prepared.required(prepared.finished())
+    missing = [s.id for s in graph.stages if s.id not in finished and s.id in required]
+    return {
+        "experiment": experiment.name,
+        "title": experiment.title,
+        "description": experiment.description,
+        "about": experiment.about,
+        "scale": request.scale,
+        "seed": request.seed,
+        "renderer": request.renderer,
+        "status": "unfinished" if missing else "complete",
+        "stopped": stopped if missing else None,
+        "missing": missing,
+        "left_out": {n: why for n, why in graph.left_out.items() if why != OTHER_SCALES},
+        "at_other_scales": [n for n, why in graph.left_out.items() if why == OTHER_SCALES],
+        "command": _command(prepared),
+        **_provenance([finished[s.id].record for s in graph.stages if s.id in finished]),
+        "sources": dict(_sources(prepared, finished)),
+        "stages": [_stage_row(s, graph, finished, required) for s in graph.stages],
+        "trainings": {
+            n: _training(finished[i].result["record"], t)
+            for n, t in experiment.trainings.items()
+            if (i := f"train:{n}") in finished
+        },
+        "evaluations": evaluations,
+        "comparisons": comparisons,
+        "tables": [
+            {"title": t.title, "note": t.note, "rows": list(_rows(t.rows, t.evaluation, evaluations, graph.left_out))}
+            for t in experiment.tables
+        ],
+        "datasets": [_dataset_row(f, graph, finished) for f in experiment.facts],
+        "strata_class": experiment.strata,
+        "checks": [
+            judge_claim(c, evaluations, comparisons, graph.left_out, verdict=request.scale != "smoke")
+            for c in experiment.checks
+            if request.scale in c.scales
+        ],
+    }
+
+
+def _command(prepared: PreparedExperiment) -> str:
+    """Return the command that gives these results, without paths of this machine."""
+    request = prepared.request
+    words = ["infrablend experiment", prepared.experiment.name, "--scale", request.scale]
+    words += [f"--set {k}={v}" for k, v in request.training.items()]
+    words += [w for path in prepared.graph.given.values() for w in ("--data", path.resolve().name)]
+    return " ".join([*words, *(["--seed", str(request.seed)] if request.seed else [])])
+
+
+def _provenance(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return commits, hardware and versions of the stages, which may have run on several machines."""
+    commits = [r["commit"] for r in records if r["commit"]]
+    return {
+        "commit": commits[-1] if commits else None,
+        "commits": sorted(set(commits)),
+        "hardware": _distinct_values([{**r["machine"], **_training_device(r)} for r in records]),
+        "versions": _distinct_values([r["packages"] for r in records]),
+    }
+
+
+def _distinct_values(records: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return every value that occurs, by field."""
+    names = sorted({k for r in records for k in r})
+    return {k: list(dict.fromkeys(r[k] for r in records if r.get(k) is not None)) for k in names}
+
+
+def _training_device(record: Mapping[str, Any]) -> dict[str, Any]:
+    trained = record["result"].get("record", {}) if record["kind"] == "train" else {}
+    return {"trained_on": str(trained["device"])} if trained.get("device") else {}
+
+
+def _sources(prepared: PreparedExperiment, finished: Finished) -> Iterator[tuple[str, dict[str, Any]]]:
+    for name, s in prepared.experiment.sources.items():
+        found = finished.get(f"source:{name}")
+        if found is None:
+            continue
+        row = {
+            "title": s.title,
+            "stand_in": name in prepared.graph.stand_ins,
+            "images": found.result["images"],
+            "whole": found.result["whole"],
+            "paper_images": dict(s.paper_images),
+        }
+        yield name, row
+
+
+def _stage_row(stage: Stage, graph: StageGraph, finished: Finished, required: set[str]) -> dict[str, Any]:
+    made = finished.get(stage.id)
+    return {
+        "stage": stage.id,
+        "key": graph.keys[stage.id],
+        "images": _image_count(stage, made),
+        "seconds": None if made is None else made.record["seconds"],
+        "status": "missing" if made is None and stage.id in required else "not needed" if made is None else "complete",
+        **{k: None if made is None else made.result.get(k) for k in _OF_STAGE},
+    }
+
+
+def _image_count(stage: Stage, made: FinishedStage | None) -> int | None:
+    if made is None:
+        return None
+    if stage.kind in _DATA_KINDS:
+        return int(sum(made.result["images"].values()))
+    return sum(stage.images.values())
+
+
+def _training(record: Mapping[str, Any], spec: Training) -> dict[str, Any]:
+    """Return a training's record without paths of the machine."""
+    kept = {k: record[k] for k in _OF_TRAINING if k in record}
+    start = dict(record.get("start") or {})
+    if start.get("model"):
+        start["model"] = Path(start["model"]).name
+        start["why"] = start.get("why", "").split(":")[0]  # the rest names paths of the machine
+    return {**kept, "start": start, "paper_images": spec.paper_images}
+
+
+def _rows(
+    rows: Sequence[Row], default: str | None, evaluations: Mapping[str, Any], left_out: Mapping[str, str]
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a table: those of the file, then further classes of the table's own evaluation."""
+    shown: set[str] = set()
+    for row in rows:
+        e = row.evaluation or default or ""
+        figures = evaluations.get(e, {}).get("classes", {})
+        name = find_class(figures, row.category)
+        shown |= {name} if name is not None and e == default else set()
+        if left_out.get(e) == OTHER_SCALES:
+            continue
+        row = row.model_copy(update={"evaluation": e})
+        yield _row(row, figures.get(name), left_out.get(e))
+    of_table = evaluations.get(default or "", {}).get("classes", {})
+    for name in sorted(of_table):
+        if name not in shown:
+            yield _row(Row(title=name, evaluation=default, category=name), of_table[name], None)
+
+
+def _row(row: Row, ours: Mapping[str, Any] | None, why: str | None) -> dict[str, Any]:
+    """Return the paper's figures, ours, and their differences."""
+    paper = row.paper.model_dump()
+    found = {k: (ours or {}).get(k) for k in _FIGURES}
+    both = {k: (found[k], paper.get(k)) for k in METRICS}
+    return {
+        "title": row.title,
+        "evaluation": row.evaluation,
+        "class": row.category,
+        "paper": paper,
+        "ours": None if ours is None else {**found, "ci": ours.get("ci")},
+        "difference": {k: round(a - b, 6) for k, (a, b) in both.items() if a is not None and b is not None},
+        "missing": None if ours is not None else why or "not run yet, or the class does not occur",
+    }
+
+
+def _dataset_row(row: FactsRow, graph: StageGraph, finished: Finished) -> dict[str, Any]:
+    """Return a dataset's numbers in the paper and ours."""
+    by_name = {s.name: s.id for s in graph.stages if s.kind in _DATA_KINDS and s.kind != "world"}
+    parts = [finished[by_name[d]].result if by_name.get(d) in finished else None for d in row.data]
+    paper = {"images": row.images, "classes": row.classes, "labels": list(row.labels)}
+    known = [p for p in parts if p is not None]
+    ours = None
+    if len(known) == len(parts):
+        names = list(dict.fromkeys(c for p in known for c in p["classes"]))
+        ours = {
+            "images": sum(sum(p["images"].values()) for p in known),
+            "classes": len(names),
+            "names": names,
+            "labels": [k for k in ("AABB", "OBB", "Masks") if any(k in p["label_kinds"] for p in known)],
+            "instances": sum(n for p in known for of_split in p["labels"].values() for n in of_split.values()),
+        }
+    why = next((graph.left_out[d] for d in row.data if d in graph.left_out), "not made yet")
+    return {"title": row.title, "paper": paper, "ours": ours, "missing": None if ours else why}

@@ -1,0 +1,206 @@
+"""Running an experiment: adopt what was made elsewhere, make the stages that are missing, and write the page."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from infrablend.core.files import output_error
+from infrablend.core.tasks import OnProgress
+from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
+from infrablend.pipeline.experiments import making, training_setup
+from infrablend.pipeline.experiments.estimate import estimate_bytes, free_bytes
+from infrablend.pipeline.experiments.graph import OTHER_SCALES
+from infrablend.pipeline.experiments.plan import LEARNING
+from infrablend.pipeline.experiments.prepare import PreparedExperiment
+from infrablend.pipeline.experiments.results import collect_results
+from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+from infrablend.report.results.write import write_page
+
+log = logging.getLogger(__name__)
+
+Event = Literal["found", "started", "done", "adopted"]
+OnStage = Callable[[str, Event, int, int], None]
+"""Called with a stage's id, what happened, the number of the stage, and the number of all stages."""
+
+
+@dataclass(frozen=True)
+class ExperimentReport:
+    """How an experiment ended.
+
+    Attributes:
+        name: Name of the experiment.
+        scale: `smoke`, `small` or `paper`.
+        status: `complete` or `unfinished`.
+        made: Ids of the stages that this call made.
+        reused: Ids of the stages that were finished before.
+        page: Path of the page; its JSON and plots are in the same folder.
+        facts: Content of the JSON.
+        problems: What was left out, with the reason.
+    """
+
+    name: str
+    scale: str
+    status: str
+    made: tuple[str, ...]
+    reused: tuple[str, ...]
+    page: Path
+    facts: Mapping[str, Any]
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the page is complete."""
+        return self.status == "complete"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of the page's JSON, and what this call did."""
+        return {
+            **self.facts,
+            "page": str(self.page),
+            "made": list(self.made),
+            "reused": list(self.reused),
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def run_experiment(
+    prepared: PreparedExperiment, *, on_stage: OnStage | None = None, on_progress: OnProgress | None = None
+) -> ExperimentReport:
+    """Make the stages that are missing, in order, and write the page.
+
+    Args:
+        prepared: Experiment to run.
+        on_stage: Called when a stage is found, started, done or adopted.
+        on_progress: Called by stages that report progress.
+
+    Raises:
+        MissingDependencyError: The trainer is not installed; raised before anything is made.
+        OutputError: The disk has too little space for the plan, or a folder cannot be written.
+        Interrupted: The user stopped the run; the same request continues it. The page lists what is finished.
+        InfraBlendError: Any error of a stage.
+    """
+    return _Run(prepared, on_stage, on_progress).run()
+
+
+class _Run:
+    """One run: the stages finished so far, and whom to notify."""
+
+    def __init__(self, prepared: PreparedExperiment, on_stage: OnStage | None, on_progress: OnProgress | None) -> None:
+        self.prepared, self.graph, self.request = prepared, prepared.graph, prepared.request
+        self.on_stage, self.on_progress = on_stage, on_progress
+        self.finished: dict[str, FinishedStage] = {}
+        self.made: list[str] = []
+        self.reused: list[str] = []
+
+    def run(self) -> ExperimentReport:
+        self.adopt()
+        finished = self.prepared.finished()
+        wanted = self.graph.select(self.request.only, finished) & self.prepared.required(finished)
+        _require_ready(self.prepared, wanted - set(finished))
+        name = self.prepared.experiment.name
+        for number, stage in enumerate(self.graph.stages, 1):
+            try:
+                self.reuse_or_make(stage, number, wanted)
+            except (Interrupted, KeyboardInterrupt) as error:
+                page = self.write_unfinished("stopped")
+                # The stage's own advice (its --resume) does not apply to this command.
+                log.info("%s stopped: %s", stage.id, error)
+                raise Interrupted(
+                    f"Stopped in experiment {name}; {len(self.finished)} of {len(self.graph.stages)} stages are done"
+                    f"{f', listed in {page}' if page else ''}. Run the same command to continue."
+                ) from error
+            except InfraBlendError as error:
+                self.write_unfinished(f"{type(error).__name__}: {stage.id}")
+                raise
+        page, facts = self.write()
+        left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
+        problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
+        scale, status = self.request.scale, facts["status"]
+        return ExperimentReport(name, scale, status, tuple(self.made), tuple(self.reused), page, facts, problems)
+
+    def reuse_or_make(self, stage: Stage, number: int, wanted: Collection[str]) -> None:
+        if (found := self.prepared.find(stage)) is not None:
+            self.finished[stage.id] = found
+            self.reused.append(stage.id)
+            self.notify(stage, "found", number)
+        elif stage.id in wanted:
+            self.notify(stage, "started", number)
+            log.info("%s %s started", stage.id, self.graph.keys[stage.id])
+            self.finished[stage.id] = self.make(stage, self.finished)
+            self.made.append(stage.id)
+            log.info("%s done in %s s", stage.id, self.finished[stage.id].record["seconds"])
+            self.notify(stage, "done", number)
+
+    def make(self, stage: Stage, finished: Mapping[str, FinishedStage], adopt: Path | None = None) -> FinishedStage:
+        key = self.graph.keys[stage.id]
+        return making.make_stage(stage, key, finished, self.request, adopt=adopt, on_progress=self.on_progress)
+
+    def notify(self, stage: Stage, event: Event, number: int) -> None:
+        if self.on_stage is not None:
+            self.on_stage(stage.id, event, number, len(self.graph.stages))
+
+    def adopt(self) -> None:
+        """Make stages from the results that the request adopts."""
+        adopt = self.request.adopt
+        if not adopt:
+            return
+        self.prepared.require_adoptable()
+        for number, stage in enumerate(self.graph.stages, 1):
+            if stage.id not in adopt:
+                continue
+            if (found := self.prepared.find(stage)) is not None:
+                log.warning(
+                    "--adopt %s=%s: ignored, because the stage is finished; delete %s to adopt another result",
+                    stage.id, adopt[stage.id], found.folder,
+                )  # fmt: skip
+                continue
+            needs = {s.id: made for s in self.needs_of(stage) if (made := self.find_or_read(s)) is not None}
+            self.notify(stage, "adopted", number)
+            self.make(stage, needs, adopt[stage.id])
+
+    def needs_of(self, stage: Stage) -> list[Stage]:
+        return [self.graph.by_id[i] for i in stage.needs.values()]
+
+    def find_or_read(self, stage: Stage) -> FinishedStage | None:
+        """Return a stage if it is finished; a source given by the user is read."""
+        found = self.prepared.find(stage)
+        if found is None and stage.kind == "source" and not stage.needs:
+            return self.make(stage, {})
+        return found
+
+    def write(self, stopped: str | None = None) -> tuple[Path, dict[str, Any]]:
+        """Write the page, its JSON and plots, and the index; the same records give the same bytes."""
+        facts = collect_results(self.prepared, self.finished, stopped)
+        return write_page(facts, self.request.results_folder), facts
+
+    def write_unfinished(self, stopped: str) -> Path | None:
+        """Write the page of a run that stopped; an error of the page must not hide what stopped the run."""
+        self.finished = self.prepared.finished()  # later stages may be finished, too
+        with contextlib.suppress(OutputError):
+            return self.write(stopped)[0]
+        return None
+
+
+def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> None:
+    """Check everything that would otherwise stop the run hours later: trainer, settings, disk space, work folder."""
+    request = prepared.request
+    todo = [s for s in prepared.graph.stages if s.id in missing]
+    if any(s.kind in LEARNING for s in todo):
+        training_setup.require_trainer(request.device)
+    training_setup.require_training_settings(todo, request)
+    needed, free = sum(estimate_bytes(s) for s in todo), free_bytes(request.work)
+    if needed > free:
+        found, expected = f"{free / 2**30:.1f} GiB free", f"about {needed / 2**30:.1f} GiB"
+        raise OutputError(
+            f"experiment {prepared.experiment.name}: {request.work} has too little space",
+            [Problem(str(request.work), "disk-full", found, expected, "give another --work")],
+        )
+    try:
+        request.work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(request.work, error) from error

@@ -1,0 +1,118 @@
+"""Stages: what identifies one (its key), where it is kept, and its record.
+
+A stage is kept in `WORK/<kind>/<key>/`: `out/` is its output, `stage.json` its record, which is written last. The key
+is a digest of everything that decides the result, including the keys of the stages it needs, so the same training in
+two experiments is the same stage. A stage is finished when its record has the status `complete`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.pipeline.content import json_digest
+
+RECORD = "stage.json"
+VERSIONS = {"source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "train": 2, "evaluate": 2, "compare": 1}
+"""Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of an experiment.
+
+    Attributes:
+        kind: Kind of the stage, a key of `VERSIONS`.
+        name: Name in the experiment's file.
+        inputs: Everything that decides the result besides the stages it needs, as plain JSON.
+        needs: Ids of the stages it needs, by role.
+        spec: Entry of the experiment's file.
+        images: Approximate number of images it makes or learns from, by split; used by plans.
+        path: Folder given by the user, of a source.
+    """
+
+    kind: str
+    name: str
+    inputs: Mapping[str, Any]
+    needs: Mapping[str, str]
+    spec: Any = None
+    images: Mapping[str, int] = field(default_factory=dict)
+    path: Path | None = None
+
+    @property
+    def id(self) -> str:
+        """Kind and name: `train:aligned`."""
+        return f"{self.kind}:{self.name}"
+
+
+@dataclass(frozen=True)
+class FinishedStage:
+    """A finished stage: its folder and its record.
+
+    Attributes:
+        folder: Folder of the stage.
+        record: Content of its `stage.json`.
+        path: Folder given by the user, of a source that is used as it is; None for all others.
+    """
+
+    folder: Path
+    record: Mapping[str, Any]
+    path: Path | None = None
+
+    @classmethod
+    def of(cls, stage: Stage, folder: Path, record: Mapping[str, Any]) -> FinishedStage:
+        """Return the finished stage with that record."""
+        as_given = stage.kind == "source" and not record["result"].get("dataset")
+        return cls(folder, record, stage.path if as_given else None)
+
+    @property
+    def result(self) -> Mapping[str, Any]:
+        """Result that the stage's kind recorded."""
+        found: Mapping[str, Any] = self.record["result"]
+        return found
+
+    @property
+    def dataset(self) -> Path:
+        """Folder to read the dataset from; for stages that make data."""
+        return self.path if self.path is not None else self.folder / self.result["dataset"]
+
+    @property
+    def reader_options(self) -> dict[str, str]:
+        """Options of the dataset's reader: those of a source used as it is; our own output needs none."""
+        return {} if self.path is None else dict(self.record["inputs"].get("options", {}))
+
+
+def stage_keys(stages: Sequence[Stage]) -> dict[str, str]:
+    """Return the key of each stage by id; every stage comes after those it needs."""
+    keys: dict[str, str] = {}
+    for s in stages:
+        needs = {role: keys[i] for role, i in s.needs.items()}
+        keys[s.id] = json_digest([s.kind, VERSIONS[s.kind], dict(s.inputs), needs])
+    return keys
+
+
+def stage_folder(work: Path, stage: Stage, key: str) -> Path:
+    """Return the folder in which a stage is kept."""
+    return work / stage.kind / key
+
+
+def read_stage_record(folder: Path) -> dict[str, Any] | None:
+    """Return the record in a stage's folder, or None if there is none that can be read."""
+    try:
+        data = json.loads((folder / RECORD).read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) else None
+
+
+def find_finished(work: Path, stage: Stage, key: str) -> FinishedStage | None:
+    """Return the stage if it is finished and its files still exist, else None."""
+    folder = stage_folder(work, stage, key)
+    record = read_stage_record(folder)
+    if record is None or record.get("status") != "complete" or not isinstance(record.get("result"), dict):
+        return None
+    found = FinishedStage.of(stage, folder, record)
+    return found if all((folder / p).exists() for p in found.result.get("there", [])) else None

@@ -1,0 +1,1 @@
+"""The results page of an experiment, written from the results' JSON alone."""

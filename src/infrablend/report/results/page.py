@@ -1,0 +1,254 @@
+"""The page of an experiment: tables with the paper's figures beside ours, conclusions, differences, charts, times.
+
+Everything comes from the results' JSON, nothing from the clock or the disk: the same JSON gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from infrablend.report.figures import markdown_table
+from infrablend.report.results.differences import list_differences
+from infrablend.report.results.text import (
+    INDEX_FILE,
+    METRICS,
+    all_first,
+    count,
+    duration,
+    figure,
+    page_name,
+    paper_and_ours,
+    standing,
+)
+
+_STRATA = {"size": "longer side, px", "pitch": "camera pitch, °", "altitude": "altitude, m", "time": "time of day"}
+_EXPECTED = {
+    "below": "whole interval below 0",
+    "above": "whole interval above 0",
+    "within": "0 inside the interval",
+    "not_below": "interval not entirely below 0",
+    "at_least": "ratio of at least {least:g}",
+    "report": "reported, no verdict",
+}
+
+
+def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        facts: Content of the results' JSON.
+        plots: File name and title of each chart.
+        stem: Name of the page's files, without suffix; follows from experiment and scale by default.
+    """
+    stem = stem or page_name(facts["experiment"], facts["scale"])
+    blocks = [f"# {facts['title']}", facts["description"]]
+    blocks += [facts["about"]] if facts["about"] else []
+    blocks.append(_head(facts))
+    if facts["status"] != "complete":
+        blocks.append(_unfinished(facts))
+    if facts["left_out"]:
+        lines = [f"* `{name}`: {why}." for name, why in facts["left_out"].items()]
+        blocks.append("Left out:\n\n" + "\n".join(lines))
+    if facts["at_other_scales"]:
+        blocks.append(f"At other scales only: {', '.join(f'`{n}`' for n in facts['at_other_scales'])}.")
+    for table in facts["tables"]:
+        blocks += [f"## {table['title']}", _figures_table(table["rows"])]
+        blocks += [table["note"]] if table["note"] else []
+    if facts["tables"]:
+        blocks.append(
+            "Each cell shows paper → ours (difference) and, in brackets, the 95 % interval of ours from a bootstrap "
+            "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
+            "pycocotools with at most 300 detections per image."
+        )
+    if facts["datasets"]:
+        blocks += ["## Datasets", _datasets_table(facts["datasets"])]
+    if facts["checks"]:
+        blocks += ["## Conclusions", _claims_table(facts["checks"])]
+        if facts["scale"] == "smoke":
+            blocks.append(
+                "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
+            )
+    if facts["comparisons"]:
+        blocks += ["## Paired differences", _comparisons_table(facts["comparisons"])]
+    blocks += ["## What differs from the paper", "\n".join(f"* {line}" for line in list_differences(facts))]
+    if plots:
+        blocks += ["## Plots", *(f"![{title}]({name})" for name, title in plots)]
+    if any(e.get("ultralytics") for e in facts["evaluations"].values()):
+        blocks += ["## The same figures from Ultralytics' own validation", _ultralytics_table(facts["evaluations"])]
+    blocks += _strata(facts["evaluations"], facts["strata_class"])
+    blocks += ["## Stages", _stages_table(facts["stages"]), "## Hardware and versions", _provenance(facts)]
+    blocks.append(f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).")
+    return "\n\n".join(blocks) + "\n"
+
+
+def _head(facts: Mapping[str, Any]) -> str:
+    """Return scale, status and command."""
+    status = f"**Scale: {facts['scale']}. {standing(facts).capitalize()}.** This command writes the page:"
+    return f"{status}\n\n```text\n{facts['command']}\n```"
+
+
+def _unfinished(facts: Mapping[str, Any]) -> str:
+    reason = f" It stopped: {facts['stopped']}." if facts["stopped"] else ""
+    return (
+        f"**This run is not finished.**{reason} Missing: {', '.join(f'`{m}`' for m in facts['missing'])}. "
+        "Run the same command to continue."
+    )
+
+
+def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table with paper, ours and difference in each cell, without columns that have no figures."""
+    shown = [
+        k
+        for k in ("images", "instances")
+        if any(r["paper"][k] is not None or (r["ours"] or {}).get(k) is not None for r in rows)
+    ]
+    lines = []
+    for r in rows:
+        ours = r["ours"]
+        cells = [r["title"]]
+        cells += [paper_and_ours(count(r["paper"][k]), count(ours[k]) if ours else None) for k in shown]
+        if ours is None:
+            lines.append([*cells, *(paper_and_ours(figure(r["paper"][k]), None) for k in METRICS)])
+            continue
+        for k in METRICS:
+            cell = paper_and_ours(figure(r["paper"][k]), figure(ours[k]))
+            if k in r["difference"]:
+                cell += f" ({r['difference'][k]:+.3f})"
+            if interval := (ours.get("ci") or {}).get(k):
+                cell += f" [{interval[0]:.3f}, {interval[1]:.3f}]"
+            cells.append(cell)
+        lines.append(cells)
+    text = markdown_table(["", *(k.capitalize() for k in shown), *METRICS.values()], lines)
+    why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})
+    return text + ("\n\nRows without our figures: " + "; ".join(why) + "." if why else "")
+
+
+def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    lines = []
+    for r in rows:
+        paper, ours = r["paper"], r["ours"]
+        if ours is None:
+            cells = [paper_and_ours(count(paper["images"]), None), paper_and_ours(count(paper["classes"]), None)]
+            lines.append([r["title"], *cells, paper_and_ours(", ".join(paper["labels"]), None), f"- ({r['missing']})"])
+            continue
+        lines.append(
+            [
+                r["title"],
+                paper_and_ours(count(paper["images"]), count(ours["images"])),
+                paper_and_ours(count(paper["classes"]), count(ours["classes"])),
+                paper_and_ours(", ".join(paper["labels"]), ", ".join(ours["labels"])),
+                f"{ours['instances']:,} of {', '.join(ours['names'])}",
+            ]
+        )
+    return markdown_table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines)
+
+
+def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
+    lines = []
+    for c in checks:
+        verdict = {True: "**yes**", False: "**no**", None: "-"}[c["holds"]]
+        if "missing" in c:
+            found = c["missing"]
+        elif "ratio" in c:
+            found = f"{c['ratio']:.3f} = {c['values'][0]:.3f} / {c['values'][1]:.3f}"
+        else:
+            found = f"{c['difference']:+.3f} [{c['ci'][0]:+.3f}, {c['ci'][1]:+.3f}]"
+            if c.get("same_sign") is not None:
+                found += f", sign kept in {100 * c['same_sign']:.0f} % of the draws"
+        expected = _EXPECTED[c["expect"]].format(least=c.get("least") or 0)
+        lines.append([c["text"], f"{c['class']}, {METRICS[c['metric']]}", expected, found, verdict])
+    return markdown_table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines)
+
+
+def _comparisons_table(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
+    lines = []
+    for c in comparisons.values():
+        for name in sorted(c["classes"], key=all_first):
+            of_class = c["classes"][name]
+            cells = []
+            for k in ("map50", "map50_95"):
+                d = of_class.get(k)
+                cells.append("-" if d is None else f"{d['difference']:+.3f}{_interval(d.get('ci'))}")
+            lines.append([c["title"], name, *cells])
+    note = (
+        "Both detectors are evaluated on the same images and the same bootstrap draws; in brackets the 95 % interval."
+    )
+    if any(len(c["a"]) > 1 or len(c["b"]) > 1 for c in comparisons.values()):
+        note += (
+            " Where means of several trainings are compared, the detectors are drawn as well, so the interval includes "
+            "the spread between training seeds; elsewhere it does not."
+        )
+    else:
+        note += " It does not include the spread between training seeds."
+    return markdown_table(["Difference", "Class", "mAP50", "mAP50-95"], lines) + "\n\n" + note
+
+
+def _interval(ci: Any) -> str:
+    return "" if not ci else f" [{ci[0]:+.3f}, {ci[1]:+.3f}]"
+
+
+def _ultralytics_table(evaluations: Mapping[str, Mapping[str, Any]]) -> str:
+    tables = {n: e["ultralytics"] for n, e in evaluations.items() if e.get("ultralytics")}
+    classes = sorted({c for t in tables.values() for c in t if isinstance(t[c], Mapping)}, key=all_first)
+    lines = [[c, *(_ap_pair(t.get(c)) for t in tables.values())] for c in classes]
+    return markdown_table(["mAP50 / mAP50-95", *tables], lines)
+
+
+def _ap_pair(figures: Mapping[str, Any] | None) -> str:
+    """Return mAP50 / mAP50-95."""
+    if figures is None or figures["map50"] is None:
+        return "-"
+    return f"{figures['map50']:.3f} / {figures['map50_95']:.3f}"
+
+
+def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iterator[str]:
+    """Yield the section on AP by size, pitch, altitude and time, of one class or all."""
+    tables = []
+    for kind, words in _STRATA.items():
+        found = {n: of for n, e in evaluations.items() if (of := (e.get("strata") or {}).get(kind))}
+        lines = []
+        for stratum in sorted({s for of in found.values() for s in of}, key=_numeric_order):
+            rows = [_of_class(of.get(stratum, {}).get("classes", {}), category) for of in found.values()]
+            if any(r and r["instances"] for r in rows):
+                lines.append([stratum, *(f"{_ap_pair(r)} of {r['instances']:,}" if r else "-" for r in rows)])
+        if lines:
+            tables.append(markdown_table([words, *found], lines))
+    if tables:
+        yield f"## By size, pitch, altitude and time: {'all classes' if category == 'all' else category}"
+        yield "mAP50 / mAP50-95, and the number of objects."
+        yield from tables
+
+
+def _numeric_order(name: str) -> tuple[float, bool, str]:
+    """Return the sorting key of a stratum: `<8`, `8-16`, `16-32`, then names without numbers."""
+    found = re.search(r"\d+(\.\d+)?", name)
+    return float(found.group()) if found else float("inf"), not name.startswith("<"), name
+
+
+def _of_class(figures: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:
+    return next((f for n, f in figures.items() if n.casefold() == category.casefold()), None)
+
+
+def _stages_table(stages: Sequence[Mapping[str, Any]]) -> str:
+    lines = [[f"`{s['stage']}`", f"`{s['key']}`", count(s["images"]) or "-", _status(s)] for s in stages]
+    total = sum(s["seconds"] or 0 for s in stages)
+    return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", duration(total)]])
+
+
+def _status(stage: Mapping[str, Any]) -> str:
+    """Return the time a stage took, or why there is none."""
+    if stage["status"] != "complete":
+        return "not done" if stage["status"] == "missing" else "not needed"
+    if stage["adopted"] == "unchecked":
+        return "adopted; how it was made was not checked"
+    return "adopted and checked" if stage["adopted"] else duration(stage["seconds"])
+
+
+def _provenance(facts: Mapping[str, Any]) -> str:
+    lines = [f"* {k.replace('_', ' ')}: {', '.join(str(v) for v in values)}" for k, values in facts["hardware"].items()]
+    versions = ", ".join(f"{k} {'/'.join(v)}" for k, v in facts["versions"].items())
+    lines += [f"* versions: {versions}"] if versions else []
+    lines += [f"* seed: {facts['seed']}", f"* commit: {', '.join(facts['commits']) or 'not a checkout'}"]
+    return "\n".join(lines)

@@ -1,0 +1,51 @@
+"""Writing a results page: Markdown, JSON, charts, and the index of the folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.report.results.index import index_text
+from infrablend.report.results.page import page_text
+from infrablend.report.results.plots import draw_plots
+from infrablend.report.results.text import INDEX_FILE, page_name
+
+# Figures of the charts that the JSON does not keep.
+_NOT_KEPT = ("curves", "confusion")
+
+
+def write_page(facts: Mapping[str, Any], out: Path) -> Path:
+    """Write `<name>.md`, `<name>.json`, charts `<name>_*.svg` and the index to a folder; return the path of the page.
+
+    An unfinished run does not replace a complete page: its files are named `<name>-unfinished`.
+
+    Raises:
+        OutputError: The folder cannot be written.
+    """
+    # In the order of the JSON, so that the page follows from the JSON alone.
+    facts = json.loads(json.dumps(facts, sort_keys=True))
+    stem = page_name(facts["experiment"], facts["scale"])
+    if facts["status"] != "complete" and _is_complete(out / f"{stem}.json"):
+        stem += "-unfinished"
+    plots = [(f"{stem}_{name}.svg", title, svg) for name, title, svg in draw_plots(facts)]
+    for name, _, svg in plots:
+        write_bytes(out / name, svg)
+    for old in sorted(out.glob(f"{stem}_*.svg")):
+        if old.name not in {name for name, _, _ in plots}:
+            old.unlink()  # of an earlier run with more figures
+    evaluations = {n: {k: v for k, v in e.items() if k not in _NOT_KEPT} for n, e in facts["evaluations"].items()}
+    write_json(out / f"{stem}.json", {**facts, "evaluations": evaluations})
+    page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
+    write_text(out / INDEX_FILE, index_text(out))
+    return page
+
+
+def _is_complete(path: Path) -> bool:
+    try:
+        facts = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(facts, dict) and facts.get("status") == "complete"
