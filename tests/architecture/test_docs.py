@@ -1,12 +1,15 @@
-"""The documentation says what the code does: links, commands, fields, functions, notebook."""
+"""The documentation agrees with the code: links, commands, fields, functions, layers, dependencies, notebook."""
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
+import typing
 from dataclasses import fields
 from pathlib import Path
 
@@ -15,6 +18,8 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+SOURCES = sorted((ROOT / "src" / "infrablend").rglob("*.py"))
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 NOTEBOOK = ROOT / "docs" / "tutorials" / "quickstart.ipynb"
 
 
@@ -48,6 +53,166 @@ def test_every_page_is_reachable_from_the_index() -> None:
                 # A link to a folder is a link to what lies in it.
                 queue += sorted(target.glob("*.md")) if target.is_dir() else [target]
     assert [page_id(p) for p in PAGES if p not in seen and p.parent != ROOT] == []
+
+
+def test_pages_that_code_and_commands_name_exist() -> None:
+    files = [*SOURCES, *(ROOT / "src").rglob("*.yaml"), *(ROOT / "scripts").iterdir(), *(ROOT / "bench").iterdir()]
+    files += [ROOT / "Makefile", *(ROOT / "examples").rglob("*.py"), *PAGES]
+    named = {
+        (page_id(path), name)
+        for path in files
+        if path.is_file()
+        for name in re.findall(r"(?<![\w/])docs/[\w./-]*\w", path.read_bytes().decode("utf-8", "ignore"))
+    }
+    assert len(named) > 10
+    assert sorted(f"{where}: {name}" for where, name in named if not (ROOT / name).exists()) == []
+
+
+def test_pages_that_docstrings_and_comments_name_exist() -> None:
+    pages = {path.name for path in PAGES}
+    for path in SOURCES:
+        named = set(re.findall(r"(?<![\w/.<-])([a-z][a-z_0-9]+\.md)\b", path.read_text("utf-8")))
+        assert sorted(named - pages - {"readme.md"}) == [], page_id(path)
+
+
+def table_rows(page: Path, heading: str) -> list[list[str]]:
+    """Cells of the rows of the first table after a heading."""
+    text = page.read_text("utf-8").partition(f"\n{heading}\n")[2]
+    assert text, f"{page_id(page)} has no heading {heading}"
+    lines = re.search(r"(?:^\|.*\n?)+", text, re.MULTILINE)
+    assert lines, f"{page_id(page)}: no table after {heading}"
+    return [[c.strip() for c in line.strip("|").split("|")] for line in lines.group().splitlines()[2:]]
+
+
+def test_the_table_of_layers_is_the_import_contract() -> None:
+    (contract,) = [c for c in PYPROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
+    layers = [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
+    documented = [
+        set(re.findall(r"`(\w+)`", row[0]))
+        for row in table_rows(ROOT / "docs" / "explanation" / "architecture.md", "## Layers")
+    ]
+    assert documented == [layer for layer in layers if layer != {"__main__"}]
+
+
+def test_the_contract_on_blender_names_every_other_package() -> None:
+    (contract,) = [c for c in PYPROJECT["tool"]["importlinter"]["contracts"] if "bpy" in c.get("forbidden_modules", ())]
+    package = ROOT / "src" / "infrablend"
+    rooms = {p.name for p in package.iterdir() if (p / "__init__.py").is_file()} | {p.stem for p in package.glob("*.py")}
+    assert {m.removeprefix("infrablend.") for m in contract["source_modules"]} == rooms - {
+        "__init__", "__main__", "blender"
+    }  # fmt: skip
+
+
+def required(requirements: list[str]) -> set[str]:
+    return {re.split(r"[<>=!~\[; ]", text)[0].lower() for text in requirements}
+
+
+def test_the_page_on_dependencies_lists_those_of_the_project() -> None:
+    page = ROOT / "docs" / "explanation" / "dependencies.md"
+    project = PYPROJECT["project"]
+
+    def listed(heading: str, column: int) -> set[str]:
+        return {name.lower() for row in table_rows(page, heading) for name in re.findall(r"`([^`]+)`", row[column])}
+
+    assert listed("## At run time", 0) == required(project["dependencies"])
+    assert listed("## Extras", 0) == set(project["optional-dependencies"])
+    for row in table_rows(page, "## Extras"):
+        extra, package = (re.findall(r"`([^`]+)`", cell)[0] for cell in row[:2])
+        assert required(project["optional-dependencies"][extra]) == {package}
+    development = page.read_text("utf-8").partition("## For development\n")[2].partition("\n## ")[0]
+    named = {name.lower() for name in re.findall(r"`([^`]+)`", development.partition("; ")[0])}
+    assert named == required(PYPROJECT["dependency-groups"]["dev"])
+
+
+def attributes_read() -> set[str]:
+    """Names of all attributes that the package reads somewhere."""
+    trees = (ast.parse(path.read_text("utf-8")) for path in SOURCES)
+    return {
+        node.attr
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+    }
+
+
+def test_every_field_of_a_recipe_is_read() -> None:
+    """A field that nobody reads has no effect, whatever the documentation says of it."""
+    from pydantic import BaseModel
+
+    from infrablend.config.recipe import Recipe
+
+    found: set[str] = set()
+
+    def collect(kind: object, path: str) -> None:
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            for name, field in kind.model_fields.items():
+                found.add(f"{path}.{name}".removeprefix("."))
+                collect(field.annotation, f"{path}.{name}")
+        for part in typing.get_args(kind):
+            collect(part, path)
+
+    collect(Recipe, "")
+    assert len(found) > 100
+    read = attributes_read()
+    assert sorted(field for field in found if field.rpartition(".")[2] not in read) == []
+
+
+def test_every_fact_of_a_scene_is_read() -> None:
+    """What a scene stores of weather, look, camera and objects has an effect on its picture."""
+    from infrablend.core import camera, scene
+
+    elsewhere = [p for p in SOURCES if p.relative_to(ROOT / "src" / "infrablend").parts[:2] != ("core", "scene.py")]
+    read = {
+        node.attr
+        for path in elsewhere
+        if path.relative_to(ROOT / "src" / "infrablend").parts[0] != "sampling"  # which draws them
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+    }
+    for kind in (scene.Weather, scene.Appearance, scene.PartState, scene.ObjectSpec, camera.CameraSpec):
+        assert [f.name for f in fields(kind) if f.name not in read] == [], kind.__name__
+
+
+def test_the_reasons_of_removal_are_those_that_occur() -> None:
+    from infrablend.annotation import merge
+    from infrablend.pipeline.card import REMOVAL_TEXTS
+
+    tree = ast.parse(Path(merge.__file__).read_text("utf-8"))
+    reasons = set(typing.get_args(merge.RemovalReason))
+    # The literal itself is an assignment at the top of the module: only what functions use occurs.
+    used = {
+        node.value
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Constant) and node.value in reasons
+    }
+    assert used == reasons == set(REMOVAL_TEXTS)
+    page = (ROOT / "docs" / "reference" / "run_folder.md").read_text("utf-8")
+    for reason in reasons:
+        assert f"`{reason}`" in page
+
+
+def test_every_setting_of_labels_is_set_by_the_pipeline() -> None:
+    """A setting that only tests set is a drop that cannot occur."""
+    from infrablend.annotation.labels import LabelSettings
+    from infrablend.annotation.merge import MergeSettings
+
+    given: dict[str, set[str]] = {"LabelSettings": set(), "MergeSettings": set()}
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in given:
+                given[node.func.id] |= {k.arg for k in node.keywords if k.arg}
+    for kind in (LabelSettings, MergeSettings):
+        assert given[kind.__name__] == {f.name for f in fields(kind)}
+
+
+def test_the_pages_agree_on_the_levels_of_a_run_per_split() -> None:
+    """The levels are measured on the images that are read: all splits, or the one that `--split` names."""
+    for name in ("how_to/cluster.md", "explanation/physical_look.md"):
+        text = " ".join((ROOT / "docs" / name).read_text("utf-8").split())
+        assert "measured on the splits that the run reads" in text, name
+        assert "`--limit` does not change them" in text, name
 
 
 def commands() -> list[tuple[str, list[str]]]:

@@ -57,7 +57,7 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
     "tail_lamp": ("plastic", "covers of the rear lamps, as the front ones"),
 }
 
-# Ground that a parked car keeps from the cold sky is warmer, by some 6 K for the whole sky (thermal.md 5.5): a glow
+# Ground that a parked car keeps from the cold sky is warmer, by some 6 K for the whole sky: a glow
 # around the car that fades within a metre. Rings of a translucent sheet: how far out they reach, m, and their opacity.
 GROUND_RINGS: Mapping[str, tuple[float, float]] = {
     "ground_near": (0.15, 0.42), "ground_mid": (0.35, 0.28), "ground_far": (0.6, 0.15), "ground_edge": (0.95, 0.06),

@@ -49,31 +49,31 @@ SHOULDER_HEIGHT_M = (0.4, 1.6)
 TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6}
 HEAD_TURN_RAD = 0.35
 
-# Surface minus air. Levels: measured trunk in winter +6..+8 K (thermal.md 2.2, S11) and the map there
+# Surface minus air. Levels: measured trunk in winter +6..+8 K and the map there
 # T = Ta + dT_core * m(part). The issue asks for a "nearly uniform warm body with cooler legs, ears and antlers": so
-# legs and ears lie below the trunk here although thermal.md's skin values of lower legs and inner ears are above it,
-# and the spread over the trunk is 1-2 K. Fur is rough: no Fresnel rim (thermal.md 1.3), ior 1.
+# legs and ears lie below the trunk here although published skin values of lower legs and inner ears are above it,
+# and the spread over the trunk is 1-2 K. Fur is rough: no Fresnel rim, ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "back": made_of("fur", (5.0, 8.0), "top of the trunk, thickest coat; thermal.md 2.2 (m 0.25-0.30)"),
+    "back": made_of("fur", (5.0, 8.0), "top of the trunk, thickest coat"),
     "upper_flank": made_of("fur", (5.5, 8.5), "between back and flank"),
-    "flank": made_of("fur", (6.0, 9.0), "sides of the trunk; +6..+8 K measured, thermal.md 2.2 S11"),
-    "belly": made_of("fur", (6.5, 10.0), "underside and groin, thin coat; thermal.md 2.2"),
+    "flank": made_of("fur", (6.0, 9.0), "sides of the trunk; +6..+8 K measured"),
+    "belly": made_of("fur", (6.5, 10.0), "underside and groin, thin coat"),
     "neck_base": made_of("fur", (5.6, 8.8), "between trunk and neck"),
-    "neck": made_of("fur", (6.0, 9.5), "thermal.md 2.2 (m 0.35)"),
-    "head": made_of("fur", (7.0, 11.0), "thermal.md 2.2 (m 0.6), lowered towards a uniform body"),
-    "muzzle": made_of("fur", (8.0, 12.5), "thermal.md 2.2 (m 0.9), lowered towards a uniform body"),
-    "nose": made_of("skin", (9.0, 14.5), "bare skin; thermal.md 2.2 S14", emissivity=(0.97, 0.98)),
-    "eye": made_of("eye", (11.0, 18.0), "hottest spot; thermal.md 2.2 S14 (m 1.0)"),
+    "neck": made_of("fur", (6.0, 9.5), "trunk to head"),
+    "head": made_of("fur", (7.0, 11.0), "head, lowered towards a uniform body"),
+    "muzzle": made_of("fur", (8.0, 12.5), "bare muzzle, lowered towards a uniform body"),
+    "nose": made_of("skin", (9.0, 14.5), "bare skin", emissivity=(0.97, 0.98)),
+    "eye": made_of("eye", (11.0, 18.0), "hottest spot"),
     "ear": made_of("fur", (2.5, 5.5), "cooler than the body, as the issue says"),
     "haunch": made_of("fur", (5.6, 8.6), "thigh, between flank and leg"),
     "shoulder": made_of("fur", (5.6, 8.6), "shoulder to elbow, between flank and leg"),
-    "upper_leg": made_of("fur", (5.0, 8.0), "forearm and gaskin; thermal.md 2.2, issue: cooler legs"),
+    "upper_leg": made_of("fur", (5.0, 8.0), "forearm and gaskin, cooler than the trunk"),
     "mid_leg": made_of("fur", (3.8, 6.5), "above knee and hock, between its neighbours"),
     "lower_leg": made_of("fur", (2.5, 5.0), "below knee and hock; issue: cooler legs"),
-    "hoof": made_of("antler", (0.5, 2.5), "horn, touches the ground; thermal.md 2.1"),
-    "tail": made_of("fur", (4.0, 7.0), "thermal.md 2.2 (m 0.3)"),
-    "antler": made_of("antler", (0.0, 0.5), "bone at air temperature; thermal.md 2.2 S14"),
-    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler, fed with blood; thermal.md 2.2 S15"),
+    "hoof": made_of("antler", (0.5, 2.5), "horn, touches the ground"),
+    "tail": made_of("fur", (4.0, 7.0), "thin, mostly fur"),
+    "antler": made_of("antler", (0.0, 0.5), "bone at air temperature"),
+    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler, fed with blood"),
 }
 PART_NAMES = tuple(PARTS)
 TIMES = ("night", "day")

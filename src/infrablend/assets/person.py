@@ -56,25 +56,25 @@ BUILDS = ("slim", "average", "heavy")
 HEIGHT_M = (1.4, 2.1)
 DRAWN_HEIGHT_M = (1.5, 1.95)
 
-# Surface minus air for cool weather, air about -5..+12 C. Skin: 24-34 C (thermal.md 2.2, S16) is +14..+29 K at
+# Surface minus air for cool weather, air about -5..+12 C. Skin: 24-34 C is +14..+29 K at
 # 5-10 C; the face's cold end first at nose and ears. Clothes: winter clothing +2..+8 K, neck and collar gap hot, hat
 # and hood cooler (2.2, K). Cloth, hair and skin at this scale are rough or matt: no Fresnel rim (1.3), ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "face": made_of("skin", (14.0, 24.0), "bare skin, 24-34 C; thermal.md 2.2 S16"),
-    "nose": made_of("skin", (10.0, 20.0), "cool air lowers it first; thermal.md 2.2 S16"),
-    "ear": made_of("skin", (9.0, 20.0), "cools like the nose; thermal.md 2.2 S16"),
-    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap hot; thermal.md 2.2"),
-    "hand": made_of("skin", (10.0, 22.0), "bare skin, 24-34 C; thermal.md 2.2 S16"),
+    "face": made_of("skin", (14.0, 24.0), "bare skin, 24-34 C"),
+    "nose": made_of("skin", (10.0, 20.0), "cool air lowers it first"),
+    "ear": made_of("skin", (9.0, 20.0), "cools like the nose"),
+    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap hot"),
+    "hand": made_of("skin", (10.0, 22.0), "bare skin, 24-34 C"),
     "leg": made_of("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
-    "hair": made_of("hair", (5.0, 11.0), "between skin and air; emissivity thermal.md 2.1"),
-    "hat": made_of("cloth", (3.0, 7.0), "hat cooler than hair; thermal.md 2.2"),
-    "hood": made_of("cloth", (2.0, 6.0), "hood cooler; thermal.md 2.2"),
-    "collar": made_of("cloth", (4.0, 9.0), "warm air escapes here; thermal.md 2.2"),
-    "jacket": made_of("cloth", (2.0, 7.0), "winter clothing +2..+8 K; thermal.md 2.2"),
-    "sleeve": made_of("cloth", (2.5, 7.5), "winter clothing +2..+8 K; thermal.md 2.2"),
-    "coat_skirt": made_of("cloth", (1.8, 6.0), "hangs free of the body; low end of thermal.md 2.2"),
-    "trousers": made_of("cloth", (3.0, 8.0), "one layer, close to the leg; thermal.md 2.2"),
-    "shoe": made_of("leather", (1.5, 5.0), "thick, touches the ground; low end of thermal.md 2.2"),
+    "hair": made_of("hair", (5.0, 11.0), "between skin and air"),
+    "hat": made_of("cloth", (3.0, 7.0), "hat cooler than hair"),
+    "hood": made_of("cloth", (2.0, 6.0), "hood cooler"),
+    "collar": made_of("cloth", (4.0, 9.0), "warm air escapes here"),
+    "jacket": made_of("cloth", (2.0, 7.0), "winter clothing +2..+8 K"),
+    "sleeve": made_of("cloth", (2.5, 7.5), "winter clothing +2..+8 K"),
+    "coat_skirt": made_of("cloth", (1.8, 6.0), "hangs free of the body; low end of winter clothing"),
+    "trousers": made_of("cloth", (3.0, 8.0), "one layer, close to the leg"),
+    "shoe": made_of("leather", (1.5, 5.0), "thick, touches the ground; low end of winter clothing"),
     "backpack": made_of("cloth", (0.0, 2.5), "carried away from the body, near air temperature"),
     "strap": made_of("cloth", (1.5, 5.0), "on the jacket"),
     "seat": made_of("wood", (-1.0, 1.0), "wood or stone at air temperature; no part of a person", label=False),

@@ -17,7 +17,7 @@ from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
 from infrablend.pipeline.plan import RunPlan
 from infrablend.report.card import INSERT_LIMITS, Card, Inserts, find_provenance
 
-_REMOVED: Mapping[RemovalReason, str] = {
+REMOVAL_TEXTS: Mapping[RemovalReason, str] = {
     "covered": "original labels were removed because inserted objects cover them; `run.json` lists them",
     "category": "original labels were left out because the recipe does not keep their class",
     "labels": "labels were left out because the recipe asks for only the new or only the original ones",
@@ -98,7 +98,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
             "Pictures with objects were decoded and encoded again in the source's own file type; JPEG with the "
             "source's own tables, which may change grey levels slightly everywhere."
         )
-    texts += [f"{n} {_REMOVED.get(reason, reason)}." for reason, n in counts["labels_removed"].items()]
+    texts += [f"{n} {REMOVAL_TEXTS.get(reason, reason)}." for reason, n in counts["labels_removed"].items()]
     if covered := counts.get("labels_partly_covered"):
         texts.append(f"{covered} original labels are partly covered by inserted objects and kept.")
     if unlabelled := sum(counts["objects_without_label"].values()):
