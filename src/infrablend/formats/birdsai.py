@@ -64,7 +64,7 @@ _NAMES_COLUMNS = ("file", "name", "sequence", "captured")
 
 @dataclass(frozen=True)
 class _Part:
-    """A folder with `images` and, perhaps, `annotations`; or, without both, a folder of frames."""
+    """A folder with `images` and optionally `annotations`; or, without both, a folder of frames."""
 
     split: Split
     folder: Path
@@ -72,14 +72,14 @@ class _Part:
 
     @cached_property
     def pictures(self) -> dict[str, Path]:
-        """All pictures."""
+        """Return all pictures."""
         if not self.flat:
             return list_pictures(self.folder / "images")
         return {p.name: p for p in sorted(self.folder.glob("*")) if is_picture_name(p.name) and p.is_file()}
 
     @cached_property
     def frames(self) -> dict[str, dict[int, Path]]:
-        """Pictures by sequence and frame number, those whose names say both."""
+        """Return the pictures by sequence and frame number, if their names contain both."""
         found: dict[str, dict[int, Path]] = defaultdict(dict)
         for path in self.pictures.values():
             named = _FRAME.fullmatch(path.stem)
@@ -89,18 +89,18 @@ class _Part:
 
     @property
     def others(self) -> int:
-        """How many pictures are not among the frames."""
+        """Return the number of pictures that are not frames."""
         return len(self.pictures) - sum(map(len, self.frames.values()))
 
     @cached_property
     def tables(self) -> dict[str, Path]:
-        """CSV files by sequence; `tracking`, `water_metadata` and other things beside them are none."""
+        """Return the CSV files by sequence, without `tracking`, `water_metadata` and other files beside them."""
         files = [] if self.flat else sorted((self.folder / "annotations").glob("*.csv"))
         return {p.stem: p for p in files if p.is_file() and not is_hidden(p.name) and _SEQUENCE.fullmatch(p.stem)}
 
 
 def _parts(root: Path) -> list[_Part]:
-    """The splits' folders, or those in them of the same name; else the folder or its `Real`; else bare frames."""
+    """Return the folders of splits, or folders of the same name in them; else the folder or its `Real`; else bare frames."""
     named = [_Part(split, f) for name, split in _FOLDERS.items() for f in (root / name, root / name / name)]
     found = [p for p in named if (p.folder / "images").is_dir() and (p.tables or p.frames)]
     if not found:
@@ -108,7 +108,7 @@ def _parts(root: Path) -> list[_Part]:
         split = _FOLDERS.get(name, "train")
         others = [_Part(split, f) for f in (root, root / "Real", root / name) if (f / "images").is_dir()]
         found = [p for p in others if p.tables or (name in _FOLDERS and p.frames)][:1]
-    # Frames of BIRDSAI in another format are not ours: a bare folder has nothing but pictures and our tables.
+    # Frames of BIRDSAI in another format do not count: a bare folder contains only pictures and our tables.
     labels = (".txt", ".xml", ".json", ".yaml", ".yml", ".csv")
     if not found and root.is_dir():
         beside = [p for p in sorted(root.glob("*")) if p.is_dir() or p.suffix.lower() in labels]
@@ -118,7 +118,7 @@ def _parts(root: Path) -> list[_Part]:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds BIRDSAI's folders, or frames with its names and nothing that labels them otherwise."""
+    """Decide whether `root` contains BIRDSAI's folders, or frames named like BIRDSAI's without other labels."""
     parts = _parts(root)
     if not parts:
         return Match(NAME, False, "no TrainReal or TestReal with images, and no pictures <10 digits>_<10>_<10>.jpg")
@@ -135,7 +135,7 @@ def detect(root: Path) -> Match:
 
 @dataclass
 class _Reading:
-    """What is gathered while reading."""
+    """State of reading: records, counts and problems found so far."""
 
     root: Path
     by_class: bool
@@ -143,15 +143,15 @@ class _Reading:
     names: Mapping[int, str]
     problems: list[Problem] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    # Rows with a picture, if the frame numbers were off by that much.
+    # Number of rows with a picture for each offset of the frame numbers.
     shifted: Counter[int] = field(default_factory=Counter)
 
     def add(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Note an error: the item is left out."""
+        """Record an error: the item is left out."""
         self.problems.append(Problem(where, code, found, expected, todo))
 
     def warn(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Note a warning."""
+        """Record a warning."""
         self.problems.append(Problem(where, code, found, expected, todo, "warning"))
 
 
@@ -178,11 +178,11 @@ def read(
     frames: str = "number",
     frame_offset: str = "0",
 ) -> Dataset:
-    """Read the sequences below a folder. Every picture's size is taken from its header: it differs by sequence.
+    """Read the sequences below a folder; every picture's size is read from its header, since it differs by sequence.
 
     Args:
         root: The folder of `TrainReal` and `TestReal`, one of them, or a folder of frames.
-        splits: The splits wanted; None reads all there are.
+        splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude, by file or by sequence; None takes `metadata.csv` or `.json`.
         category: What becomes the category.
         noise: What happens to objects in noisy frames.
@@ -203,7 +203,7 @@ def read(
     offset = to_int(frame_offset)
     if offset is None:
         problem = Problem("option frame_offset", "option-value", f"frame_offset={frame_offset}", "a whole number")
-        raise DatasetError(f"{root}: an option its reader does not know", [problem])
+        raise DatasetError(f"{root}: an option has a value that is not allowed", [problem])
     wanted = check_splits(splits)
     further, problems = _further_species(root)
     renamed = _read_names(root, problems)
@@ -236,7 +236,7 @@ def read(
 
 
 def _further_species(root: Path) -> tuple[dict[int, Category], list[Problem]]:
-    """Categories by species number above BIRDSAI's own, from the table that our writer leaves."""
+    """Return categories by species number beyond BIRDSAI's own, from the table of our writer."""
     path = root / _SPECIES_FILE
     if not path.is_file():
         return {}, []
@@ -263,7 +263,7 @@ def _csv_rows(text: str, where: str, problems: list[Problem]) -> list[list[str]]
 
 
 def _read_names(root: Path, problems: list[Problem]) -> dict[str, tuple[str, str]]:
-    """Sequence and date by picture, from the table that our writer leaves where it had to change names."""
+    """Return sequence and date by picture, from the table of our writer, which exists if it changed names."""
     path = root / _NAMES_FILE
     if not path.is_file():
         return {}
@@ -327,7 +327,7 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
 
 
 def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
-    """The rows of a table that are whole; None if it cannot be read."""
+    """Return the complete rows of a table; None if it cannot be read."""
     text, problem = read_text(path, where, "a CSV table of ten columns")
     if problem is not None:
         reading.problems.append(problem)
@@ -392,12 +392,12 @@ def _instances(reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int]
 
 
 def _species(class_: int, number: int, names: Mapping[int, str]) -> str:
-    """The name of a species; that of an unknown one is human if the class says so."""
+    """Return the name of a species; an unknown species of class human is human."""
     return "human" if number == -1 and class_ == 1 else names[number]
 
 
 def _hint_at_offset(reading: _Reading, offset: int) -> None:
-    """Say so if another offset would give clearly more rows a picture."""
+    """Warn if another offset of the frame numbers would match clearly more rows."""
     best = max((0, -1, 1), key=lambda d: reading.shifted[d])
     total = reading.counts["rows"] - reading.counts["incomplete"]
     if best and reading.shifted[best] > reading.shifted[0] + 0.02 * total:
@@ -429,7 +429,7 @@ def write(
     pictures go to `ValReal`, which BIRDSAI itself has not.
 
     Args:
-        out: Folder; made if need be.
+        out: Output folder, created if necessary.
         images: With `size_wh` known or not: the format does not hold it.
         categories: Of the instances.
         dont_care: Regions to ignore are left out, or kept as objects with a species number of their own.
@@ -491,7 +491,7 @@ def _csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
-    """(class, species) by category: BIRDSAI's where the name is, else a species number above its own."""
+    """Return (class, species) by category: BIRDSAI's if it has the name, else a new species number."""
     own = {name: number for number, name in SPECIES.items()} | {UNKNOWN.name: -1, "animal": -1}
     taken = {c.id for c in categories if c.name not in own and c.id > UNKNOWN.id}
     free = (n for n in itertools.count(UNKNOWN.id + 1) if n not in taken)
@@ -505,7 +505,7 @@ def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int
 
 
 def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
-    """(sequence, frame) by image id: the image's own if they are BIRDSAI's and each frame occurs once, else counted."""
+    """Return (sequence, frame) by image id: the image's own if they are unique BIRDSAI names, else counted."""
     groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
     for image in images:
         groups[image.split, image.sequence or ""].append(image)
@@ -523,7 +523,7 @@ def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
 
 
 def _frame_of(image: ImageRecord) -> int | None:
-    """The frame number in the name, or the reader's; None if there is none that fits."""
+    """Return the frame number from the name, or the reader's; None if there is none."""
     named = _FRAME.fullmatch(PurePosixPath(image.name).stem)
     number = int(named[2]) if named and named[1] == image.sequence else image.extra.get("frame")
     return number if isinstance(number, int) and 0 <= number < 10**10 else None
@@ -539,18 +539,18 @@ def _grouped(
 
 
 class _Tracks:
-    """Track numbers of one sequence: whole numbers as they are, names and objects without one get free numbers."""
+    """Track numbers of one sequence: whole numbers stay, names and objects without a track get free numbers."""
 
     def __init__(self) -> None:
         self.named: dict[str, int] = {}
         self.free = 0
 
     def reserve(self, ids: Iterable[int | str | None]) -> None:
-        """Keep the numbers from being given again."""
+        """Reserve numbers."""
         self.free = max([self.free, *(i + 1 for i in ids if isinstance(i, int))])
 
     def number(self, id_: int | str | None) -> int:
-        """The number of a track."""
+        """Return the number of a track."""
         if isinstance(id_, int):
             return id_
         if id_ is None or id_ not in self.named:
@@ -562,7 +562,7 @@ class _Tracks:
 
 
 def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
-    """Class and species: as they were read, if they still mean the category; else those of the category's name."""
+    """Return class and species: those that were read if they still match the category, else those of its name."""
     class_, number = (instance.extra.get(k) for k in ("class", "species"))
     if class_ in (0, 1) and (number in SPECIES or number == -1):
         names = {**SPECIES, -1: UNKNOWN.name}

@@ -1,4 +1,4 @@
-"""How a picture was taken: camera pitch, altitude, day or night, from its file name or from a table."""
+"""Camera pitch, altitude and time of day of a picture, from its file name or from a table."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", r
 
 @dataclass(frozen=True)
 class Capture:
-    """What is known of how a picture was taken; None where nothing is.
+    """Pitch, altitude and time of day of a picture; None where unknown.
 
     Attributes:
         pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
@@ -38,7 +38,7 @@ class Capture:
     time_of_day: TimeOfDay | None = None
 
     def over(self, other: Capture) -> Capture:
-        """These values, and `other`'s where one is unknown."""
+        """Return these values, completed by `other`'s."""
         return Capture(
             other.pitch_deg if self.pitch_deg is None else self.pitch_deg,
             other.altitude_m if self.altitude_m is None else self.altitude_m,
@@ -46,14 +46,14 @@ class Capture:
         )
 
     def conflicts(self, other: Capture) -> list[str]:
-        """`field: this, that` for every field both know differently."""
+        """Return `field: this, that` for every field with different known values."""
         pairs = ((f, getattr(self, f), getattr(other, f)) for f in _FIELDS)
         return [f"{f}: {a} and {b}" for f, a, b in pairs if a is not None and b is not None and a != b]
 
 
 @dataclass(frozen=True)
 class NameFacts:
-    """A file name in HIT-UAV's grammar taken apart."""
+    """Parts of a file name in HIT-UAV's grammar."""
 
     capture: Capture
     weather: int
@@ -62,7 +62,7 @@ class NameFacts:
 
 
 def facts_from_name(name: str) -> NameFacts | None:
-    """Facts from a name `T_HHH_AA_W_NNNNN[_c<k>][.ext]` (folders before it are ignored), or None if it is no such."""
+    """Return the parts of a name `T_HHH_AA_W_NNNNN[_c<k>][.ext]` (folders are ignored), or None for other names."""
     base = PurePosixPath(name).name
     stem = base.rpartition(".")[0] if "." in base else base
     match = _NAME.fullmatch(stem)
@@ -73,7 +73,7 @@ def facts_from_name(name: str) -> NameFacts | None:
 
 
 def find_table(root: Path) -> Path | None:
-    """`metadata.csv` or `metadata.json` in the folder, in this order, or None."""
+    """Return `metadata.csv` or `metadata.json` in the folder, in this order, or None."""
     return next((root / n for n in TABLE_NAMES if (root / n).is_file()), None)
 
 
@@ -86,13 +86,13 @@ class CaptureTable:
     name: str = "table"
 
     def find(self, name: str) -> Capture | None:
-        """The row for a relative path: by the path, then by the file name, then by the stem."""
+        """Return the row for a relative path: by the path, else by the file name, else by the stem."""
         path = PurePosixPath(name)
         keys = (name, str(path.with_suffix("")), path.name, path.stem)
         return next((self.rows[k] for k in keys if k in self.rows), None)
 
     def unused(self, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[str]:
-        """Keys that name none of the relative paths and none of the sequences."""
+        """Return the keys that match none of the relative paths and none of the sequences."""
         known = {k for k in sequences if k is not None}
         for name in names:
             path = PurePosixPath(name)
@@ -102,7 +102,7 @@ class CaptureTable:
 
 @dataclass
 class Captures:
-    """Tells how each picture of a dataset was taken, and counts where its pitch came from.
+    """Looks up how each picture of a dataset was taken, and counts the sources of the pitch.
 
     The most particular counts: a table's row for the picture, the annotation, the file name, a row for the sequence.
 
@@ -117,7 +117,7 @@ class Captures:
     sources: Counter[str] = field(default_factory=Counter)
 
     def of(self, name: str, where: str, inside: Capture | None = None, sequence: str | None = None) -> Capture:
-        """What is known of a picture.
+        """Return pitch, altitude and time of day of a picture.
 
         Args:
             name: Relative path, by which a table may name it; the file name may say something itself.
@@ -144,12 +144,12 @@ class Captures:
         return known
 
     def note(self) -> str:
-        """Where pitch came from, for `Dataset.notes["pitch"]`, see `pitch_note`."""
+        """Return the sources of the pitch for `Dataset.notes["pitch"]`, see `pitch_note`."""
         return pitch_note(self.sources)
 
 
 def pitch_note(sources: Mapping[str, int]) -> str:
-    """Where the pictures' pitch came from, in words: `file names`, or `annotation (20 of 30), none (10 of 30)`."""
+    """Return the sources of the pictures' pitch in words: `file names`, or `annotation (20 of 30), none (10 of 30)`."""
     left = {kind: n for kind, n in sorted(sources.items()) if n}
     if len(left) < 2:
         return next(iter(left), "none")

@@ -39,7 +39,7 @@ NAME = "coco"
 WithoutMask = Literal["polygon", "omit"]
 
 _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
-# Far below a pixel; keeps sums such as 0.1 + 0.2 from filling the file with digits.
+# Far below a pixel, but sums such as 0.1 + 0.2 do not fill the file with digits.
 _DIGITS = 9
 
 
@@ -56,10 +56,10 @@ def write(
     info: Mapping[str, Any] | None = None,
     pictures: bool = False,
 ) -> Written:
-    """Write a file for every split there is, see `coco_files`.
+    """Write one file per existing split, see `coco_files`.
 
     With `pictures` they are `out/annotations/instances_<split>.json`, and the pictures go to `out/images/<split>/`, as
-    hard links of `ImageRecord.path` (copies where that is impossible); without, they are `out/<split>.json`, and the
+    hard links to `ImageRecord.path` (copies where that is impossible); without, they are `out/<split>.json`, and the
     pictures should lie in an `images/<split>/` beside or above `out`.
 
     Raises:
@@ -83,14 +83,14 @@ def coco_files(
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
-    """Text of `<split>.json` by file name, and the losses. Sorted keys, no dates: same records, same bytes.
+    """Return the text of `<split>.json` by file name, and the losses; sorted keys, no dates: equal records, equal bytes.
 
     `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their native ids;
     those with `ignore` get `"ignore": 1` and their annotations `iscrowd` 1.
 
     Args:
-        images: With `size_wh` known.
-        categories: With the ids to write.
+        images: Images with known `size_wh`.
+        categories: Categories with the ids to write.
         ids: `new` numbers images and annotations from 1 over all splits (pycocotools takes annotation id 0 for "no
             match") and writes the source's id as `source_id`; `source` keeps the source's own.
         without_mask: What `segmentation` of an object without a mask is: the polygon of its oriented box, else of its
@@ -127,7 +127,7 @@ def coco_files(
 
 
 def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
-    """The list `categories` of a COCO file."""
+    """Return the list `categories` of a COCO file."""
     return [
         {"id": c.id, "name": c.name, "supercategory": c.supercategory or c.name} | ({"ignore": 1} if c.ignore else {})
         for c in categories
@@ -135,7 +135,7 @@ def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
 
 
 def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
-    """`source_id` where ids are numbered anew, or as it was read."""
+    """Return the field `source_id`: the source's id if ids are new, or the field that was read."""
     if new and item.source_id is not None:
         return {"source_id": item.source_id}
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
@@ -159,7 +159,7 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
 def annotation_record(
     instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask, losses: Counter[str]
 ) -> dict[str, Any]:
-    """An annotation without `id`, `image_id` and `category_id`; with `new` ids the source's is its `source_id`."""
+    """Return an annotation without `id`, `image_id` and `category_id`; with `new` ids, `source_id` is the source's."""
     x0, y0, x1, y1 = instance.box_xyxy
     a: dict[str, Any] = {
         "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
@@ -190,7 +190,7 @@ def annotation_record(
 
 
 def is_coco(top: object) -> bool:
-    """True for a COCO object of a detection data set (HIT-UAV's own JSON has other keys)."""
+    """Return whether a JSON value is a COCO detection dataset (HIT-UAV's own JSON has other keys)."""
     if not isinstance(top, dict):
         return False
     lists = all(isinstance(top.get(k), list) for k in ("images", "annotations", "categories"))
@@ -198,7 +198,7 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """COCO files of a folder with their splits: in the folder, or in `annotations/` or `coco/` below it.
+    """Return the COCO files of a folder with their splits: in the folder, or in `annotations/` or `coco/` below it.
 
     The split is told by the name (`test.json`, `instances_val2017.json`); one file alone is train.
     """
@@ -218,12 +218,12 @@ def _looks_like_coco(path: Path) -> bool:
     try:
         return is_coco(read_json(path))
     except DatasetError:
-        # A broken file with a split's name is reported when read; any other is none of ours.
+        # A broken file named after a split is reported when read; any other is not ours.
         return path.stem in SPLITS or path.stem.startswith("instances_")
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds COCO files."""
+    """Decide whether `root` contains COCO files."""
     files = find_files(root)
     if not files:
         reason = "no JSON with images, annotations and categories in the folder, annotations/ or coco/"
@@ -232,7 +232,7 @@ def detect(root: Path) -> Match:
 
 
 def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) -> PictureFolder:
-    """The folder that holds most of the named pictures, among the usual places."""
+    """Return the folder that contains most of the named pictures, among the usual places."""
     stem = file.stem.removeprefix("instances_")
     bases = [root, file.parent, file.parent.parent] if file.parent != root else [root]
     if root.name == "coco":
@@ -261,8 +261,8 @@ def read(
 
     Args:
         root: Folder with the JSON files (or with `annotations/` or `coco/`).
-        splits: The splits wanted; None reads all there are.
-        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
         file: Read this JSON alone.
 
     Raises:
@@ -272,7 +272,7 @@ def read(
     files = {file: _split_of(file.stem)} if file is not None else find_files(root)
     if not files:
         problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
-        raise DatasetError(f"{root}: no COCO data set", [problem])
+        raise DatasetError(f"{root}: no COCO dataset", [problem])
     table_path = metadata or find_table(root)
     table = read_table(table_path) if table_path else None
     problems: list[Problem] = list(table.problems) if table else []
@@ -316,7 +316,7 @@ def read_records(
     captures: Captures,
     problems: list[Problem],
 ) -> list[tuple[str, ImageRecord]]:
-    """(name unique in the data set, record without an id) for every picture of one file that can be used.
+    """Return (name unique in the dataset, record without an id) for every usable picture of one file.
 
     Args:
         top: A COCO object, see `is_coco`.
@@ -471,7 +471,7 @@ def _track(value: object) -> int | str | None:
 
 
 def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:
-    """Right and lower edge; a sum that misses the frame's edge by rounding alone is on it."""
+    """Return the right and lower edge; a sum that misses the frame's edge only by rounding is moved to it."""
     x1, y1 = x + w, y + h
     if size_wh is not None:
         x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
@@ -482,7 +482,7 @@ def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None
 def _read_mask(
     a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str, problems: list[Problem]
 ) -> Mask | None:
-    """The mask of a segmentation in run lengths or polygons; None if there is none or it only repeats the box."""
+    """Return the mask of a segmentation in run lengths or polygons; None if there is none or it only repeats the box."""
     value = a.get("segmentation")
     if not value or a.get("segmentation_from") in ("obb", "box"):
         return None

@@ -24,19 +24,19 @@ def reader_options(format: Format) -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class Detection:
-    """The format found (None if none fits), and what each format said about the folder, in order."""
+    """The detected format (None if none fits), and the result of each format, in order."""
 
     format: str | None
     matches: tuple[Match, ...]
 
     @property
     def reasons(self) -> dict[str, str]:
-        """Reason by format: why it fits, or why it does not."""
+        """Return per format the reason why it fits, or why it does not."""
         return {m.format: m.reason for m in self.matches}
 
 
 def detect(root: Path) -> Detection:
-    """Ask every format whether the folder is its own; the first that says yes is taken."""
+    """Return the first format of the table that fits a folder, with the reasons of all formats."""
     matches = tuple(import_module(f.module).detect(root) for f in FORMATS)
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
@@ -53,7 +53,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         DatasetError: The folder cannot be read, or the format does not have one of the options.
     """
     if not root.is_dir():
-        problem = Problem(str(root), "folder-missing", "no such folder", "a data set's folder", "check the path")
+        problem = Problem(str(root), "folder-missing", "no such folder", "the folder of a dataset", "check the path")
         raise DatasetError("no dataset to read", [problem])
     format = reading.format
     if format is None:
@@ -75,17 +75,17 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         if name not in known
     ]
     if table is not None and not getattr(module, "TAKES_TABLE", True):
-        says = f"{chosen.name} says pitch and altitude itself"
+        says = f"{chosen.name} already contains pitch and altitude"
         problems.append(Problem(table.name, "table-unused", says, "no table", "leave it out"))
     if problems:
-        raise DatasetError(f"{root}: the format is {chosen.name}, which does not take what was given", problems)
+        raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:
         given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
     return _without_links(module.read(root, splits=reading.splits, **given))
 
 
 def _without_links(dataset: Dataset) -> Dataset:
-    """The dataset without pictures that are links out of their folders: they would carry foreign files into results."""
+    """Return the dataset without pictures that are links out of their folders, since these would copy foreign files."""
     problems, kept = list(dataset.problems), []
     for image in dataset.images:
         problem = None

@@ -44,7 +44,7 @@ _DECIMALS = 8
 
 
 def dota_names(categories: Iterable[Category]) -> dict[str, str]:
-    """Name to write by category name: blanks become hyphens, as in DOTA's own `small-vehicle`; each once."""
+    """Return the name to write per category: blanks become hyphens, as in DOTA's own `small-vehicle`; names are unique."""
     names: dict[str, str] = {}
     ordered = sorted(categories, key=lambda c: (any(x.isspace() for x in c.name), c.id))  # names without blanks stay
     for c in ordered:
@@ -72,7 +72,7 @@ def write(
     for image in sort_images(images):
         stem = Path(image.name).stem
         if "/" in image.name or (image.split, stem) in seen:
-            raise ValueError(f"{image.name}: DOTA wants names without folders, and each stem once in a split")
+            raise ValueError(f"{image.name}: DOTA needs names without folders and unique stems in a split")
         seen.add((image.split, stem))
         files.append(write_text(out / image.split / "labelTxt" / f"{stem}.txt", label_text(image, names, losses)))
         if pictures:
@@ -81,9 +81,9 @@ def write(
 
 
 def label_text(image: ImageRecord, names: Mapping[str, str], losses: Counter[str]) -> str:
-    """The label file of an image; counts what it cannot hold.
+    """Return the label file of an image, and count what it cannot hold.
 
-    An object without oriented box gets its axis-aligned one. Corners are written as they are, outside the frame, too.
+    An object without an oriented box gets its axis-aligned one. Corners outside the frame are kept.
     """
     require_size(image)
     lines = [f"{k}:{image.extra.get(k, _NOTHING)}" for k in ("imagesource", "gsd")]
@@ -111,9 +111,9 @@ def _number(value: float) -> str:
 
 
 def find_folders(root: Path) -> list[tuple[Split, Path | None, Path]]:
-    """(split, label folder, picture folder) of every split; without folders for splits all is train.
+    """Return (split, label folder, picture folder) per split; without folders of splits, everything is train.
 
-    A split with pictures alone, as DOTA's test, has no label folder.
+    A split with only pictures, such as DOTA's test, has no label folder.
     """
     found: list[tuple[Split, Path | None, Path]] = []
     for split in SPLITS:
@@ -148,7 +148,7 @@ def _label_files(folder: Path) -> list[Path]:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds `labelTxt` or `annfiles` folders with DOTA's lines."""
+    """Decide whether `root` contains `labelTxt` or `annfiles` folders with DOTA's lines."""
     folders = find_folders(root)
     labelled = [labels for _, labels, _ in folders if labels is not None]
     if not labelled:
@@ -178,12 +178,12 @@ def _floats(words: Sequence[str]) -> list[float] | None:
 
 
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
-    """Read DOTA's folders. Categories are numbered from 0 in the order of their names: the files hold no list.
+    """Read DOTA's folders; categories are numbered from 0 in the order of their names, since no file lists them.
 
     Args:
         root: The folder.
-        splits: The splits wanted; None reads all there are.
-        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
 
     Raises:
         DatasetError: No label folder, or nothing can be read.
@@ -194,7 +194,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         problem = Problem(
             str(root), "annotation-missing", "no labelTxt or annfiles", "DOTA's folders", "check the path"
         )
-        raise DatasetError(f"{root}: no DOTA data set", [problem])
+        raise DatasetError(f"{root}: no DOTA dataset", [problem])
     table_path = metadata or find_table(root)
     table = read_table(table_path) if table_path else None
     problems: list[Problem] = list(table.problems) if table else []
@@ -223,7 +223,7 @@ def _read_split(
     table: CaptureTable | None,
     problems: list[Problem],
 ) -> list[tuple[str, ImageRecord]]:
-    """(path below `root`, record) of every picture of a split; adds to `problems`."""
+    """Return (path below `root`, record) of every picture of a split; adds to `problems`."""
     files = {p.stem: p for p in _label_files(labels)} if labels else {}
     records: list[tuple[str, ImageRecord]] = []
     unlabelled = 0
@@ -268,7 +268,7 @@ def _capture(name: str, key: str, table: CaptureTable | None, problems: list[Pro
     if listed is None:
         return named
     for conflict in listed.conflicts(named):
-        found = f"{conflict} (table, file name); the table counts"
+        found = f"{conflict} (table, file name); the table is used"
         problems.append(Problem(key, "metadata-disagrees", found, "the same", severity="warning"))
     return listed.over(named)
 
@@ -318,12 +318,12 @@ def _object(words: Sequence[str], size_wh: tuple[int, int], where: str, problems
         over = overhang_px(corners, size_wh)
         problem = None
         if over > OVERHANG_PX:
-            found = f"oriented box reaches {over:.3g} px out of the frame, kept; its upright box is clipped"
+            found = f"oriented box reaches {over:.3g} px out of the frame, kept; its axis-aligned box is clipped"
             expected = f"at most {OVERHANG_PX} px outside {size_wh[0]}x{size_wh[1]} px"
             problem = Problem(where, "box-overhang", found, expected, severity="warning")
     problems += [problem] if problem is not None else []
     if box is None:
         return None
-    # 2 is what later versions give to objects too small to tell.
+    # Later versions use 2 for objects too small to identify.
     extra = {"difficult": 2} if flag == "2" else {}
     return Instance(words[8], box, corners, difficult=None if flag is None else flag != "0", extra=extra)

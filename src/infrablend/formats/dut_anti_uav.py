@@ -2,8 +2,8 @@
 
     {train,val,test}/img/NNNNN.jpg   {train,val,test}/xml/NNNNN.xml     perhaps doubled: train/train/img
 
-The pictures are daylight and in colour: sizes, shapes and counts of drones, never a thermal background. Every record
-says so (`modality` is `visible` in its `extra`), and a run leaves such pictures out.
+The pictures are in colour, taken by daylight: they show sizes, shapes and numbers of drones but are not thermal
+backgrounds. Every record has `modality` `visible` in its `extra`, and a run leaves such pictures out.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ CATEGORIES = (Category(0, "UAV"),)
 
 
 def _split_folders(root: Path) -> list[Path]:
-    """Folders of splits, or the folder of the same name in them, that hold `img` and `xml`."""
+    """Return the folders of splits, or folders of the same name in them, that contain `img` and `xml`."""
     folders = [f for s in ("train", "val", "test") for f in (root / s, root / s / s)]
     return [f for f in folders if (f / "img").is_dir() and (f / "xml").is_dir()]
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds `img` and `xml` folders in the folders of splits."""
+    """Decide whether `root` contains `img` and `xml` folders in the folders of splits."""
     folders = _split_folders(root)
     if not folders:
         return Match(NAME, False, "no train, val or test with folders img and xml in it")
@@ -46,7 +46,7 @@ def read(
     origin: str = "0",
     unlabelled: str = "keep",
 ) -> Dataset:
-    """Read the pictures' labels; see `voc.read` for the arguments and what is raised."""
+    """Read pictures and labels; see `voc.read` for the arguments and errors."""
     require_options(root, origin=(origin, ("0", "1")), unlabelled=(unlabelled, KEEP_OR_DROP))
     wanted = check_splits(splits)
     found = voc.read_folder(root, wanted, "1" if origin == "1" else "0", unlabelled)
@@ -54,7 +54,7 @@ def read(
     others = [n for n in found.names if n != "UAV"]
     if others:
         text = f"{', '.join(others)}, taken as new categories"
-        problems.append(Problem(root.name, "category-unknown", text, "UAV alone", severity="warning"))
+        problems.append(Problem(root.name, "category-unknown", text, "only UAV", severity="warning"))
     categories = [*CATEGORIES, *(Category(k, n) for k, n in enumerate(others, 1))]
     records = [replace(r, extra={**r.extra, "modality": "visible"}) for r in found.records]
     notes = {"labels": NAME, "origin": int(origin), "modality": "visible", "rows": found.counts}

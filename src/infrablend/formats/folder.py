@@ -37,12 +37,12 @@ Labels = Literal["auto", "none", "yolo", "coco"]
 _SPLIT_NAMES: dict[str, Split] = {
     "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
 }  # fmt: skip
-# Folders that hold no backgrounds.
+# Folders without backgrounds.
 _SKIP = ("labels", "annotations", "coco", "scenes")
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds pictures at all."""
+    """Decide whether `root` contains any pictures."""
     if not root.is_dir():
         return Match(NAME, False, "no such folder")
     if not list_pictures(root, _SKIP):
@@ -51,7 +51,7 @@ def detect(root: Path) -> Match:
 
 
 def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
-    """(split, folder) of a plain folder: its `train`, `val`, `test` (in `images/` too), else all of it as train."""
+    """Return (split, folder) pairs: `train`, `val`, `test` (also in `images/`), else the whole folder as train."""
     for base in (root, root / "images"):
         if not base.is_dir():
             continue
@@ -70,7 +70,7 @@ def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
 
 
 def _belongs_to(root: Path) -> Path | None:
-    """The annotation file beside a folder that is one split's pictures of a larger data set, or None."""
+    """Return the annotation file of a larger dataset of which this folder is only one split's pictures, or None."""
     here = root.resolve()
     for name in (f"{here.name}.json", f"instances_{here.name}.json"):
         file = here.parent / "annotations" / name
@@ -107,10 +107,10 @@ def read(
     whole = _belongs_to(root)
     if whole is not None and labels == "auto":
         problem = Problem(
-            str(root), "split-folder", f"a split's pictures; their labels are in {whole}", "the folder of the data set",
+            str(root), "split-folder", f"a split's pictures; their labels are in {whole}", "the folder of the dataset",
             f"give {whole.parent.parent}",
         )  # fmt: skip
-        raise DatasetError(f"{root}: one split of a data set, read alone it would lose every label", [problem])
+        raise DatasetError(f"{root}: one split of a dataset, read alone it would lose every label", [problem])
     if labels in ("auto", "coco"):
         files = coco.find_files(root)
         if files:
@@ -150,7 +150,7 @@ def read(
 
 
 def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:
-    """Class names from `data.yaml`, or from `classes.txt` in the folder, in `labels/` or beside the first label."""
+    """Return class names from `data.yaml`, or `classes.txt` in the folder, in `labels/` or beside the first label."""
     path = find_yaml(root)
     if path is not None:
         return class_names(read_yaml(path)["names"], path.name)

@@ -1,4 +1,4 @@
-"""Decoding one background picture safely, and writing a picture of the same kind."""
+"""Decode one background picture safely, and write a picture of the same kind."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",), "BMP": (".bmp",), "TIF
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """A decoded picture and what is needed to write another one like it.
+    """A decoded picture, and everything needed to write a similar one.
 
     Attributes:
         path: Where it came from.
@@ -51,7 +51,7 @@ class Background:
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Width and height in px."""
+        """Return width and height in px."""
         return int(self.pixels.shape[1]), int(self.pixels.shape[0])
 
 
@@ -117,7 +117,7 @@ def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> Data
 
 
 def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], PixelMode, list[Problem]]:
-    """Grey levels, the mode to write back, and what was converted."""
+    """Return the grey levels, the mode to write back, and warnings on conversions."""
     problems: list[Problem] = []
 
     def warn(code: str, found: str, expected: str) -> None:
@@ -153,12 +153,12 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
 
 
 def output_suffix(path: Path, kind: SaveKind) -> str:
-    """File suffix of the picture `save_image` makes from one read at `path`: its own, or `.png`."""
+    """Return the suffix of the picture that `save_image` writes for one read from `path`: its own, or `.png`."""
     return ".png" if kind == "png" else path.suffix
 
 
 def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Background, kind: SaveKind = "same") -> bytes:
-    """A file's bytes for (h, w) pixels: mode, size and bit depth of `like`, and its type or PNG.
+    """Return a file's bytes for (h, w) pixels: mode, size and bit depth of `like`, and its type or PNG.
 
     JPEG uses the source's own quantisation tables and subsampling; no date, no metadata: same pixels, same bytes.
 
@@ -198,7 +198,7 @@ def save_image(
         OutputError: The file cannot be written; what was there stays.
     """
     suffixes = _SUFFIXES["PNG" if kind == "png" else like.file_type]
-    # A picture may carry a wrong suffix in its data set; with `same` its own suffix is right by definition.
+    # A picture may have a wrong suffix in its dataset; `same` keeps it.
     if path.suffix.lower() not in suffixes and not (kind == "same" and path.suffix == like.path.suffix):
         raise ValueError(f"{path.name}: suffix must be one of {', '.join(suffixes)}")
     return write_bytes(path, encode_image(pixels, like, kind))

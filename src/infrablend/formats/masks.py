@@ -47,7 +47,7 @@ TAKES_TABLE = False  # the tables say pitch and altitude
 
 CATEGORIES_FILE = "categories.json"
 MOST_OBJECTS = 65_535
-"""Objects that a picture of 16 bits tells apart."""
+"""Number of objects that a 16-bit picture can distinguish."""
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def write(
 
 
 def instance_pixels(image: ImageRecord, losses: Counter[str]) -> NDArray[np.uint16]:
-    """(h, w) the number of the object each pixel belongs to, counted from 1 in the order of the labels; 0 for none."""
+    """Return (h, w) the number of each pixel's object, counted from 1 in the order of the labels; 0 for none."""
     w, h = require_size(image)
     if len(image.instances) > MOST_OBJECTS:
         raise ValueError(f"{image.id}: {len(image.instances)} objects, at most {MOST_OBJECTS} fit")
@@ -144,7 +144,7 @@ def _table(
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds `categories.json` and `masks/<split>/`."""
+    """Decide whether `root` contains `categories.json` and `masks/<split>/`."""
     missing = [n for n in (CATEGORIES_FILE, "masks") if not (root / n).exists()]
     if missing:
         return Match(NAME, False, f"no {' and no '.join(missing)}")
@@ -159,7 +159,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
 
     Args:
         root: The folder with `categories.json`.
-        splits: The splits wanted; None reads all there are.
+        splits: Splits to read; None reads all.
 
     Raises:
         DatasetError: No list of categories, or nothing can be read.

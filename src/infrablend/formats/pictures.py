@@ -1,4 +1,4 @@
-"""Finding picture files: listings, names that must stay inside the dataset, ids."""
+"""Find picture files: listings, names that must stay inside the dataset, ids."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from PIL import Image
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
-# Above this a picture is taken for a decompression bomb: 16 times a 4K frame.
+# Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
 
 
 def is_hidden(name: str) -> bool:
-    """True for `.DS_Store`, `._x.jpg`, half-written files and their like."""
+    """Return whether a name is hidden: `.DS_Store`, `._x.jpg`, partly written files."""
     return name.startswith(".")
 
 
 def is_picture_name(name: str) -> bool:
-    """True for a visible name with a picture's suffix."""
+    """Return whether a name is visible and has a picture's suffix."""
     return not is_hidden(name) and name.lower().endswith(PICTURE_SUFFIXES)
 
 
 def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
-    """Pictures below `folder` by POSIX path relative to it, sorted; empty if the folder is not there.
+    """Return the pictures below `folder` by relative POSIX path, sorted; empty if the folder does not exist.
 
     The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out.
     """
@@ -44,7 +44,7 @@ def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
 
 
 def check_name(name: object, where: str) -> Problem | None:
-    """What is wrong with a picture's name as an annotation gives it: only a relative path that stays inside will do."""
+    """Return the problem of a picture's name in an annotation: it must be a relative path inside the folder."""
     expected = "a relative file name inside the picture folder"
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         return Problem(where, "name-missing", f"picture name {name!r}", expected, "correct the annotation")
@@ -57,7 +57,7 @@ def check_name(name: object, where: str) -> Problem | None:
 
 
 def check_link(path: Path, folder: Path, where: str) -> Problem | None:
-    """A problem if `path`, named by an annotation, is a link that leaves the picture folder."""
+    """Return a problem if `path`, named by an annotation, is a link out of the picture folder."""
     real, inside = os.path.realpath(path), os.path.realpath(folder)
     if os.path.commonpath([real, inside]) == inside:
         return None
@@ -72,7 +72,7 @@ def check_link(path: Path, folder: Path, where: str) -> Problem | None:
 
 @dataclass(frozen=True)
 class PictureFolder:
-    """One folder of pictures that annotations name: what it holds, by name and by stem."""
+    """One folder of pictures to which annotations refer, by name and by stem."""
 
     folder: Path
     by_name: dict[str, Path]
@@ -80,7 +80,7 @@ class PictureFolder:
 
     @classmethod
     def scan(cls, folder: Path) -> PictureFolder:
-        """List `folder`; a missing one is empty."""
+        """List `folder`; a missing folder is empty."""
         by_name = list_pictures(folder)
         by_stem: dict[str, str] = {}
         for name in by_name:
@@ -88,7 +88,7 @@ class PictureFolder:
         return cls(folder, by_name, by_stem)
 
     def find(self, name: str, where: str) -> tuple[str, Path | None, Problem | None]:
-        """The name with its extension, the file (None if missing), and a problem if it is a link leading out.
+        """Return the name with its extension, the file (None if missing), and a problem if it is a link leading out.
 
         A name without a picture's suffix, as in HIT-UAV's rotate_xml, is looked up by stem.
         """
@@ -102,7 +102,7 @@ class PictureFolder:
 
 
 def assign_ids(names: Iterable[str]) -> dict[str, str]:
-    """A unique id for every relative path: the stem where that is unique, else the path with `__` for `/`.
+    """Return a unique id per relative path: the stem if that is unique, else the path with `__` for `/`.
 
     Pictures that differ in the suffix only get it appended, and numbers settle what is left; the result depends
     on the set of names alone.
@@ -131,7 +131,7 @@ def assign_ids(names: Iterable[str]) -> dict[str, str]:
 
 
 def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:
-    """(width, height) from the file's header, without decoding; or None and what is wrong."""
+    """Return (width, height) from the file's header, without decoding; or None and the problem."""
     if path.is_symlink() and (problem := check_link(path, path.parent, where)) is not None:
         return None, problem
     try:
@@ -155,7 +155,7 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
 
 
 def by_folder(root: Path) -> dict[str, dict[str, Path]]:
-    """Pictures below `root` as `list_pictures` finds them: relative folder (`.` for `root`) -> name -> path.
+    """Return the pictures found by `list_pictures`: relative folder (`.` for `root`) -> name -> path.
 
     Without those in `images` or `JPEGImages`: they have their labels elsewhere, in another format's layout.
     """
@@ -168,6 +168,6 @@ def by_folder(root: Path) -> dict[str, dict[str, Path]]:
 
 
 def labels_beside(folders: dict[str, dict[str, Path]], suffix: str) -> bool:
-    """Whether some picture has a file of its stem beside it, or all lie in the root or its own folders."""
+    """Return whether a picture has a file of its stem beside it, or all folders are in the root."""
     shallow = all("/" not in folder for folder in folders)
     return shallow or any(p.with_suffix(suffix).is_file() for found in folders.values() for p in found.values())

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from infrablend.core.masks import Mask
 
-# Far above what ten decimals and float32 lose (4e-5 px), far below what anybody sees.
+# Far above the loss by ten decimals and float32 (4e-5 px), far below anything visible.
 INSET_PX = 0.01
 # Ultralytics resamples polygons of 1,000 corners or more, which cuts bridges.
 MAX_CORNERS = 990
-# Largest parts and holes kept; what is beyond is noise of single pixels, and counted in the raster difference.
+# Number of parts and holes kept, largest first; the rest is noise of single pixels, counted in the raster difference.
 MAX_RINGS = 64
 
 
@@ -34,14 +34,14 @@ class Outline:
 
 
 def rasterise(polygon_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> NDArray[np.bool_]:
-    """(h, w) mask of a polygon (n, 2) in px, as Ultralytics rasterises it."""
+    """Return the (h, w) mask of a polygon (n, 2) in px, as rasterised by Ultralytics."""
     canvas = np.zeros((size_wh[1], size_wh[0]), np.uint8)
     cv2.fillPoly(canvas, [polygon_xy.astype(np.int32)], 1)
     return canvas.astype(np.bool_)
 
 
 def outline(mask: Mask) -> Outline:
-    """One polygon for a mask with any number of parts and holes, of at most `MAX_CORNERS` corners if possible.
+    """Return one polygon for a mask with any number of parts and holes, with at most `MAX_CORNERS` corners if possible.
 
     An empty mask gives an empty polygon. Bridges between parts paint the pixels under them, and simplification to the
     limit moves edges: `raster_difference_px` counts both.
@@ -72,7 +72,7 @@ def _join(
     tolerance_px: float | None,
     part: NDArray[np.uint8],
 ) -> NDArray[np.float64]:
-    """All rings as one polygon: holes into the ring around them, then parts into the largest, nearest first.
+    """Join all rings to one polygon: holes to the ring around them, then parts to the largest, nearest first.
 
     Without a tolerance, not even diagonal steps are cut short.
     """
@@ -90,7 +90,7 @@ def _join(
 
 
 def _bridge(rings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """One closed ring out of several: a minimum spanning tree of bridges between nearest corners, from the first."""
+    """Join several rings to one by a minimum spanning tree of bridges between nearest corners, from the first."""
     best = {k: (*_nearest(rings[0], rings[k]), 0) for k in range(1, len(rings))}
     children: dict[tuple[int, int], list[tuple[int, int]]] = {}
     while best:
@@ -103,7 +103,7 @@ def _bridge(rings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
                 best[other] = (*found, k)
 
     def walk(k: int, start: int, closed: bool) -> list[tuple[float, float]]:
-        """Once around ring k from a corner (and back onto it), with a trip over every bridge on the way."""
+        """Go once around ring k from a corner and back to it, crossing every bridge on the way."""
         n = len(rings[k])
         points: list[tuple[float, float]] = []
         for i in [(start + s) % n for s in range(n)]:
@@ -117,7 +117,7 @@ def _bridge(rings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _nearest(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int, int]:
-    """Squared distance, index in a and index in b of the nearest pair of corners."""
+    """Return the squared distance, index in a and index in b of the nearest pair of corners."""
     distance = ((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=2)
     i, j = np.unravel_index(int(distance.argmin()), distance.shape)
     return float(distance[i, j]), int(i), int(j)
@@ -130,7 +130,7 @@ def _simplified(ring: NDArray[np.int32], tolerance_px: float) -> NDArray[np.int3
 
 
 def _stepped(ring: NDArray[np.int32], part: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """The contour with each diagonal step taken in two straight ones over the pixel inside, where the mask has it."""
+    """Replace each diagonal step of a contour by two straight ones over the inner pixel, if the mask contains it."""
     pixels = [(int(x), int(y)) for x, y in ring[::-1]]
     walked: list[tuple[int, int]] = []
     for (x, y), (nx, ny) in zip(pixels, pixels[1:] + pixels[:1], strict=True):
@@ -143,7 +143,7 @@ def _stepped(ring: NDArray[np.int32], part: NDArray[np.uint8]) -> NDArray[np.int
 
 
 def _edge_ring(ring: NDArray[np.int32], stairs: bool) -> NDArray[np.float64]:
-    """The pixels of one contour (n, 2), replaced by points on their outer edges, `INSET_PX` inside.
+    """Replace the pixels of one contour (n, 2) by points on their outer edges, `INSET_PX` inside.
 
     cv2 runs around parts counter-clockwise and around holes clockwise, both with the mask on the left; reversed, the
     mask lies on the right hand of every step and the outer edge on the left. A diagonal step cuts from the middle of
@@ -171,7 +171,7 @@ _COMPASS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)
 
 
 def _sides(step_in: tuple[int, int], step_out: tuple[int, int], stairs: bool) -> list[tuple[int, int]]:
-    """Sides and corners of a pixel that its outer edge runs along, between two steps of a contour, clockwise."""
+    """Return the sides and corners of a pixel along its outer edge, between two steps of a contour, clockwise."""
     eighth_in, eighth_out = _COMPASS.index(step_in), _COMPASS.index(step_out)
     diagonal_in, diagonal_out = eighth_in % 2, eighth_out % 2
     turn = (eighth_out - eighth_in + 3) % 8 - 3  # eighths to the right, -3 to 4; a reversal goes around the outside
@@ -193,7 +193,7 @@ def _sign(value: int) -> int:
 
 
 def _inside(x: int, y: int, side: tuple[int, int]) -> tuple[float, float]:
-    """The point of pixel (x, y) nearest to a side or corner, `INSET_PX` inside; its middle where side is 0."""
+    """Return the point of pixel (x, y) nearest to a side or corner, `INSET_PX` inside; its centre where side is 0."""
     reach = 0.5 - INSET_PX
     return x + 0.5 + reach * side[0], y + 0.5 + reach * side[1]
 
@@ -202,7 +202,7 @@ _Point = tuple[int, int, float, float]
 
 
 def _bends(a: _Point, b: _Point, c: _Point) -> bool:
-    """False if b lies on the way from a to c, as a point and as a pixel."""
+    """Return whether the contour turns at b: False if b is on the way from a to c, as a point and as a pixel."""
     pixel = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
     exact = (b[2] - a[2]) * (c[3] - b[3]) - (b[3] - a[3]) * (c[2] - b[2])
     onward = (b[2] - a[2]) * (c[2] - b[2]) + (b[3] - a[3]) * (c[3] - b[3])

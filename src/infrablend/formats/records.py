@@ -1,4 +1,4 @@
-"""The last steps of every reader whose files hold no ids and no pitch: from records to a dataset."""
+"""The last steps of readers whose files contain no ids and no pitch: from records to a dataset."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def make_dataset(
     metadata: Path | None = None,
     splits: Sequence[Split] = (),
 ) -> Dataset:
-    """The dataset of records whose ids are still empty: they get one, and what a table and their names say.
+    """Return a dataset of records without ids, which get an id, and pitch and altitude from a table or their names.
 
     Args:
-        root: The dataset's folder; every record's path lies in it.
-        format: The reader's name.
-        records: As the reader made them.
-        categories: The dataset's.
-        problems: What is wrong so far.
-        notes: The reader's own facts; `pitch` (where it comes from) and `table` are added.
-        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
-        splits: What was asked for, for the message if nothing is left.
+        root: Folder of the dataset, which contains the path of every record.
+        format: Name of the format.
+        records: Records of the reader.
+        categories: Categories of the dataset.
+        problems: Problems found so far.
+        notes: Facts of the reader, to which `pitch` (its sources) and `table` are added.
+        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
+        splits: Requested splits, for the error message if nothing is left.
 
     Raises:
         DatasetError: No record is left, or the table cannot be read.
@@ -46,7 +46,7 @@ def make_dataset(
     inside = {r.path.relative_to(root).as_posix(): r for r in records}
     if not inside:
         asked = f" in the splits {', '.join(splits)}" if splits else ""
-        missing = Problem(str(root), "image-missing", "no picture that can be used" + asked, "JPEG, PNG, BMP or TIFF")
+        missing = Problem(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
         raise DatasetError(f"{root}: no picture to read", shorten([*found, missing]))
     path = metadata or find_table(root)
     table = read_table(path) if path else None
@@ -69,7 +69,7 @@ def make_dataset(
         found += table.problems
         unused = table.unused(inside, {r.sequence for r in inside.values()})
         if unused:
-            text = f"{len(unused)} row(s) of the table name no picture and no sequence: {', '.join(unused[:3])}"
+            text = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
             found.append(
                 Problem(root.name, "table-unused", text, "a picture or sequence for each row", severity="warning")
             )
@@ -78,8 +78,10 @@ def make_dataset(
 
 
 def unlabelled_problems(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:
-    """The warning for pictures without labels: nobody looked at them, so they may show objects."""
+    """Return the warning for unlabelled pictures, which may show objects."""
     if not count:
         return []
     found = f"{count} picture(s) with {what}: {'kept as not labelled' if choice == 'keep' else 'left out'}"
-    return [Problem(where, "label-missing", found, "labels for each", "or give unlabelled=drop", "warning")]
+    return [
+        Problem(where, "label-missing", found, "labels for each picture", "or add --read unlabelled=drop", "warning")
+    ]

@@ -1,4 +1,4 @@
-"""The public datasets InfraBlend reads: where they are, under which licence, how to cite them, what they must hold.
+"""The public datasets that InfraBlend reads: address, licence, citation and expected contents.
 
 One table for `infrablend fetch` and for the dataset cards. What was not seen on the files themselves but told by
 others says so in `licence_note`, or is `checked=False`.
@@ -20,7 +20,7 @@ PAPER_BIBTEX = """\
 
 @dataclass(frozen=True)
 class Licence:
-    """A licence: `id` as the Hugging Face hub writes it, name for people, address of its text (empty if none)."""
+    """A licence: `id` as on the Hugging Face hub, name for people, address of its text (empty if none)."""
 
     id: str
     name: str
@@ -128,7 +128,7 @@ HIT_UAV = Source(
             url="https://codeload.github.com/suojiashun/HIT-UAV-Infrared-Thermal-Dataset/zip/" + _HIT_UAV_COMMIT,
             unpacked_bytes=900_000_000,
             commit=_HIT_UAV_COMMIT,
-            # GitHub packs anew on request, so no digest of the archive holds; what is in it does.
+            # GitHub packs on every request, so the archive has no stable digest; its contents have.
             counts={
                 "LICENSE": 1,
                 **{
@@ -335,9 +335,9 @@ DUT_ANTI_UAV = Source(
 )
 
 SOURCES: tuple[Source, ...] = (HIT_UAV, BIRDSAI, MONET, WISARD, WIT_UAS, DUT_ANTI_UAV)
-"""In the order of `infrablend fetch --list`."""
+"""All datasets, in the order of `infrablend fetch --list`."""
 
 
 def find_source(name: str) -> Source | None:
-    """The source of that name, or None."""
+    """Return the source of that name, or None."""
     return next((s for s in SOURCES if s.name == name), None)

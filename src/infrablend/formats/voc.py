@@ -50,12 +50,12 @@ OPTIONS = {
     "unlabelled": "keep or drop pictures without an XML file; keep is the default",
 }
 DATABASE = "InfraBlend VOC"
-"""What our files say in `source/database`: HIT-UAV's reader leaves them alone."""
+"""Value of `source/database` in our files, which makes HIT-UAV's reader ignore them."""
 
 SPLIT_FOLDERS: Mapping[str, Split] = {
     "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
 }  # fmt: skip
-# Folders that only sort files by kind: a picture and its XML agree in the rest of their paths.
+# Folders that only sort files by kind: the rest of the path of a picture equals that of its XML.
 _KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
 _LABELMAP = "labelmap.txt"
 
@@ -66,13 +66,13 @@ Key = tuple[str, ...]
 
 
 def key_of(name: str) -> Key:
-    """What a picture's path and its annotation's have in common: folders other than those of kinds, and the stem."""
+    """Return the common part of the paths of a picture and its annotation: folders other than those of kinds, and the stem."""
     path = PurePosixPath(name)
     return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
 
 
 def list_xml(root: Path) -> Iterable[str]:
-    """XML files below a folder by relative path; sorted within each folder; hidden ones and linked folders are not."""
+    """Yield the XML files below a folder, sorted within each folder, without hidden files and linked folders."""
     for base, folders, names in os.walk(root):
         folders[:] = sorted(d for d in folders if not is_hidden(d))
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
@@ -80,7 +80,7 @@ def list_xml(root: Path) -> Iterable[str]:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds VOC files: XML with the root `annotation`, and a picture to one of the first."""
+    """Decide whether `root` contains VOC files: XML with the root `annotation`, and a picture to one of the first."""
     names = list(islice(list_xml(root), 20))
     if not names:
         return Match(NAME, False, "no XML file in it or below")
@@ -96,7 +96,7 @@ def detect(root: Path) -> Match:
 
 
 def _named(name: str, top: Any) -> Key:
-    """The key of the picture that the XML file itself names; only the last part of that counts."""
+    """Return the key of the picture named in the XML file; only the last part of the name is used."""
     said = re.split(r"[\\/]", _text(top, "filename") or "")[-1]
     folder = key_of(name)[:-1]
     return (*folder, PurePosixPath(said).stem if re.search(r"\.\w{2,5}$", said) else said)
@@ -112,7 +112,7 @@ def _text(element: Any, key: str) -> str | None:
 
 @dataclass(frozen=True)
 class Read:
-    """What the XML files of a folder say.
+    """Contents of the XML files of a folder.
 
     Attributes:
         records: Of the pictures, without ids; those without an XML file have `labelled` False in `extra`.
@@ -135,12 +135,12 @@ def read(
     origin: str = "0",
     unlabelled: str = "keep",
 ) -> Dataset:
-    """Read VOC files and the pictures they belong to.
+    """Read VOC files and their pictures.
 
     Args:
         root: The folder, or one that holds it alone (`VOCdevkit/VOC2012`).
-        splits: The splits wanted; None reads all there are.
-        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
         origin: What the numbers of a box are, see the head of this module.
         unlabelled: What happens to pictures without an XML file.
 
@@ -160,7 +160,7 @@ def read(
 
 
 def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], unlabelled: str) -> Read:
-    """Every XML file below a folder with its picture, and the pictures that have none."""
+    """Read every XML file below a folder with its picture, and the pictures without XML file."""
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
     pictures: dict[Key, list[str]] = {}
@@ -220,13 +220,13 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
 
 
 def _file_name(name: str) -> str:
-    """The path below the split's folder of pictures: without folders of kinds and splits."""
+    """Return the path below the split's picture folder, without folders of kinds and splits."""
     parts = PurePosixPath(name).parts
     return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
 
 
 def _folder_split(name: str) -> Split:
-    """The split that the folders of a path name; train if none does."""
+    """Return the split named by a folder of a path; train if there is none."""
     parts = PurePosixPath(name).parts[:-1]
     return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
 
@@ -234,7 +234,7 @@ def _folder_split(name: str) -> Split:
 def _find_picture(
     name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord], problems: list[Problem]
 ) -> tuple[str | None, Problem | None]:
-    """The picture of an XML file: that of its own name, else the one it names; or None and why."""
+    """Return the picture of an XML file, by its own name or the name inside; or None and the problem."""
     own, named = key_of(name), _named(name, top)
     said = _text(top, "filename") or ""
     choices = pictures.get(own) or pictures.get(named) or []
@@ -252,7 +252,7 @@ def _find_picture(
 
 
 def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict[str, Split]:
-    """Split by stem as the lists in `ImageSets/Main` say; empty if there are none."""
+    """Return the split per stem from the lists in `ImageSets/Main`; empty if there are none."""
     folders = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
     split_of: dict[str, Split] = {}
     for folder in folders[:1]:
@@ -267,7 +267,7 @@ def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict
             text, problem = read_text(path, where, "a list of stems")
             problems += [problem] if problem else []
             for line in text.splitlines():
-                # The lists of single classes mark each stem with 1, 0 or -1; some tools do so in all lists.
+                # Lists of single classes add 1, 0 or -1 to each stem; some tools do so in all lists.
                 listed = line.strip()
                 listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
                 if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
@@ -277,7 +277,7 @@ def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict
 
 
 def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
-    """Category names in the order of `labelmap.txt` (`name:colour:parts:actions`), none if there is no such file."""
+    """Return category names in the order of `labelmap.txt` (`name:colour:parts:actions`), if there is such a file."""
     path = root / _LABELMAP
     if not path.is_file():
         return [], []
@@ -334,7 +334,7 @@ def _geometry(
     origin: Literal["0", "1"],
     problems: list[Problem],
 ) -> Instance | None:
-    """The object with its box, and its oriented box if it has one; None, noted, if it has to be left out."""
+    """Return the object with its box, and its oriented box if it has one; None, with a problem, if it is left out."""
     turned = element.find("robndbox")
     keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
     base = turned if turned is not None else element.find("bndbox")
@@ -380,7 +380,7 @@ def write(
 
     Boxes are edges counted from 0 (`origin=0`); whole numbers stand as such, others with up to eight decimals. The
     order of the categories is that of `labelmap.txt`; their ids are not kept. Objects that InfraBlend put in carry
-    `inserted`, which other tools pass over. Flags that are not known are written as 0.
+    `inserted`, which other tools ignore. Unknown flags are written as 0.
 
     Raises:
         OutputError: A file cannot be written.

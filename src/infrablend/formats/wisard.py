@@ -2,8 +2,8 @@
 
     <YYMMDD>_<Site>_<Platform>[_FLIR]_{VIS|IR}_<clip>/<anything><frame>.jpg|.jpeg    the same stem .txt    [count.txt]
 
-A label line is `0 cx cy w h`, shares of the picture; the only class is a human. An empty file means that nobody is
-there, a missing one that nobody looked. `count.txt` is no label.
+A label line is `0 cx cy w h`, shares of the picture; the only class is human. An empty file means that nobody is
+visible, a missing one that the picture was not labelled. `count.txt` is not a label file.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ NAME = "wisard"
 OPTIONS = {
     "modality": "ir (the default), vis or all: which clips are read",
     "unlabelled": "keep or drop pictures without a label file; keep is the default",
-    "logo": "region to ignore in clips of a FLIR camera, which has its logo burnt in: auto (the default, a guess: the "
+    "logo": "region to ignore in clips of a FLIR camera, for its burnt-in logo: auto (the default, an assumption: the "
     "left fifth of the lowest eighth), none, or x0,y0,x1,y1 in px",
-    "split": "train (the default), val or test: the split that all clips belong to, as WiSARD has none",
+    "split": "train (the default), val or test: the split of all clips, since WiSARD has none",
 }
 CATEGORIES = (Category(0, "human"), Category(1, "Logo", ignore=True))
 
@@ -44,7 +44,7 @@ _LOGO_SHARES = (0.0, 0.875, 0.2, 1.0)
 
 
 def modality_of(clip: str) -> str | None:
-    """`ir` or `vis` as the name of a clip's folder says; None if it is none."""
+    """Return `ir` or `vis` from the name of a clip's folder; None if it is not a clip."""
     parts = clip.split("_")
     if _DATE.match(clip) is None:
         return None
@@ -52,7 +52,7 @@ def modality_of(clip: str) -> str | None:
 
 
 def _clips(root: Path) -> dict[str, dict[str, Path]]:
-    """Pictures by clip folder (relative) and name."""
+    """Return the pictures by clip folder (relative) and name."""
     return {f: p for f, p in by_folder(root).items() if modality_of(_clip_name(root, f)) is not None}
 
 
@@ -61,7 +61,7 @@ def _clip_name(root: Path, folder: str) -> str:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds folders of pictures named as WiSARD's clips, or is one."""
+    """Decide whether `root` contains folders of pictures named as WiSARD's clips, or is one."""
     clips = _clips(root)
     if not clips:
         return Match(NAME, False, "no folder of pictures named like a clip, <YYMMDD>_<Site>_..._IR_<n> or ..._VIS_<n>")
@@ -83,16 +83,16 @@ def read(
     """Read the clips below a folder.
 
     Args:
-        root: The folder of clips, or one clip.
-        splits: The splits wanted; only `split` has anything.
+        root: Folder of clips, or one clip.
+        splits: Splits to read; only `split` has any pictures.
         metadata: Table of pitch and altitude, by file or by clip (`sequence`); None takes `metadata.csv` or `.json`.
-        modality: Which clips; those left out are counted.
-        unlabelled: What happens to pictures without a label file.
-        logo: The region to ignore in `_FLIR_` clips, see `OPTIONS`.
-        split: The split of all.
+        modality: Clips to read; those left out are counted.
+        unlabelled: Treatment of pictures without a label file.
+        logo: Region to ignore in `_FLIR_` clips, see `OPTIONS`.
+        split: Split of all clips.
 
     Raises:
-        DatasetError: An option is unknown, or no picture can be read.
+        DatasetError: An option has a wrong value, or no picture can be read.
     """
     require_options(
         root,
@@ -152,7 +152,7 @@ def read(
 
 
 def _captured(clip: str) -> str | None:
-    """The date that a clip's name begins with, ISO 8601; None if there is no such day."""
+    """Return the date at the start of a clip's name, ISO 8601; None if it is not a date."""
     found = _DATE.match(clip)
     try:
         return None if found is None else datetime.date(2000 + int(found[1]), int(found[2]), int(found[3])).isoformat()
@@ -172,7 +172,7 @@ def _report_strays(root: Path, folder: str, pictures: Mapping[str, Path], proble
 def _read_label(
     root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem], counts: Counter[str]
 ) -> list[Instance] | None:
-    """The people in a label file; None, noted, if it cannot be read."""
+    """Return the people in a label file; None, with a problem, if it cannot be read."""
     where = path.relative_to(root).as_posix()
     text, problem = read_text(path, where, "a YOLO label file")
     if problem is not None:
@@ -206,21 +206,21 @@ def _read_label(
 
 
 def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:
-    """The region that the option names: in px, or, all within 0 and 1, in shares of the picture; None for none."""
+    """Return the region given by the option, in px or (all within 0 and 1) in shares of the picture; or None."""
     if logo in ("auto", "none"):
         return _LOGO_SHARES if logo == "auto" else None
     region = to_floats(logo.split(","), 4)
     if region is None or not all(map(math.isfinite, region)) or region[0] >= region[2] or region[1] >= region[3]:
         expected = "auto, none, or x0,y0,x1,y1 in px with x0 < x1 and y0 < y1"
         problem = Problem("option logo", "option-value", f"logo={logo}", expected)
-        raise DatasetError(f"{root}: an option its reader does not know", [problem])
+        raise DatasetError(f"{root}: an option has a value that is not allowed", [problem])
     return region
 
 
 def _logo(
     clip: str, region: tuple[float, ...] | None, size_wh: tuple[int, int], where: str, problems: list[Problem]
 ) -> list[Instance]:
-    """The region of the burnt-in logo, to be ignored; none for other cameras and for `logo=none`."""
+    """Return the region of the burnt-in logo, to be ignored; none for other cameras and for `logo=none`."""
     if region is None or "FLIR" not in clip.split("_"):
         return []
     if max(region) <= 1:
@@ -236,7 +236,7 @@ def _summary(root: Path, modality: str, logo: str, counts: Counter[str]) -> list
         found = f"{counts['other_clips']} clip(s) with {counts['other_pictures']} pictures left out"
         problems.append(Problem(root.name, "modality-excluded", found, f"modality={modality}", "", "warning"))
     if counts["logos"] and logo == "auto":
-        found = f"the logo's place in {counts['logos']} pictures of FLIR clips is a guess"
-        todo = "look at one, and give logo=x0,y0,x1,y1 or logo=none"
-        problems.append(Problem(root.name, "logo-assumed", found, "a region that was seen", todo, "warning"))
+        found = f"the position of the logo in {counts['logos']} pictures of FLIR clips is assumed"
+        todo = "look at one, and add --read logo=x0,y0,x1,y1 or logo=none"
+        problems.append(Problem(root.name, "logo-assumed", found, "a region that was measured", todo, "warning"))
     return problems

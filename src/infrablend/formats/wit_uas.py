@@ -25,7 +25,7 @@ from infrablend.formats.values import to_floats
 
 NAME = "wit-uas"
 OPTIONS = {
-    "camera": "both (the default), flir or seek: whose frames are read",
+    "camera": "camera whose frames are read: both (the default), flir or seek",
     "unlabelled": "keep or drop pictures without a .label file; keep is the default",
 }
 CATEGORIES = (Category(0, "human"), Category(1, "vehicle"))
@@ -37,7 +37,7 @@ _DATE = re.compile(r"(\d{4}-(?:0[1-9]|1[0-2])-(?:0[1-9]|[12]\d|3[01]))_", re.ASC
 
 
 def _runs(root: Path) -> dict[str, dict[str, Path]]:
-    """Frames by run folder (relative) and name."""
+    """Return the frames by run folder (relative) and name."""
     found = {}
     for folder, pictures in by_folder(root).items():
         frames = {n: p for n, p in pictures.items() if _TIME.fullmatch(p.stem)}
@@ -47,7 +47,7 @@ def _runs(root: Path) -> dict[str, dict[str, Path]]:
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` holds folders of a run by one camera."""
+    """Decide whether `root` contains folders of a run by one camera."""
     runs = _runs(root)
     if not runs:
         return Match(NAME, False, "no folder <run>_flir or <run>_seek with pictures time_<seconds>.png")
@@ -67,14 +67,14 @@ def read(
     """Read the runs below a folder.
 
     Args:
-        root: The folder of splits, or of one or several runs; what lies in no folder of a split is train.
-        splits: The splits wanted; None reads all there are.
+        root: Folder of splits, or of runs; runs outside the folders of splits are train.
+        splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude, by file or by run (`sequence`); None takes `metadata.csv` or `.json`.
-        camera: Whose frames.
-        unlabelled: What happens to frames without a `.label` file.
+        camera: Camera whose frames are read.
+        unlabelled: Treatment of frames without a `.label` file.
 
     Raises:
-        DatasetError: An option is unknown, or no frame can be read.
+        DatasetError: An option has a wrong value, or no frame can be read.
     """
     require_options(root, camera=(camera, ("both", "flir", "seek")), unlabelled=(unlabelled, KEEP_OR_DROP))
     wanted = check_splits(splits)
@@ -135,7 +135,7 @@ def _split(folder: str) -> Split:
 def _read_label(
     root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem], counts: Counter[str]
 ) -> list[Instance] | None:
-    """The objects in a label file; None, noted, if it cannot be read."""
+    """Return the objects in a label file; None, with a problem, if it cannot be read."""
     where = path.relative_to(root).as_posix()
     text, problem = read_text(path, where, "a label file")
     if problem is not None:

@@ -36,14 +36,14 @@ from infrablend.formats.pictures import assign_ids
 
 @dataclass(frozen=True)
 class WriteSettings:
-    """What a user may choose; a format that has no such choice ignores it.
+    """Choices for writing; a format without such a choice ignores it.
 
     Attributes:
-        ids: Image and annotation ids numbered anew (the source's stand as `source_id`), or the source's own.
-        category_ids: The source's, or numbered from 1 in their order: many tools take COCO's category 0 for background.
-        dont_care: YOLO: regions to ignore are left out, or kept as a class of their own.
-        without_mask: yolo-seg: objects without a mask are left out, or their oriented box (else box) is written.
-        pictures: Link the pictures too, where the format can do without.
+        ids: `new` numbers images and annotations anew (keeping the source's as `source_id`); `source` keeps the ids.
+        category_ids: The source's ids, or numbers from 1: many tools take COCO's category 0 for background.
+        dont_care: YOLO and BIRDSAI: leave regions to ignore out, or keep them as a class.
+        without_mask: yolo-seg: leave objects without a mask out, or write their oriented box (else their box).
+        pictures: Whether to link the pictures too, for formats that work without.
     """
 
     ids: Literal["new", "source"] = "new"
@@ -60,9 +60,9 @@ def load_writer(writer: Writer) -> Callable[..., Written]:
 
 
 def native_writer(source: Dataset) -> Writer | None:
-    """The writer of a dataset's own format; None for a folder of bare pictures, or if there is no such writer.
+    """Return the writer of a dataset's own format; None for unlabelled pictures, or if there is no such writer.
 
-    WiSARD's labels are YOLO's and those of DUT-Anti-UAV VOC's: the layout is then that of YOLO or VOC.
+    WiSARD has YOLO's labels and DUT-Anti-UAV has VOC's, so these are written in the layout of YOLO or VOC.
     """
     kind = source.notes.get("labels") if source.format == "folder" else source.format
     kind = next((f.written_as for f in FORMATS if f.name == kind and f.written_as), kind)
@@ -75,7 +75,7 @@ def native_writer(source: Dataset) -> Writer | None:
 
 
 def _yolo_kind(source: Dataset) -> str:
-    """Which kind of YOLO labels a dataset has: oriented boxes, polygons, or boxes."""
+    """Return the YOLO format for a dataset's labels: oriented boxes, polygons, or boxes."""
     instances = [i for image in source.images for i in image.instances]
     if any(i.corners_xy is not None for i in instances):
         return "yolo-obb"
@@ -93,15 +93,15 @@ def write(
 ) -> Written:
     """Write images and labels in one format below `out`.
 
-    What the format cannot hold is counted in `losses`, see `losses.LOSSES`; the same records give the same bytes.
+    Everything that the format cannot hold is counted in `losses`, see `losses.LOSSES`; equal records give equal bytes.
 
     Args:
         name: In `WRITERS`, or `native`: the format of `source`, with every label that it can hold.
-        out: Folder; made if need be.
-        images: With `size_wh` known.
-        categories: With the ids to write.
-        settings: What to choose; the defaults if None.
-        source: Where the images come from: needed for `native`, and for its top-level fields (info, licences).
+        out: Output folder, created if necessary.
+        images: Images with known `size_wh`.
+        categories: Categories with the ids to write.
+        settings: Choices; None uses the defaults.
+        source: Dataset of the images, needed for `native` and for its top-level fields (info, licences).
 
     Raises:
         UnknownFormatError: No such writer.
@@ -138,7 +138,7 @@ def _no_native(source: Dataset) -> Written:
 
 
 def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:
-    """The images with file names that do not clash in a layout (see `Writer`), and how many had to change."""
+    """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names."""
     if layout == "nested":
         return list(images), 0
     together = layout in ("unique", "shared")
@@ -161,7 +161,7 @@ def _flat_names(paths: Mapping[int, str]) -> dict[int, str]:
 
 
 def _unsaid(image: ImageRecord) -> Capture | None:
-    """What is known of how a picture was taken, if its name does not say it."""
+    """Return pitch, altitude and time of day of a picture, unless its name contains them."""
     facts = facts_from_name(image.name)
     said = facts.capture if facts else Capture()
     known = Capture(image.pitch_deg, image.altitude_m, image.time_of_day)
@@ -169,7 +169,7 @@ def _unsaid(image: ImageRecord) -> Capture | None:
 
 
 def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Written:
-    """`metadata.csv` with the telemetry that neither the format nor the pictures' names hold."""
+    """Write `metadata.csv` with telemetry that neither the format nor the pictures' names contain."""
     if not writer.table:
         return Written()
     rows = [(writer.table.format(split=i.split, name=i.name), known) for i in images if (known := _unsaid(i))]
@@ -185,7 +185,7 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
     """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, sequence."""
-    # HIT-UAV's reader makes sequence and date of what its own files say.
+    # HIT-UAV's reader derives sequence and date from fields that its writer keeps.
     dated = writer.reader == "hit-uav"
     found = {
         "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
@@ -200,13 +200,13 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
 
 
 def _has_own_box(instance: Instance) -> bool:
-    """Whether the upright box is not just the bounds of the oriented one."""
+    """Return whether the axis-aligned box differs from the bounds of the oriented one."""
     corners = instance.corners_xy
     return corners is not None and not np.allclose(box_of_points(corners), instance.box_xyxy, rtol=0, atol=1e-6)
 
 
 def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings) -> Problem | None:
-    """Why a format cannot be written with the source's ids, or None; to be asked before anything is made."""
+    """Return why a format cannot be written with the source's ids, or None; to be called before anything is written."""
     if settings.ids == "new" or "ids" not in find_writer(name).takes:
         return None
     ordered = sort_images(images)
@@ -215,11 +215,11 @@ def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings
     )
     if bad:
         found = f"{bad} image(s) or object(s) without a whole number as id in the source"
-        return Problem("ids", "ids-missing", found, "an id for each", "let them be numbered: ids new")
+        return Problem("ids", "ids-missing", found, "an id for each", "number them anew: ids new")
     for split in sorted({i.split for i in ordered}):
         part = [i for i in ordered if i.split == split]
         objects = [o.source_id for i in part for o in i.instances if o.source_id is not None]
         if len({i.source_id for i in part}) != len(part) or len(set(objects)) != len(objects):
-            found = f"ids of the source that occur twice in split {split}"
-            return Problem("ids", "ids-repeated", found, "each once", "let them be numbered: ids new")
+            found = f"duplicate ids of the source in split {split}"
+            return Problem("ids", "ids-repeated", found, "unique ids", "number them anew: ids new")
     return None

@@ -49,7 +49,7 @@ _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
 
 def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "keep"] = "drop") -> dict[str, int]:
-    """YOLO class number by category name: categories by id, counted from 0, ignore regions left out or kept.
+    """Return the class number per category name: categories by id, counted from 0, ignore regions left out or kept.
 
     HIT-UAV with a drone: Person 0, Car 1, Bicycle 2, OtherVehicle 3, drone 4; kept, DontCare is 4 and drone 5.
     """
@@ -58,7 +58,7 @@ def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "kee
 
 
 def _number(value: float) -> str:
-    """A share of the frame, clipped to [0, 1]: shortest form of at most ten decimals."""
+    """Return a share of the frame as text, clipped to [0, 1], with at most ten decimals."""
     text = f"{min(max(value, 0.0), 1.0):.{_DECIMALS}f}".rstrip("0").rstrip(".")
     return text or "0"
 
@@ -78,7 +78,7 @@ def _count_flags(instance: Instance, losses: Counter[str]) -> None:
 
 
 def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
-    """The box clipped to the frame; None, counted, if nothing of it is inside."""
+    """Return the box clipped to the frame; None, counted as a loss, if it is outside."""
     w, h = size_wh
     box = np.clip(instance.box_xyxy, 0.0, np.array([w, h, w, h], np.float64))
     if box[2] <= box[0] or box[3] <= box[1]:
@@ -89,7 +89,7 @@ def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[
 
 
 def detect_text(image: ImageRecord, classes: Classes) -> Text:
-    """The detect label file of an image, and the losses. Empty text for an image without objects."""
+    """Return the detect label file of an image, and the losses; empty text for an image without objects."""
     size_wh = require_size(image)
     w, h = size_wh
     losses: Counter[str] = Counter()
@@ -111,7 +111,7 @@ def detect_text(image: ImageRecord, classes: Classes) -> Text:
 
 
 def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
-    """Four corners inside the frame, since Ultralytics refuses a whole image for one outside."""
+    """Return four corners inside the frame, since Ultralytics rejects a whole image for one outside."""
     corners = instance.corners_xy
     if corners is None:
         box = _box_in_frame(instance, size_wh, losses)
@@ -128,7 +128,7 @@ def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Coun
 
 
 def obb_text(image: ImageRecord, classes: Classes) -> Text:
-    """The OBB label file of an image: four corners per object, clockwise on screen, and the losses."""
+    """Return the OBB label file of an image, four corners per object clockwise on screen, and the losses."""
     size_wh = require_size(image)
     losses: Counter[str] = Counter()
     lines = []
@@ -146,12 +146,12 @@ def obb_text(image: ImageRecord, classes: Classes) -> Text:
 
 
 def seg_text(image: ImageRecord, classes: Classes, without_mask: WithoutMask = "omit") -> Text:
-    """The seg label file of an image: one polygon per mask (see `polygons.outline`), and the losses.
+    """Return the seg label file of an image, one polygon per mask (see `polygons.outline`), and the losses.
 
     Args:
         image: The image.
         classes: From `yolo_classes`.
-        without_mask: What happens to objects without a mask: left out, or their oriented box (else the box) written.
+        without_mask: Whether to leave objects without a mask out, or to write their oriented box (else their box).
     """
     size_wh = require_size(image)
     losses: Counter[str] = Counter()
@@ -187,7 +187,7 @@ def _counted(losses: Counter[str]) -> dict[str, int]:
 
 
 def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: WithoutMask = "omit") -> Text:
-    """The label file of an image for one task, and the losses."""
+    """Return the label file of an image for one task, and the losses."""
     if task == "detect":
         return detect_text(image, classes)
     return obb_text(image, classes) if task == "obb" else seg_text(image, classes, without_mask)
@@ -196,9 +196,9 @@ def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: W
 def write_frame(
     out: Path, image: ImageRecord, classes: Classes, task: Task, *, without_mask: WithoutMask = "omit"
 ) -> Written:
-    """Write one image below `out`: `labels/<split>/<name>.txt` and `images/<split>/<name>`, a link of `image.path`.
+    """Write one image below `out`: `labels/<split>/<name>.txt` and `images/<split>/<name>`, a link to `image.path`.
 
-    The label comes first, so that a picture never stands without it. Files appear whole or not at all.
+    The label is written first, so that no picture is ever without it. Files appear complete or not at all.
 
     Raises:
         OutputError: A file cannot be written.
@@ -212,7 +212,7 @@ def write_frame(
 
 
 def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
-    """Text of a `data.yaml` and warnings.
+    """Return the text of a `data.yaml`, and warnings.
 
     It has no `path`: Ultralytics then uses the file's own folder, so that the dataset can be moved. Ultralytics
     requires `train` and `val`: a missing val points to train, a missing train to an existing split, each with a
@@ -259,7 +259,7 @@ def write(
     dont_care: Literal["drop", "keep"] = "drop",
     without_mask: WithoutMask = "omit",
 ) -> Written:
-    """Write a whole data set: every frame and `data.yaml`; see `write_frame` and `data_yaml`."""
+    """Write a whole dataset, every frame and `data.yaml`; see `write_frame` and `data_yaml`."""
     ordered = sort_images(images)
     classes = yolo_classes(categories, dont_care)
     frames = [write_frame(out, image, classes, task, without_mask=without_mask) for image in ordered]
@@ -271,14 +271,14 @@ def write(
 
 @dataclass(frozen=True)
 class LabelLines:
-    """The numbers of a label file: (line number, class, values) per object, and what could not be read."""
+    """Numbers of a label file: (line number, class, values) per object, and the problems."""
 
     rows: tuple[tuple[int, int, tuple[float, ...]], ...]
     problems: tuple[Problem, ...]
 
 
 def parse_labels(text: str, where: str) -> LabelLines:
-    """Split a label file into numbers; a line that is none is an error and left out."""
+    """Parse a label file into numbers; a malformed line is an error and left out."""
     rows: list[tuple[int, int, tuple[float, ...]]] = []
     problems: list[Problem] = []
     seen: set[tuple[int, tuple[float, ...]]] = set()
@@ -303,7 +303,7 @@ def parse_labels(text: str, where: str) -> LabelLines:
             )
             continue
         if (int(numbers[0]), values) in seen:
-            found = "the same line again, kept"
+            found = "a repeated line, kept"
             problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
         seen.add((int(numbers[0]), values))
         rows.append((n, int(numbers[0]), values))
@@ -326,7 +326,7 @@ def _instances(
             cx, cy, bw, bh = values[0] * w, values[1] * h, values[2] * w, values[3] * h
             points = None
             raw: Sequence[float] = (cx - bw / 2, cy - bh / 2, cx + bw / 2, cy + bh / 2)
-            # Ten decimals put a box at the frame's edge up to 1e-7 px outside: that is rounding, not a fault.
+            # Rounding to ten decimals moves a box at the frame's edge up to 1e-7 px outside.
             raw = [snap(raw[0], w), snap(raw[1], h), snap(raw[2], w), snap(raw[3], h)]
         else:
             points = np.array(values, np.float64).reshape(-1, 2) * np.array([w, h], np.float64)
@@ -347,7 +347,7 @@ def _instances(
 
 @dataclass(frozen=True)
 class FoundPicture:
-    """A picture of a folder data set: its name below its split's folder, and its label file, if there is one."""
+    """A picture in a folder: its name below its split's folder, and its label file, if it exists."""
 
     name: str
     path: Path
@@ -357,7 +357,7 @@ class FoundPicture:
 
 
 def find_label(path: Path, root: Path) -> Path | None:
-    """The label of a picture: beside it, or in the mirror of its `images` folder, or below `root/labels`."""
+    """Return the label file of a picture: beside it, in `labels` in place of `images`, or below `root/labels`."""
     candidates = [path.with_suffix(".txt")]
     relative = path.relative_to(root)
     parts = list(relative.parts)
@@ -370,7 +370,7 @@ def find_label(path: Path, root: Path) -> Path | None:
 
 
 def orphan_labels(root: Path, pictures: Sequence[FoundPicture]) -> list[Problem]:
-    """A warning for every label file that has no picture, in the folders where labels of the pictures lie."""
+    """Return a warning for every label file without a picture, in the folders with labels of the pictures."""
     used = {p.label for p in pictures if p.label is not None}
     problems: list[Problem] = []
     for path in sorted(f for folder in {u.parent for u in used} for f in folder.glob("*.txt")):
@@ -395,16 +395,16 @@ def build_records(
     problems: list[Problem],
     task: Task | None,
 ) -> tuple[list[ImageRecord], dict[int, str]]:
-    """Image records of a folder, with the labels found; adds to `problems`.
+    """Return image records of a folder with their labels, and the class names; adds to `problems`.
 
     Args:
-        root: The data set's folder.
-        pictures: What was found.
-        names: Category name by class number; None makes names `class_<n>`, with a warning.
-        captures: Tells pitch and altitude.
-        problems: Gets what is wrong.
-        task: What lines of nine numbers are: `obb` corners, `seg` polygons of four corners; None decides by the
-            whole: oriented boxes if every line that is no box has nine numbers.
+        root: The dataset's folder.
+        pictures: Pictures of the folder.
+        names: Category name per class number; None uses `class_<n>`, with a warning.
+        captures: Source of pitch and altitude.
+        problems: List to which problems are added.
+        task: Meaning of lines of nine numbers: `obb` corners, or `seg` polygons of four corners; None takes them as
+            oriented boxes if every line other than boxes has nine numbers.
     """
     parsed: dict[str, LabelLines] = {}
     for p in pictures:
@@ -419,7 +419,7 @@ def build_records(
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
-        found = f"no data.yaml and no classes.txt; classes are called {', '.join(known.values())}"
+        found = f"no data.yaml and no classes.txt; the classes were named {', '.join(known.values())}"
         problems.append(Problem(root.name, "names-missing", found, "the classes' names", severity="warning"))
     if task is None:
         longer = [len(v) for labels in parsed.values() for _, _, v in labels.rows if len(v) != 4]
@@ -464,7 +464,7 @@ def _record(
 
 
 def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], root: Path) -> list[Problem]:
-    """The table's own problems, and a warning for rows that name no picture."""
+    """Return the table's own problems, and a warning for rows that match no picture."""
     if table is None:
         return []
     unused = table.unused([p.unique_name for p in pictures])
@@ -475,11 +475,11 @@ def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], ro
     return problems
 
 
-# -- reading a data set with data.yaml -------------------------------------------------------------------------
+# -- reading a dataset with data.yaml -------------------------------------------------------------------------
 
 
 def find_yaml(root: Path) -> Path | None:
-    """The data set's description: `data.yaml` or a like name, or the only YAML file that has `names`."""
+    """Return the dataset's description: `data.yaml` or a similar name, or the only YAML file."""
     named = next((root / n for n in _YAML_NAMES if (root / n).is_file()), None)
     if named is not None:
         return named
@@ -488,10 +488,10 @@ def find_yaml(root: Path) -> Path | None:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a `data.yaml`.
+    """Return the mapping in a `data.yaml`.
 
     Raises:
-        DatasetError: No YAML, or no mapping with `names`.
+        DatasetError: The file is not YAML, or not a mapping with `names`.
     """
     text, problem = read_text(path, path.name, "a data.yaml")
     value: Any = None
@@ -509,7 +509,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def class_names(value: object, where: str) -> dict[int, str]:
-    """Category name by class number from a list or a mapping.
+    """Return the category name per class number from a list or a mapping.
 
     Raises:
         DatasetError: It is neither.
@@ -525,12 +525,12 @@ def class_names(value: object, where: str) -> dict[int, str]:
 
 
 def categories_of(names: Mapping[int, str]) -> tuple[Category, ...]:
-    """Categories with the class numbers as ids."""
+    """Return categories with the class numbers as ids."""
     return tuple(Category(k, v, "", is_ignored_name(v)) for k, v in sorted(names.items()))
 
 
 def detect(root: Path) -> Match:
-    """Whether `root` is a YOLO data set: it holds a `data.yaml` with `names` and a split that exists."""
+    """Decide whether `root` is a YOLO dataset: it holds a `data.yaml` with `names` and a split that exists."""
     path = find_yaml(root)
     if path is None:
         return Match(NAME, False, "no data.yaml")
@@ -548,9 +548,9 @@ def detect(root: Path) -> Match:
 def _split_places(
     root: Path, top: Mapping[str, Any], splits: Sequence[Split], where: str
 ) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]], list[Problem]]:
-    """(split, folder) and (split, text file that lists pictures) as data.yaml says.
+    """Return (split, folder) and (split, text file that lists pictures) according to data.yaml.
 
-    A folder named twice counts for the first split. Lists are those of all splits: they share folders.
+    A folder named twice belongs to the first split. Lists of all splits are returned, because they share folders.
     """
     problems: list[Problem] = []
     folders: list[tuple[Split, Path]] = []
@@ -569,7 +569,7 @@ def _split_places(
         entries = value if isinstance(value, list) else [value] if value else []
         for entry in entries:
             here = f"{where}: {split}"
-            # Roboflow writes `../train/images` for what lies beside data.yaml; Ultralytics reads it so, too.
+            # Roboflow writes `../train/images` for folders beside data.yaml, which Ultralytics accepts too.
             name = str(entry).removeprefix("../") if isinstance(entry, str) else entry
             fault = check_name(name, here)
             if fault is not None:
@@ -581,7 +581,7 @@ def _split_places(
             elif folder.suffix.lower() == ".txt" and folder.is_file():
                 lists.append((split, folder))
             else:
-                found, expected = f"{entry!r} is no folder", "a folder of pictures, or a .txt that lists them"
+                found, expected = f"{entry!r} is not a folder", "a folder of pictures, or a .txt that lists them"
                 problems.append(Problem(here, "folder-missing", found, expected, severity="warning"))
     for folder, claims in said.items():
         split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
@@ -596,9 +596,9 @@ def _split_places(
 def _listed_pictures(
     root: Path, lists: Sequence[tuple[Split, Path]], problems: list[Problem]
 ) -> dict[Path, tuple[Split, str]]:
-    """Split, and name below it, of every picture in text files of one path a line, as Ultralytics reads them.
+    """Return split and name of every picture in text files with one path per line, as read by Ultralytics.
 
-    Paths are relative to the list, else to the dataset. A picture listed twice counts for the first split.
+    Paths are relative to the list, else to the dataset. A picture listed twice belongs to the first split.
     """
     found: dict[Path, tuple[Split, str]] = {}
     for split, file in lists:
@@ -618,13 +618,13 @@ def _listed_pictures(
             elif fault := check_link(path, root, here):
                 problems.append(fault)
             elif found.setdefault(path, (split, _below_images(path, root)))[0] != split:
-                said = f"{name!r} is also in {found[path][0]}, which counts"
+                said = f"{name!r} is also in {found[path][0]}, which is used"
                 problems.append(Problem(here, "split-twice", said, "each picture in one list", severity="warning"))
     return found
 
 
 def _below_images(path: Path, root: Path) -> str:
-    """A picture's path in its dataset, without the folder `images`."""
+    """Return a picture's path in its dataset, without the folder `images`."""
     parts = path.relative_to(root).parts
     return "/".join(parts[1:] if parts[0] == "images" else parts)
 
@@ -636,32 +636,32 @@ def read(
     metadata: Path | None = None,
     task: Task | None = None,
 ) -> Dataset:
-    """Read a YOLO data set with its `data.yaml`.
+    """Read a YOLO dataset with its `data.yaml`.
 
     Args:
-        root: The folder with `data.yaml`.
-        splits: The splits wanted; None reads all there are.
-        metadata: Table of pitch and altitude; None takes `metadata.csv` or `.json` in the folder, if there.
-        task: What lines of nine numbers are; None decides, see `build_records`.
+        root: Folder with `data.yaml`.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
+        task: Meaning of lines of nine numbers, see `build_records`.
 
     Raises:
-        DatasetError: No `data.yaml`, or no picture.
+        DatasetError: There is no `data.yaml`, or no picture.
     """
     wanted = check_splits(splits)
     path = find_yaml(root)
     if path is None:
         problem = Problem(str(root), "annotation-missing", "no data.yaml", "one", "read it as a plain folder")
-        raise DatasetError(f"{root}: no YOLO data set", [problem])
+        raise DatasetError(f"{root}: no YOLO dataset", [problem])
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
     folders, lists, problems = _split_places(root, top, wanted, path.name)
     if (said := top.get("nc")) is not None and said != len(names):
-        expected = f"{len(names)}, as many as there are names: Ultralytics stops at another number"
+        expected = f"{len(names)}, the number of names: Ultralytics stops otherwise"
         problems.append(Problem(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it", "warning"))
     listed = _listed_pictures(root, lists, problems)
     in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]
     if twice := sum(f in listed for _, _, f in in_folders):
-        said = f"{twice} picture(s) in a folder of one split and in a list; the list counts"
+        said = f"{twice} picture(s) both in a folder of one split and in a list; the list is used"
         problems.append(Problem(path.name, "split-twice", said, "each picture in one split", severity="warning"))
     placed = [p for p in in_folders if p[2] not in listed] + [(split, n, f) for f, (split, n) in listed.items()]
     found = [
