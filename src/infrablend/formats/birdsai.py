@@ -100,7 +100,7 @@ class _Part:
 
 
 def _parts(root: Path) -> list[_Part]:
-    """Return the folders of splits, or folders of the same name in them; else the folder or its `Real`; else bare frames."""
+    """Return the folders of splits, or those of the same name in them; else the folder or its `Real`; else frames."""
     named = [_Part(split, f) for name, split in _FOLDERS.items() for f in (root / name, root / name / name)]
     found = [p for p in named if (p.folder / "images").is_dir() and (p.tables or p.frames)]
     if not found:

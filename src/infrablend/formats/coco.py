@@ -83,7 +83,7 @@ def coco_files(
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the text of `<split>.json` by file name, and the losses; sorted keys, no dates: equal records, equal bytes.
+    """Return the text of `<split>.json` by file name, and the losses; equal records give equal bytes.
 
     `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their native ids;
     those with `ignore` get `"ignore": 1` and their annotations `iscrowd` 1.
@@ -482,7 +482,7 @@ def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None
 def _read_mask(
     a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str, problems: list[Problem]
 ) -> Mask | None:
-    """Return the mask of a segmentation in run lengths or polygons; None if there is none or it only repeats the box."""
+    """Return the mask of run lengths or polygons; None if there is none or it only repeats the box."""
     value = a.get("segmentation")
     if not value or a.get("segmentation_from") in ("obb", "box"):
         return None

@@ -44,7 +44,7 @@ _DECIMALS = 8
 
 
 def dota_names(categories: Iterable[Category]) -> dict[str, str]:
-    """Return the name to write per category: blanks become hyphens, as in DOTA's own `small-vehicle`; names are unique."""
+    """Return the unique name to write per category: blanks become hyphens, as in DOTA's `small-vehicle`."""
     names: dict[str, str] = {}
     ordered = sorted(categories, key=lambda c: (any(x.isspace() for x in c.name), c.id))  # names without blanks stay
     for c in ordered:

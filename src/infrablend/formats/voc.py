@@ -66,7 +66,7 @@ Key = tuple[str, ...]
 
 
 def key_of(name: str) -> Key:
-    """Return the common part of the paths of a picture and its annotation: folders other than those of kinds, and the stem."""
+    """Return the common part of the paths of a picture and its annotation, without folders of kinds and suffix."""
     path = PurePosixPath(name)
     return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
 
