@@ -482,7 +482,7 @@ def evaluate(
     form: str | None = None,
     metadata: str | Path | None = None,
     options: Mapping[str, str] | None = None,
-    image_size: int = 640,
+    image_size: int | None = None,
     ignore_regions: bool = True,
     bootstrap: int = 1000,
     group: str = "image",
@@ -509,7 +509,8 @@ def evaluate(
         form: See `read_dataset`.
         metadata: See `read_dataset`.
         options: See `read_dataset`.
-        image_size: The longer side the network sees, px; 0: each picture's own.
+        image_size: The longer side the network sees, px; 0: each picture's own; by default the scale that the detector
+            was trained at.
         ignore_regions: What is found in regions to ignore (DontCare) counts neither way.
         bootstrap: Draws for the intervals; 0: none.
         group: What is drawn: image, sequence, date, gap (runs of frame numbers).
@@ -522,15 +523,15 @@ def evaluate(
         MissingDependencyError: Ultralytics is not installed, or the device is not there.
         ModelError, DatasetError, OutputError: See `infrablend.errors`; all that is wrong at once.
     """
-    from infrablend.pipeline.evaluate import evaluate_detector
+    from infrablend.pipeline.evaluate import Judging, evaluate_detector
 
     root, target = Path(dataset), Path(out)
     require_apart(root, target)
     data = read_dataset(root, Reading(None, format, form, metadata, options or {}))
+    judging = Judging(split, task, image_size, classes, ignore_regions, bootstrap, group, seed)
     return evaluate_detector(
-        Path(weights), data, target, split=split, task=task, device=device, classes=classes, image_size=image_size,
-        ignore_regions=ignore_regions, bootstrap=bootstrap, group=group, seed=seed,
-        against=None if against is None else Path(against), overwrite=overwrite, on_image=paced(on_progress),
+        Path(weights), data, target, judging, device=device, against=None if against is None else Path(against),
+        overwrite=overwrite, on_image=paced(on_progress),
     )  # fmt: skip
 
 
@@ -556,10 +557,10 @@ def compare_evaluations(
         DatasetError: One is no finished evaluation, or images, labels, split, task, groups or treatment of
             regions differ.
     """
-    from infrablend.pipeline import evaluate as judging
+    from infrablend.evaluation import comparison
 
     first, second = ([Path(s)] if isinstance(s, str | Path) else [Path(p) for p in s] for s in (ours, theirs))
-    return judging.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
+    return comparison.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
 
 
 def fetch(

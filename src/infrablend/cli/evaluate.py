@@ -60,8 +60,13 @@ def evaluate(
         str | None, typer.Option(metavar="A,B", help="Judge these classes alone [default: all of the dataset].")
     ] = None,
     image_size: Annotated[
-        int, typer.Option(min=0, metavar="PX", help="The longer side the network sees; 0: each picture's own.")
-    ] = 640,
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="PX",
+            help="The longer side the network sees; 0: each picture's own [default: as in the detector's training].",
+        ),
+    ] = None,
     ignore_regions: Annotated[
         bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Nothing found in DontCare regions counts.")
     ] = True,
@@ -138,4 +143,8 @@ def _blocks(report: EvaluationReport) -> list[str]:
                 lines.append([name, decimals(d["ours"]), decimals(d["theirs"]), f"{d['difference']:+.3f}", ends])
         head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
+    detector = metrics["detector"]
+    if "image_size" in detector:
+        size = f"a longer side of {detector['image_size']} px" if detector["image_size"] else "their own size"
+        blocks.append(f"pictures at {size}: {detector.get('image_size_from', 'as saved')}")
     return [*blocks, str(report.out / "evaluation.html")]

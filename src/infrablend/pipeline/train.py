@@ -512,7 +512,7 @@ def _run(
     job = trainer.Job(
         data=str((out / DATA / "data.yaml").resolve()), out=str(out.resolve()), task=task,
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
-        image_size=preset.image_size, patience=preset.patience, seed=seed, images=prepared["images"],
+        image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=seed, images=prepared["images"],
         labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0,

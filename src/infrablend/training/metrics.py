@@ -1,8 +1,7 @@
-"""The figures as Ultralytics computes them, from findings that are there: its own overlap, matching and curves."""
+"""The figures of given findings as Ultralytics computes them: its own overlap, matching and curves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,24 +10,20 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import cxcywha_of_corners
 from infrablend.evaluation.detections import Detections, Task
+from infrablend.evaluation.figures import Case
 from infrablend.evaluation.matching import IOUS
 from infrablend.evaluation.overlap import overlaps
 from infrablend.evaluation.truth import Truth
 from infrablend.training.environment import quiet_ultralytics
 
 
-def ultralytics_table(
-    truths: Sequence[Truth],
-    found: Mapping[str, Detections],
-    class_of: NDArray[np.int64],
-    classes: Sequence[str],
-    task: Task,
-) -> dict[str, dict[str, Any]]:
-    """Images, instances, P, R, mAP50 and mAP50-95 of `all` and of each class, by Ultralytics' code.
+def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
+    """Return images, instances, P, R, mAP50 and mAP50-95 of `all` and of each class, by Ultralytics' code.
 
-    It knows no regions to ignore. So what overlaps no object of its class by half, but lies by half in such a region,
-    is left out before. Oriented boxes are compared by its probabilistic overlap, which is not the exact one.
+    It has no regions to ignore. So findings that overlap no object of their class by half, but such a region by half,
+    are left out first. Oriented boxes are compared by its probabilistic overlap, which is not the exact one.
     """
+    truths, found, class_of, classes, task = case.labels, case.compared, case.class_of, case.classes, case.task
     with quiet_ultralytics():
         import torch
         from ultralytics.engine.validator import BaseValidator

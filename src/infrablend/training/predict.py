@@ -10,7 +10,7 @@ import hashlib
 import logging
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -28,12 +28,12 @@ from infrablend.evaluation.detections import TASKS, Detections, Predictions, Tas
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.pictures import PICTURE_FORMATS, read_size
 from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
+from infrablend.training.scale import Scale, training_scale
 from infrablend.training.weights import require_ultralytics
 
 CONFIDENCE = 0.001
 IOU = 0.7
 MAX_DETECTIONS = 300
-IMAGE_SIZE = 640
 Precision = Literal["auto", "float32", "bfloat16"]
 _TODO = "give weights.pt of a finished `infrablend train`, or best.pt or last.pt of an Ultralytics training"
 _GREY = 114  # Ultralytics pads with it
@@ -51,6 +51,7 @@ class Detector:
         classes: Its classes, in its order.
         channels: Of the pictures it takes.
         stride: Pictures' sides are multiples of it.
+        scale: Size it was trained at.
         facts: Name and SHA-256 of the file, device, versions.
     """
 
@@ -59,6 +60,7 @@ class Detector:
     classes: tuple[str, ...]
     channels: int
     stride: int
+    scale: Scale
     facts: dict[str, Any]
 
     def __call__(self, x: Any) -> Any:
@@ -152,6 +154,7 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
         tuple(str(names[k]) for k in sorted(names)),
         int(getattr(network, "yaml", {}).get("channels", 3)),
         max(int(network.stride.max()), 32),
+        training_scale(weights, model.ckpt if isinstance(model.ckpt, Mapping) else {}),
         {
             "weights": weights.name,
             "weights_sha256": hashlib.sha256(data).hexdigest(),
@@ -189,7 +192,7 @@ def predict(
     detector: Detector,
     images: Sequence[ImageRecord],
     *,
-    image_size: int = IMAGE_SIZE,
+    image_size: int | None = None,
     confidence: float = CONFIDENCE,
     iou: float = IOU,
     max_detections: int = MAX_DETECTIONS,
@@ -201,7 +204,8 @@ def predict(
     Args:
         detector: From `load_detector`.
         images: The pictures; colour or grey, 16-bit ones by their high byte, as Ultralytics reads them for training.
-        image_size: The longer side is scaled to it; 0 leaves every picture its own size.
+        image_size: The longer side is scaled to it; 0 leaves every picture its own size; the scale that the detector
+            was trained at by default.
         confidence: The least score.
         iou: Overlap beyond which the less sure of two findings of a class is dropped.
         max_detections: At most so many an image.
@@ -212,12 +216,13 @@ def predict(
         DatasetError: Pictures that cannot be read, all of them named. After the first one nothing more is detected.
         ModelError: Memory does not even hold one picture.
     """
+    scale = detector.scale if image_size is None else Scale(image_size, "asked for")
     at_once = batch or (4 if detector.facts["device"] == "cpu" else 16)
     found: dict[str, Detections] = {}
     sizes: dict[str, tuple[int, int]] = {}
     problems: list[Problem] = []
     with quiet_ultralytics():
-        for group in _batches(images, detector, image_size, at_once, problems):
+        for group in _batches(images, detector, scale.image_size, at_once, problems):
             ours = _run(detector, group, confidence, iou, max_detections)
             for (image, picture), its in zip(group, ours, strict=True):
                 found[image_key(image)], sizes[image_key(image)] = its, picture.size_wh
@@ -226,7 +231,8 @@ def predict(
     if problems:
         raise DatasetError(f"{len(problems)} of {len(images)} pictures cannot be used", problems)
     facts = detector.facts | {
-        "image_size": image_size,
+        "image_size": scale.image_size,
+        "image_size_from": scale.origin,
         "confidence": confidence,
         "iou": iou,
         "max_detections": max_detections,

@@ -25,6 +25,7 @@ from typing import Any
 from infrablend.core.files import replace_atomically
 from infrablend.core.rng import stream
 from infrablend.training.environment import has_fast_bfloat16, settle_ultralytics
+from infrablend.training.scale import MARK
 
 CHECKPOINT = "checkpoint.pt"
 DAMAGED = "checkpoint.damaged.pt"
@@ -52,6 +53,7 @@ class Job:
         arguments: Further ones for Ultralytics.
         val_images: Images the val split must have; 0: nothing depends on it.
         val_labels: Labels it must have.
+        tile: Side of the tiles that the images are, px; 0 for whole pictures.
     """
 
     data: str
@@ -70,6 +72,7 @@ class Job:
     arguments: dict[str, Any] = field(default_factory=dict)
     val_images: int = 0
     val_labels: int = 0
+    tile: int = 0
 
     def write(self, path: Path) -> None:
         """As `main` reads it."""
@@ -253,7 +256,11 @@ def _train(job: Job, say: Any) -> None:
         if begun < job.epochs:
             trainer.train()
     best = out / "run" / "weights" / "best.pt"
-    torch_utils.strip_optimizer(best if job.patience and best.is_file() else checkpoint, weights)
+    torch_utils.strip_optimizer(
+        best if job.patience and best.is_file() else checkpoint,
+        weights,
+        updates={MARK: {"tile": job.tile, "image_size": job.image_size}},
+    )
     loader = getattr(trainer, "train_loader", None)  # none where only the end was left to do
     say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,
         batch=min(trainer.batch_size, job.images) if loader is None else loader.batch_size,

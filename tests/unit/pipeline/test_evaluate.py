@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
-from infrablend.pipeline import evaluate as judging
-from infrablend.pipeline.evaluate import evaluate_detector
+from infrablend.pipeline import evaluate as pipeline
+from infrablend.pipeline.evaluate import Judging, evaluate_detector
+from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 
 CLASSES = ("Person", "Car", "OtherVehicle")
 CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "DontCare", ignore=True))
@@ -28,7 +29,7 @@ CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "Don
 @pytest.fixture(autouse=True)
 def _without_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where the extra is not installed; what Ultralytics says is compared in tests/contract."""
-    monkeypatch.setattr(judging, "missing_packages", lambda: ["ultralytics", "torch"])
+    monkeypatch.setattr(pipeline, "missing_packages", lambda: ["ultralytics", "torch"])
 
 
 def made_up_dataset(number: int = 40, split: str = "test") -> Dataset:
@@ -74,7 +75,10 @@ def saved(tmp_path: Path) -> Path:
 
 
 def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any):
-    return evaluate_detector(saved, dataset or made_up_dataset(), out, **{"bootstrap": 50, **settings})
+    of_judging = {f.name for f in fields(Judging)}
+    judging = Judging(**{"bootstrap": 50, **{k: v for k, v in settings.items() if k in of_judging}})
+    more = {k: v for k, v in settings.items() if k not in of_judging}
+    return evaluate_detector(saved, dataset or made_up_dataset(), out, judging, **more)
 
 
 def test_what_is_written(saved: Path, tmp_path: Path) -> None:
@@ -169,7 +173,7 @@ def test_originals_and_other_names_are_drawn_with_their_configurations() -> None
     def groups(*names: str) -> list[int]:
         record = made_up_dataset(1).images[0]
         images = [replace(record, id=Path(n).stem, path=Path(n), file_name=n) for n in names]
-        found = judging._groups(images, "image", [])
+        found = image_groups(images, "image", [])
         return [found.index(g) for g in found]
 
     hit = "0_60_30_0_00001"
@@ -186,7 +190,7 @@ def test_one_configuration_each_keeps_the_names_that_draws_are_sorted_by() -> No
         (["0_60_30_0_00007_c0.png", "0_60_30_0_00008.png"], ("frame 7", "test/0_60_30_0_00008.png")),
     ):
         images = [replace(record, id=Path(n).stem, path=Path(n), file_name=n) for n in names]
-        assert judging._groups(images, "image", []) == expected
+        assert image_groups(images, "image", []) == expected
 
 
 def test_what_the_reader_rejected_is_told(saved: Path, tmp_path: Path) -> None:
@@ -240,7 +244,7 @@ def test_the_command_tells_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -
 
 def test_hit_uav_has_nothing_that_is_rejected(real_data: Path) -> None:
     dataset = api.read_dataset(real_data / "hit-uav")
-    assert [judging._rejected(dataset, split) for split in SPLITS] == [[], [], []]
+    assert [rejected_in(dataset, split) for split in SPLITS] == [[], [], []]
 
 
 def test_two_labelled_classes_that_are_one_of_the_detector(tmp_path: Path) -> None:
@@ -503,3 +507,14 @@ def test_the_command(tmp_path: Path, write_tiny_hit_uav) -> None:
 
 def test_errors_are_of_our_own_tree() -> None:
     assert issubclass(ModelError, InfraBlendError)
+
+
+def test_the_size_that_pictures_had_is_reported(tmp_path: Path) -> None:
+    found = found_on(made_up_dataset())
+    facts = {"weights": "w.pt", "image_size": 0, "image_size_from": "trained on tiles of 320 px at native resolution"}
+    saved = write_predictions(tmp_path / "found.json", replace(found, facts=facts))
+    report = run(saved, tmp_path / "out", image_size=640)
+    assert report.metrics["detector"]["image_size"] == 0
+    assert "--image-size 640 has no effect" in str([p for p in report.problems if p.code == "image-size-unused"])
+    assert "trained on tiles of 320 px" in (tmp_path / "out" / "evaluation.html").read_text()
+    assert "image-size-unused" not in {p.code for p in run(saved, tmp_path / "b", image_size=0).problems}

@@ -418,8 +418,8 @@ PINNED_KEYS = {
     "convert:part": "d4220a5febd71675",
     "split:dates": "11aad7823a427131",
     "train:a": "3e99774b396f2601",
-    "evaluate:a": "a2bfb045b212b211",
-    "compare:aa": "4a8c3ac2009249d4",
+    "evaluate:a": "5218bdb1f58031bc",
+    "compare:aa": "66df1334eb08cd98",
 }
 
 

@@ -1,0 +1,184 @@
+"""Stored evaluations: what became of every finding, and the comparison of two evaluations on the same images."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.files import replace_atomically
+from infrablend.errors import DatasetError, Problem
+from infrablend.evaluation.bootstrap import draw_images, paired
+from infrablend.evaluation.figures import Draws
+from infrablend.evaluation.matching import ClassMatches
+from infrablend.evaluation.truth import match_classes
+
+RECORD, MATCHES = "evaluation.json", "matches.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMatches:
+    """The content of `matches.npz`: enough to compare two evaluations without their dataset.
+
+    Attributes:
+        classes: Names of the judged classes.
+        matches: Matches of each class, objects of all sizes together.
+        groups: Group of each image; those of one group are drawn together.
+    """
+
+    classes: tuple[str, ...]
+    matches: tuple[ClassMatches, ...]
+    groups: tuple[str, ...]
+
+
+def compare_evaluations(
+    ours: Sequence[Path],
+    theirs: Sequence[Path],
+    *,
+    classes: Sequence[str] | None = None,
+    bootstrap: int = 1000,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Return the difference of two evaluations on the same images and labels by class; see `infrablend.api`."""
+    record, first = read_evaluation(ours[0])
+    read = {folder: read_evaluation(folder) for folder in [*ours[1:], *theirs]}
+    for folder, (other, _) in read.items():
+        require_same(other, Conditions.of(record), folder)
+    if classes is not None:
+        numbers = match_classes(first.classes, classes)
+        unknown = [name for name, of in numbers.items() if not of]
+        if unknown:
+            raise DatasetError(f"classes: found {', '.join(unknown)}, expected some of {', '.join(first.classes)}")
+        kept = [k for k in range(len(first.classes)) if any(k in of for of in numbers.values())]
+        first = StoredMatches(
+            tuple(first.classes[k] for k in kept), tuple(first.matches[k] for k in kept), first.groups
+        )
+    a = [first, *(read[f][1] for f in ours[1:])]
+    b = [read[f][1] for f in theirs]
+    return paired_facts(a, b, read[theirs[0]][0], Draws(bootstrap, (), seed), theirs[0].name)
+
+
+def paired_facts(
+    ours: Sequence[StoredMatches], theirs: Sequence[StoredMatches], record: Mapping[str, Any], draws: Draws, name: str
+) -> dict[str, Any]:
+    """Return the differences by class; `record` and `name` are those of the second side, groups those of the first."""
+    sides = [*ours, *theirs]
+    both = [n for n in ours[0].classes if all(n in j.classes for j in sides)]
+    if not both:
+        raise DatasetError(
+            f"{name}: judged {', '.join(theirs[0].classes)}; expected some of {', '.join(ours[0].classes)}"
+        )
+    weights = draw_images(ours[0].groups, draws.number, draws.seed)
+    a, b = ([[j.matches[j.classes.index(n)] for n in both] for j in side] for side in (ours, theirs))
+    return {
+        "against": {"name": name, "detector": record["detector"]},
+        "draws": draws.number,
+        "detectors": [len(ours), len(theirs)],
+        "classes": paired(a, b, both, weights, ours[0].groups, draws.seed),
+        "left_out": sorted({n for j in sides for n in j.classes} - set(both)),
+    }
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What two evaluations must have in common to be compared image by image."""
+
+    split: str
+    images: int
+    labels: str
+    task: str
+    ignore_regions: bool
+    group: str
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Conditions:
+        """Return the conditions that `evaluation.json` records."""
+        data, settings = record["dataset"], record["settings"]
+        return cls(
+            data["split"], data["images"], data["labels_sha256"],
+            record["task"], settings["ignore_regions"], settings["group"],
+        )  # fmt: skip
+
+
+def require_same(record: Mapping[str, Any], ours: Conditions, where: Path) -> None:
+    """Raise DatasetError if an evaluation's record has other conditions than ours."""
+    theirs = Conditions.of(record)
+    problems = []
+
+    def differ(what: str, found: object, expected: object, todo: str) -> None:
+        problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
+
+    if theirs.split != ours.split:
+        differ("split", theirs.split, ours.split, "give both the same --split")
+    elif theirs.images != ours.images:
+        differ("images", theirs.images, ours.images, "evaluate both on the same split of the same dataset")
+    elif theirs.labels != ours.labels:
+        differ("labels", "others, or of other images", "the same", "evaluate both on the same split and labels")
+    if theirs.task != ours.task:
+        differ("task", theirs.task, ours.task, "give both the same --task")
+    if theirs.ignore_regions != ours.ignore_regions:
+        differ("ignored regions", theirs.ignore_regions, ours.ignore_regions, "treat regions alike in both")
+    if theirs.group != ours.group:
+        differ("group", theirs.group, ours.group, "give both the same --group")
+    if problems:
+        raise DatasetError(f"{where}: not to be compared image by image", problems)
+
+
+def write_matches(path: Path, stored: StoredMatches) -> None:
+    """Write `matches.npz`."""
+    arrays: dict[str, NDArray[Any]] = {
+        "classes": np.array(stored.classes, dtype=np.str_),
+        "groups": np.array(stored.groups, dtype=np.str_),
+    }
+    for k, m in enumerate(stored.matches):
+        arrays |= {
+            f"scores_{k}": m.scores,
+            f"images_{k}": m.images,
+            f"right_{k}": np.packbits(m.right[0], axis=1),
+            f"neutral_{k}": np.packbits(m.neutral[0], axis=1),
+            f"objects_{k}": m.objects[0],
+        }
+    with replace_atomically(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+
+def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
+    """Return the record and the matches of an earlier evaluation.
+
+    Raises:
+        DatasetError: The folder holds no finished evaluation.
+    """
+
+    def refuse(why: str) -> DatasetError:
+        todo = "give the folder that `infrablend evaluate` wrote"
+        problem = Problem(str(folder), "evaluation", why, f"{RECORD} and {MATCHES}", todo)
+        return DatasetError(f"{folder}: no finished evaluation", [problem])
+
+    try:
+        record = json.loads((folder / RECORD).read_bytes())
+        with (folder / MATCHES).open("rb") as file, np.load(file, allow_pickle=False) as data:
+            classes = tuple(str(n) for n in data["classes"])
+            matches = tuple(_unpacked(data, k) for k in range(len(classes)))
+            judged = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))
+        if None in astuple(Conditions.of(record)) or record["detector"] is None:
+            raise KeyError("settings")
+    except FileNotFoundError as error:
+        raise refuse(f"no {Path(str(error.filename)).name}") from error
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise refuse(f"cannot be read ({type(error).__name__}: {error})"[:160]) from error
+    return record, judged
+
+
+def _unpacked(data: Any, k: int) -> ClassMatches:
+    scores = data[f"scores_{k}"]
+    right, neutral = (
+        np.unpackbits(data[f"{name}_{k}"], axis=1, count=len(scores)).astype(np.bool_)[None]
+        for name in ("right", "neutral")
+    )
+    return ClassMatches(scores, data[f"images_{k}"], right, neutral, data[f"objects_{k}"][None])

@@ -1,0 +1,152 @@
+"""Where the findings of an evaluation come from: weights that are run, or a file of saved findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.evaluation.coco import MAX_DETECTIONS
+from infrablend.evaluation.detections import TASKS, Predictions, Task, read_predictions
+from infrablend.evaluation.truth import image_key
+
+if TYPE_CHECKING:
+    from infrablend.training.predict import Detector
+
+PREDICTIONS = "predictions.json"
+
+
+class Findings:
+    """Findings to judge: of weights that are run on the images, or saved ones.
+
+    Attributes:
+        name: Name of the file or folder.
+        classes: Classes of the detector; None if it could not be loaded.
+        task: What the detector finds; None if it could not be loaded.
+    """
+
+    def __init__(self, path: Path, device: str, problems: list[Problem]) -> None:
+        """Load weights or saved findings; what is wrong with them is appended to `problems`."""
+        self.name = path.name
+        self.classes: tuple[str, ...] | None = None
+        self.task: Task | None = None
+        self._path = path
+        self._saved: Predictions | None = None
+        self._detector: Detector | None = None
+        try:
+            file = _file_of(path)
+            if file.suffix == ".json":
+                self._saved = read_predictions(file)
+                self.classes, self.task = self._saved.classes, self._saved.task
+            else:
+                from infrablend.training.predict import load_detector
+
+                self._detector = load_detector(file, device)
+                self.classes, self.task = self._detector.classes, self._detector.task
+        except (DatasetError, ModelError) as error:
+            problems += error.problems
+
+    def check(self, images: Sequence[ImageRecord], problems: list[Problem]) -> None:
+        """Append what is wrong with saved findings for these images, or with the pictures for a detector."""
+        if self._saved is not None:
+            self._saved = _of_images(self._saved, images, self._path, problems)
+        elif self._detector is not None:
+            from infrablend.training.predict import check_pictures
+
+            problems += check_pictures([i for i in images if i.size_wh is not None])  # others are reported already
+
+    def on(
+        self,
+        images: Sequence[ImageRecord],
+        image_size: int | None,
+        on_image: Callable[[int, int], None] | None,
+        problems: list[Problem],
+    ) -> Predictions:
+        """Return the findings on the images; warnings about their scale are appended to `problems`."""
+        if self._saved is not None:
+            used = self._saved.facts.get("image_size")
+            if image_size is not None and used != image_size:
+                found = f"--image-size {image_size} has no effect on saved findings"
+                problems.append(Problem(self.name, "image-size-unused", found, severity="warning"))
+            return self._saved
+        from infrablend.training.predict import predict
+
+        assert self._detector is not None
+        if image_size is None:
+            problems += self._detector.scale.warnings(self._path)
+        return predict(self._detector, images, image_size=image_size, on_image=on_image)
+
+
+def _file_of(path: Path) -> Path:
+    """Return the file that a folder stands for: findings of an evaluation, or weights of a finished training.
+
+    Raises:
+        ModelError: The folder is neither.
+    """
+    if not path.is_dir():
+        return path
+    from infrablend.pipeline.train import RECORD as TRAINING
+    from infrablend.training.trainer import WEIGHTS
+
+    for file in (PREDICTIONS, WEIGHTS):
+        if (path / file).is_file():
+            return path / file
+    found, expected = f"a folder without {PREDICTIONS} and {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
+    todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
+    if (path / TRAINING).exists():
+        found, expected = f"a training that is not finished: no {WEIGHTS} yet", "a finished one"
+        todo = "finish it: the same `infrablend train` with --resume"
+    raise ModelError(f"{path}: nothing to judge", [Problem(str(path), "weights", found, expected, todo)])
+
+
+def choose_task(wanted: str | None, source: Findings, problems: list[Problem]) -> Task:
+    """Return the task to judge: the one asked for, or what the detector finds; a mismatch is appended to `problems`."""
+    task = source.task or "detect"
+    if wanted is None:
+        return task
+    chosen = next((t for t in TASKS if t == wanted), None)
+    if chosen is None:
+        problems.append(Problem("task", "task", f"{wanted!r}", f"one of {', '.join(TASKS)}"))
+    elif chosen not in (task, "detect") and source.task is not None:
+        todo = "leave --task out, or take weights that were trained for it"
+        problems.append(Problem("task", "task", f"{chosen}, but the detector finds {_FINDS[task]}", task, todo))
+    return chosen or task
+
+
+_FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segment": "masks"}
+
+
+def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
+    """Return the findings on these images, by our keys; the keys of other tools may lack the split."""
+    of: dict[str, str] = {}
+    for image in images:
+        key = image_key(image)
+        name = next((n for n in (key, image.name) if n in saved.images), None)
+        if name is not None:
+            of[key] = name
+            if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+                found = "{}x{} px".format(*saved.sizes_wh[name])
+                problems.append(
+                    Problem(f"{file.name}, {name}", "prediction-size", found, "{}x{} px".format(*image.size_wh))
+                )
+    lacking = [image_key(i) for i in images if image_key(i) not in of]
+    if lacking:
+        found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
+        todo = "give the dataset and split that the file was made on"
+        problems.append(Problem(file.name, "prediction-images", found, "an entry for every image", todo))
+    rest = len(saved.images) - len(of)
+    if rest and of:
+        found = f"{rest} images that are not in the split: left out"
+        problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
+    cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
+    if cut:
+        found = f"more than {MAX_DETECTIONS} findings in {cut} images: the surest are judged"
+        problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
+    first = np.arange(MAX_DETECTIONS)
+    kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}
+    return replace(saved, images=kept, sizes_wh={k: saved.sizes_wh[n] for k, n in of.items()})
