@@ -15,9 +15,9 @@ from infrablend.core.mesh import FloatArray
 
 QUARTER_TURN_RAD = math.pi / 2
 
-# Areas closer than this (relative) count as equal, and the smaller angle wins: rounding must not choose.
+# Areas closer than this (relative) count as equal and the smaller angle wins, so that rounding does not decide.
 _TIE = 1e-12
-# What a corner may stick out of the frame before it is set back onto its edge: rounding, not geometry.
+# Distance by which a corner may leave the frame through rounding; it is then moved back onto the edge.
 _SLACK_PX = 1e-9
 
 
@@ -25,20 +25,20 @@ _SLACK_PX = 1e-9
 
 
 def box_of_points(points_xy: FloatArray) -> FloatArray:
-    """(4,) box x0, y0, x1, y1 around points (N, 2), N >= 1."""
+    """Return the (4,) box x0, y0, x1, y1 around points (N, 2), N >= 1."""
     # By columns: numpy is many times slower along an axis when the other one is this short.
     x, y = np.ascontiguousarray(points_xy[:, 0]), np.ascontiguousarray(points_xy[:, 1])
     return np.array([x.min(), y.min(), x.max(), y.max()])
 
 
 def clip_boxes(boxes_xyxy: FloatArray, size_wh: tuple[int, int]) -> FloatArray:
-    """Boxes (..., 4) clipped to the frame; one that lies outside comes back empty, on the frame's edge."""
+    """Return boxes (..., 4) clipped to the frame; one outside becomes empty, on the frame's edge."""
     w, h = size_wh
     return np.clip(boxes_xyxy, 0.0, np.array([w, h, w, h], np.float64))
 
 
 def box_iou(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:
-    """(N, M) intersection over union of boxes (N, 4) and (M, 4); 0 where both are empty."""
+    """Return the (N, M) intersection over union of boxes (N, 4) and (M, 4); 0 where both are empty."""
     low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
     high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
     both = np.prod(np.maximum(high - low, 0.0), axis=-1)
@@ -52,7 +52,7 @@ def box_iou(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:
 
 
 def polygon_area(polygon_xy: FloatArray) -> float:
-    """Signed area of a polygon (N, 2), px², positive if it runs clockwise; 0 below three points."""
+    """Return the signed area of a polygon (N, 2), px², positive if it runs clockwise; 0 below three points."""
     if len(polygon_xy) < 3:
         return 0.0
     x, y = (polygon_xy - polygon_xy[0]).T
@@ -60,9 +60,9 @@ def polygon_area(polygon_xy: FloatArray) -> float:
 
 
 def _well_inside(points_xy: FloatArray, directions: int) -> NDArray[np.bool_]:
-    """(N,) True for points well inside the polygon of the extreme points in evenly spread directions.
+    """Mark points well inside the polygon of the extreme points in evenly spread directions.
 
-    Such points are no corners of the hull (Akl and Toussaint 1978).
+    Such points cannot be corners of the hull (Akl and Toussaint 1978).
     """
     angle = np.arange(directions) * (2 * math.pi / directions)
     start = points_xy[np.argmax(np.stack([np.cos(angle), np.sin(angle)], axis=1) @ points_xy.T, axis=1)]
@@ -78,7 +78,7 @@ def _well_inside(points_xy: FloatArray, directions: int) -> NDArray[np.bool_]:
 
 
 def convex_hull_indices(points_xy: FloatArray) -> NDArray[np.intp]:
-    """Indices (H,) of the convex hull's corners among points (N, 2), clockwise from the leftmost one.
+    """Return the indices (H,) of the convex hull's corners among points (N, 2), clockwise from the leftmost one.
 
     Points inside edges are left out. One index for a single place, two for points on a line, none for N = 0.
     """
@@ -111,12 +111,12 @@ def convex_hull_indices(points_xy: FloatArray) -> NDArray[np.intp]:
 
 
 def convex_hull(points_xy: FloatArray) -> FloatArray:
-    """(H, 2) corners of the convex hull of points (N, 2), clockwise; see `convex_hull_indices`."""
+    """Return the (H, 2) corners of the convex hull of points (N, 2), clockwise; see `convex_hull_indices`."""
     return np.asarray(points_xy[convex_hull_indices(points_xy)])
 
 
 def clip_convex(polygon_xy: FloatArray, clip_xy: FloatArray) -> FloatArray:
-    """(K, 2) intersection of two convex polygons (N, 2) and (M, 2), both clockwise; K may be 0."""
+    """Return the (K, 2) intersection of convex polygons (N, 2) and (M, 2), both clockwise; K may be 0."""
     polygon = np.asarray(polygon_xy, np.float64)
     for a, b in zip(clip_xy, np.roll(clip_xy, -1, axis=0), strict=True):
         if not len(polygon):
@@ -134,13 +134,13 @@ def clip_convex(polygon_xy: FloatArray, clip_xy: FloatArray) -> FloatArray:
 
 
 def frame_polygon(size_wh: tuple[int, int]) -> FloatArray:
-    """(4, 2) the frame's corners, clockwise from the origin."""
+    """Return the (4, 2) corners of the frame, clockwise from the origin."""
     w, h = size_wh
     return np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float64)
 
 
 def inside_convex(points_xy: FloatArray, polygon_xy: FloatArray) -> NDArray[np.bool_]:
-    """(N,) True for points (N, 2) in the closed convex polygon (M, 2), clockwise."""
+    """Mark the (N,) points (N, 2) in the closed convex polygon (M, 2), clockwise."""
     edge = np.roll(polygon_xy, -1, axis=0) - polygon_xy
     x = points_xy[:, :1] - polygon_xy[:, 0]
     y = points_xy[:, 1:] - polygon_xy[:, 1]
@@ -151,13 +151,13 @@ def inside_convex(points_xy: FloatArray, polygon_xy: FloatArray) -> NDArray[np.b
 
 
 def reach_of_triangles(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest values (T, C) over the corners of triangles (T, 3, C)."""
+    """Return the smallest and largest values (T, C) over the corners of triangles (T, 3, C)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def clip_triangles_near(xyz_m: FloatArray, near_m: float) -> tuple[FloatArray, NDArray[np.intp]]:
-    """What of the triangles (T, 3, 3) in camera coordinates lies at depth z >= `near_m`.
+    """Cut triangles (T, 3, 3) in camera coordinates at depth `near_m` and keep what is farther.
 
     Returns:
         Triangles (T', 3, 3), and (T',) the index of the triangle each is a piece of.
@@ -189,7 +189,7 @@ def clip_triangles_near(xyz_m: FloatArray, near_m: float) -> tuple[FloatArray, N
 
 
 def clip_triangles_to_rect(triangles: FloatArray, rect_xyxy: FloatArray) -> FloatArray:
-    """Corners (P, C) of the parts of triangles (T, 3, C) that lie in a rectangle, in no particular order.
+    """Return the corners (P, C) of triangles (T, 3, C) clipped to a rectangle, in no particular order.
 
     The first two of the C values are x and y; the others are interpolated linearly with them. The convex hull
     of the result is the convex hull of the clipped triangles; points repeat where triangles share them.
@@ -229,7 +229,7 @@ def clip_triangles_to_rect(triangles: FloatArray, rect_xyxy: FloatArray) -> Floa
 
 
 def _barycentric(triangles_xy: FloatArray, point_xy: FloatArray) -> FloatArray:
-    """(T, 3) barycentric weights of one point in triangles (T, 3, 2); NaN for triangles without area."""
+    """Return the (T, 3) barycentric weights of a point in triangles (T, 3, 2); NaN for triangles without area."""
     d = triangles_xy - point_xy
     nxt = np.roll(d, -1, axis=1)
     cross = d[:, :, 0] * nxt[:, :, 1] - d[:, :, 1] * nxt[:, :, 0]  # of the edge i -> i + 1: weight of corner i + 2
@@ -243,7 +243,7 @@ def _barycentric(triangles_xy: FloatArray, point_xy: FloatArray) -> FloatArray:
 
 
 def corners_of_cxcywha(boxes: FloatArray) -> FloatArray:
-    """Corners (..., 4, 2), clockwise, of boxes (..., 5): centre x, y, width, height, angle in radians.
+    """Return the corners (..., 4, 2), clockwise, of boxes (..., 5): centre x, y, width, height, angle in radians.
 
     The width runs along (cos angle, sin angle), so a positive angle turns clockwise; at angle 0 the corners
     are top left, top right, bottom right, bottom left.
@@ -258,7 +258,7 @@ def corners_of_cxcywha(boxes: FloatArray) -> FloatArray:
 
 
 def cxcywha_of_corners(corners_xy: FloatArray) -> FloatArray:
-    """Boxes (..., 5): centre x, y, width, height, angle in (-pi, pi], of corners (..., 4, 2), clockwise.
+    """Return boxes (..., 5): centre x, y, width, height, angle in (-pi, pi], of corners (..., 4, 2), clockwise.
 
     The width runs from the first corner to the second. Corners that form no exact rectangle (rounded ones)
     give the rectangle with their mean sides.
@@ -273,19 +273,19 @@ def cxcywha_of_corners(corners_xy: FloatArray) -> FloatArray:
 
 
 def corners_of_box(box_xyxy: FloatArray) -> FloatArray:
-    """(4, 2) corners of one axis-aligned box, clockwise from the top left."""
+    """Return the (4, 2) corners of one axis-aligned box, clockwise from the top left."""
     x0, y0, x1, y1 = box_xyxy
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.float64)
 
 
 def corners_in_frame(corners_xy: FloatArray, size_wh: tuple[int, int], slack_px: float = 0.0) -> bool:
-    """True if no corner (N, 2) is farther than `slack_px` outside [0, w] x [0, h]."""
+    """Return whether no corner (N, 2) is farther than `slack_px` outside [0, w] x [0, h]."""
     high = np.asarray(size_wh, np.float64) + slack_px
     return bool((corners_xy >= -slack_px).all() and (corners_xy <= high).all())
 
 
 def rectangle_along(points_xy: FloatArray, direction_xy: FloatArray) -> FloatArray:
-    """(4, 2) corners, clockwise, of the tight rectangle around points (N, 2) with a side along a direction.
+    """Return the tight rectangle (4, 2), clockwise, around points (N, 2) with a side along a direction.
 
     The first corner to the second runs in the direction's sense.
 
@@ -316,7 +316,7 @@ def _edge_angles(hull_xy: FloatArray) -> FloatArray:
 
 
 def min_area_rectangle(points_xy: FloatArray) -> FloatArray:
-    """(4, 2) corners, clockwise, of the smallest rectangle around points (N, 2), N >= 1.
+    """Return the (4, 2) corners, clockwise, of the smallest rectangle around points (N, 2), N >= 1.
 
     A smallest rectangle has a side along an edge of the convex hull (Freeman and Shapira 1975); all of them
     are tried, in float64. Of equally small ones the one with the smallest angle in [0, pi/2) is taken.
@@ -336,7 +336,7 @@ def min_area_rectangle(points_xy: FloatArray) -> FloatArray:
 
 
 def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -> FloatArray:
-    """(4, 2) corners, clockwise, of the smallest rectangle around points that stays inside the frame.
+    """Return the (4, 2) corners, clockwise, of the smallest rectangle around points that stays inside the frame.
 
     For each angle the smallest rectangle around the points is the tight one, and if any at this angle stays
     in the frame, the tight one does. Between two neighbouring edge directions of the hull the same four
@@ -383,8 +383,7 @@ def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -
     def y_terms(a: FloatArray, b: FloatArray) -> FloatArray:
         return np.stack([a[:, 1] + b[:, 1], b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]]) / 2
 
-    # What each of the four corners has left to the frame's side, as p + q cos 2t + r sin 2t: negative is
-    # outside.
+    # Distance of each of the four corners to the frame's side, as p + q cos 2t + r sin 2t; negative is outside.
     w, h = size
     shift_w, shift_h = np.array([[w], [0.0], [0.0]]), np.array([[h], [0.0], [0.0]])
     room = np.stack(
@@ -413,7 +412,7 @@ def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -
 
 
 def start_nearest(corners_xy: FloatArray, direction_xy: FloatArray) -> FloatArray:
-    """The same rectangle (4, 2), counted so that its first side runs most nearly in a direction."""
+    """Return the rectangle (4, 2) renumbered so that its first side is closest to a direction."""
     sides = np.roll(corners_xy, -1, axis=0) - corners_xy
     length = np.hypot(sides[:, 0], sides[:, 1])
     along = np.divide(sides @ np.asarray(direction_xy), length, out=np.zeros(4), where=length > 0)

@@ -1,4 +1,4 @@
-"""The pinhole camera: where it stands, where it looks, what it sees.
+"""The pinhole camera: position, direction, projection.
 
 World: Z up, metres. Camera axes as in OpenCV: x right, y down, z forward. Pixel (column j, row i) covers
 [j, j+1) x [i, i+1), origin at the top left corner of the image.
@@ -21,16 +21,16 @@ BLENDER_SENSOR_WIDTH_MM = 36.0
 class CameraSpec:
     """A camera that looks at the scene origin.
 
-    It stands in the vertical plane through -Y at `distance_m` from the origin, so the world's +Y points away
-    from it (up in the image) and +X to the right.
+    It is in the vertical plane through -Y at `distance_m` from the origin, so the world's +Y points away from it (up in
+    the image) and +X to the right.
 
     Attributes:
-        distance_m: From the camera to the scene origin.
+        distance_m: Distance from the camera to the scene origin.
         pitch_rad: Depression angle of the optical axis: 0 level, pi/2 straight down, negative looking up.
-        roll_rad: Turn of the camera about its optical axis; positive turns the camera clockwise as seen from
-            behind it, so the picture's content turns counter-clockwise.
-        focal_length_mm: Of the lens.
-        sensor_width_mm: The width that the image's width covers.
+        roll_rad: Rotation about the optical axis; positive turns the camera clockwise as seen from behind it, so the
+            picture's content turns counter-clockwise.
+        focal_length_mm: Focal length of the lens.
+        sensor_width_mm: Width of the sensor, which the image's width covers.
         size_wh: Image size in pixels.
     """
 
@@ -62,13 +62,13 @@ class CameraSpec:
         return np.stack([np.cos(r) * right + np.sin(r) * down, -np.sin(r) * right + np.cos(r) * down, forward])
 
     def to_camera(self, points_m: FloatArray) -> FloatArray:
-        """(N, 3) world points in camera coordinates, metres; the third column is the depth."""
+        """Return (N, 3) world points in camera coordinates, metres; the third column is the depth."""
         return np.asarray((points_m - self.position_m) @ self.world_to_camera.T)
 
     def project(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixel positions (N, 2) of world points (N, 3), and their depths (N,) in metres.
+        """Return pixel positions (N, 2) of world points (N, 3), and their depths (N,) in metres.
 
-        Points at depth <= 0 come back as NaN positions.
+        Positions at depth <= 0 are NaN.
         """
         xyz = self.to_camera(points_m)
         depth = xyz[:, 2]
@@ -84,7 +84,7 @@ def object_to_world(
     yaw_rad: float,
     scale: float = 1.0,
 ) -> FloatArray:
-    """(V, 3) object vertices turned by `yaw_rad` about +Z (counter-clockwise from above), scaled, moved."""
+    """Return the (V, 3) vertices turned by `yaw_rad` about +Z (counter-clockwise from above), scaled, moved."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(scale * (vertices_m @ turn.T) + np.asarray(position_m, np.float64))

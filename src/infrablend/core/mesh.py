@@ -1,4 +1,4 @@
-"""A triangle mesh made of named parts: what an object model builds and every renderer draws."""
+"""Triangle meshes made of named parts: built by object models, drawn by every renderer."""
 
 from __future__ import annotations
 
@@ -53,18 +53,18 @@ class Mesh:
 
     @property
     def size_m(self) -> FloatArray:
-        """(3,) extent along x, y, z in metres."""
+        """Extent (3,) along x, y, z in metres."""
         return np.asarray(np.ptp(self.vertices_m, axis=0))
 
 
 def make_mesh(
     pieces: Sequence[tuple[str, FloatArray, IntArray, bool]], part_order: Sequence[str] | None = None
 ) -> Mesh:
-    """One mesh from pieces `(part name, vertices (v, 3), triangles (t, 3), smooth)`; names may repeat.
+    """Join pieces `(part name, vertices (v, 3), triangles (t, 3), smooth)` into one mesh; names may repeat.
 
     Args:
-        pieces: What to join, in order. Vertices are not merged across pieces.
-        part_order: Names in the order wanted; by default the order of first appearance.
+        pieces: Pieces in order. Vertices are not merged across pieces.
+        part_order: Order of the part names; by default the order of first appearance.
     """
     names = list(part_order) if part_order is not None else list(dict.fromkeys(p[0] for p in pieces))
     vertices, triangles, parts, smooth = [], [], [], []

@@ -1,9 +1,9 @@
 """Triangles on a lattice of point samples: silhouettes, depth, visibility.
 
 A sample belongs to a triangle if it lies inside, left and upper edges included, right and lower ones not.
-Triangles that share an edge therefore share no sample and leave no gap, and a shape is neither dilated nor
-eroded: its sample count is an unbiased measure of its area. All is done on spans (one triangle on one row of
-samples), without a loop over triangles.
+Triangles that share an edge therefore share no sample and leave no gap, and a shape is neither dilated nor eroded: its
+sample count is an unbiased measure of its area. Everything works on spans (one triangle on one row of samples), without
+a loop over triangles.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ class SampleGrid:
 
     @classmethod
     def over_pixels(cls, offset_xy: tuple[int, int], size_wh: tuple[int, int], supersample: int) -> SampleGrid:
-        """`supersample` squared samples in each pixel of a crop."""
+        """Return a lattice with `supersample` squared samples in each pixel of a crop."""
         w, h = size_wh
         return cls((float(offset_xy[0]), float(offset_xy[1])), (h * supersample, w * supersample), 1 / supersample)
 
     @classmethod
     def over_box(cls, box_xyxy: FloatArray, longest: int) -> SampleGrid:
-        """A lattice that spans a box with `longest` samples along its longer side."""
+        """Return a lattice that spans a box with `longest` samples along its longer side."""
         x0, y0, x1, y1 = (float(v) for v in box_xyxy)
         pitch = max(x1 - x0, y1 - y0, 1e-9) / longest
         return cls((x0, y0), (max(1, math.ceil((y1 - y0) / pitch)), max(1, math.ceil((x1 - x0) / pitch))), pitch)
 
     def to_samples(self, xy: FloatArray) -> FloatArray:
-        """Positions (..., 2) in pixels as positions in samples."""
+        """Convert positions (..., 2) in pixels to positions in samples."""
         return np.asarray((xy - np.array(self.origin_xy)) / self.pitch_px)
 
     def columns_x(self) -> FloatArray:
-        """(columns,) x of the samples, pixels."""
+        """Return the (columns,) x of the samples, pixels."""
         return self.origin_xy[0] + (np.arange(self.shape_hw[1]) + 0.5) * self.pitch_px
 
     def rows_y(self) -> FloatArray:
-        """(rows,) y of the samples, pixels."""
+        """Return the (rows,) y of the samples, pixels."""
         return self.origin_xy[1] + (np.arange(self.shape_hw[0]) + 0.5) * self.pitch_px
 
 
@@ -66,8 +66,8 @@ class ProjectedTriangles:
     Attributes:
         xy: (T, 3, 2) corners, pixels.
         inverse_depth: (T, 3) 1 / depth of the corners, 1/m; linear across the triangle in the image.
-        source: (T,) which of the given triangles each one is (a piece of).
-        cut: True if some triangle reached nearer than the near plane.
+        source: (T,) index of the given triangle that each one is (a piece of).
+        cut: Whether some triangle reached nearer than the near plane.
     """
 
     xy: FloatArray
@@ -76,14 +76,14 @@ class ProjectedTriangles:
     cut: bool
 
     def select(self, keep: NDArray[np.bool_]) -> ProjectedTriangles:
-        """Those with `keep` (T,) True."""
+        """Return the triangles with `keep` (T,) True."""
         return ProjectedTriangles(self.xy[keep], self.inverse_depth[keep], self.source[keep], self.cut)
 
 
 def project_triangles(
     camera: CameraSpec, vertices_world_m: FloatArray, triangles: IntArray, near_m: float = NEAR_M
 ) -> ProjectedTriangles:
-    """Triangles (T, 3), indices into world vertices (V, 3), as the camera sees them at depth >= `near_m`."""
+    """Project triangles (T, 3), indices into world vertices (V, 3), cut at depth `near_m`."""
     xyz = camera.to_camera(vertices_world_m)
     centre = np.array(camera.size_wh) / 2
     if float(xyz[:, 2].min()) >= near_m:
@@ -150,7 +150,7 @@ def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
 
 
 def covered_samples(triangles_xy: FloatArray, grid: SampleGrid) -> BoolArray:
-    """(rows, columns) True where a sample lies in the union of triangles (T, 3, 2), pixels."""
+    """Mark the (rows, columns) samples inside the union of triangles (T, 3, 2), pixels."""
     rows, columns = grid.shape_hw
     spans = _spans(grid.to_samples(triangles_xy), grid.shape_hw)
     width = columns + 1
@@ -163,7 +163,7 @@ def covered_samples(triangles_xy: FloatArray, grid: SampleGrid) -> BoolArray:
 
 
 def share_per_pixel(samples: BoolArray, supersample: int) -> NDArray[np.float32]:
-    """(h, w) float32 share of True samples in each block of `supersample` squared."""
+    """Return the (h, w) float32 share of True samples in each block of `supersample` squared."""
     rows, columns = samples.shape
     size_wh = (columns // supersample, rows // supersample)
     return np.asarray(cv2.resize(samples.astype(np.float32), size_wh, interpolation=cv2.INTER_AREA))
@@ -172,7 +172,7 @@ def share_per_pixel(samples: BoolArray, supersample: int) -> NDArray[np.float32]
 def silhouette(
     triangles_xy: FloatArray, offset_xy: tuple[int, int], size_wh: tuple[int, int], supersample: int = 8
 ) -> NDArray[np.float32]:
-    """(h, w) share of each pixel covered by the union of triangles (T, 3, 2), from point samples.
+    """Return the (h, w) share of each pixel covered by the union of triangles (T, 3, 2), from point samples.
 
     Args:
         triangles_xy: Corners in pixels of the frame.
@@ -213,7 +213,7 @@ def _fragments(
 
 
 def nearest_inverse_depth(triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid) -> FloatArray:
-    """(rows, columns) the largest 1 / depth of the triangles at each sample, 0 where there is none."""
+    """Return the (rows, columns) largest 1 / depth of the triangles at each sample, 0 where there is none."""
     rows, columns = grid.shape_hw
     nearest = np.zeros(rows * columns)
     if len(triangles_xy):
@@ -225,7 +225,7 @@ def nearest_inverse_depth(triangles_xy: FloatArray, inverse_depth: FloatArray, g
 def nearest_owner(
     triangles_xy: FloatArray, inverse_depth: FloatArray, owner: NDArray[np.integer[Any]], grid: SampleGrid
 ) -> IntArray:
-    """(rows, columns) int32 `owner` (T,) of the nearest triangle at each sample, -1 where there is none.
+    """Return the (rows, columns) int32 `owner` (T,) of the nearest triangle at each sample, -1 for none.
 
     Of triangles at the same depth the one with the smallest owner counts.
     """
@@ -251,7 +251,7 @@ def visible(
     size_wh: tuple[int, int],
     supersample: int = 8,
 ) -> NDArray[np.float32]:
-    """(n, h, w) share of each pixel in which owner k's triangles are the nearest surface.
+    """Return the (n, h, w) share of each pixel in which owner k's triangles are the nearest surface.
 
     Args:
         triangles_xy: (T, 3, 2) corners in pixels of the frame.
@@ -271,7 +271,7 @@ def visible(
 
 
 def outline_points(samples: BoolArray, grid: SampleGrid) -> FloatArray:
-    """(P, 2) pixel positions of each row's first and last True sample: their hull is all samples' hull."""
+    """Return the (P, 2) pixel positions of each row's first and last True sample; they have the same hull as all."""
     rows = np.flatnonzero(samples.any(axis=1))
     first = samples[rows].argmax(axis=1)
     last = samples.shape[1] - 1 - samples[rows, ::-1].argmax(axis=1)
@@ -280,7 +280,7 @@ def outline_points(samples: BoolArray, grid: SampleGrid) -> FloatArray:
 
 
 def hidden_points(points_xy: FloatArray, inverse_depth: FloatArray, occluders: ProjectedTriangles) -> BoolArray:
-    """(N,) True for points (N, 2) at 1 / depth (N,) that a nearer triangle of the occluders covers."""
+    """Mark the points (N, 2) at 1 / depth (N,) that a nearer triangle of the occluders covers."""
     hidden = np.zeros(len(points_xy), np.bool_)
     if not len(points_xy) or not len(occluders.xy):
         return hidden
@@ -322,7 +322,7 @@ def inside_fraction(
     near_m: float = NEAR_M,
     longest: int = 256,
 ) -> tuple[float, float]:
-    """Share of an object's projected area that is inside the frame, and the least depth of its vertices.
+    """Return the share of an object's projected area inside the frame, and the smallest depth of its vertices.
 
     Args:
         camera: The camera.

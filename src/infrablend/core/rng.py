@@ -1,4 +1,4 @@
-"""Random streams that depend on what is drawn, never on who draws it or when."""
+"""Random streams that depend only on what is drawn, never on the worker or the order."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 def stream(seed: int, *key: str | int) -> np.random.Generator:
-    """A generator for one (run seed, frame id, stage, ...) and nothing else.
+    """Return the generator of one (run seed, frame id, stage, ...).
 
     The same seed and key give the same numbers on every machine, for any worker count and order.
 
     Args:
         seed: The run's seed, any integer; 0 is a seed like any other.
-        key: What the numbers are for, e.g. `("train/0_60_30_0_00001_c0", "placement")`.
+        key: Purpose of the numbers, e.g. `("train/0_60_30_0_00001_c0", "placement")`.
     """
     text = "\x1f".join([str(int(seed)), *(f"{type(k).__name__}:{k}" for k in key)])
     digest = hashlib.sha256(text.encode()).digest()
@@ -22,5 +22,5 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
 
 
 def integer_seed(seed: int, *key: str | int, bits: int = 31) -> int:
-    """A non-negative integer below 2**bits from the same derivation as `stream`."""
+    """Return a non-negative integer below 2**bits, derived as in `stream`."""
     return int(stream(seed, *key).integers(0, 2**bits))
