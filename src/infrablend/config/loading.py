@@ -1,4 +1,4 @@
-"""Reading recipes: a shipped name or a YAML file, plus single fields set from the command line."""
+"""Reads recipes: a shipped name or a YAML file, with single fields set by the caller or the command line."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ Settings = Sequence[str] | Mapping[str, Any]
 
 
 def list_recipes() -> list[str]:
-    """Names of the recipes that come with InfraBlend, sorted."""
+    """Return the names of the shipped recipes, sorted."""
     folder = resources.files("infrablend.config") / "recipes"
     return sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml"))
 
 
 def recipe_text(name: str) -> str:
-    """YAML text of a shipped recipe.
+    """Return the YAML text of a shipped recipe.
 
     Raises:
-        RecipeError: If there is none of that name.
+        RecipeError: If no shipped recipe has that name.
     """
     if name not in list_recipes():
         raise RecipeError(
@@ -168,7 +168,7 @@ def _drop(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> list[Proble
 
 
 def _read_profile(data: dict[str, Any], folder: Path | None) -> None:
-    """Put the fields of the profile file that the recipe names in its place: a run then depends on no further file."""
+    """Replace the path of a sensor profile by the profile's fields, so that a run depends on no further file."""
     sensor = data.get("sensor")
     if not isinstance(sensor, dict):
         return
@@ -183,7 +183,7 @@ def _is_path(model: str) -> bool:
 
 def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]:
     if isinstance(settings, Mapping):
-        return list(settings.items())
+        return [(key, copy.deepcopy(value)) for key, value in settings.items()]
     pairs = []
     for text in settings:
         key, equals, value = text.partition("=")
@@ -198,32 +198,28 @@ def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]
 
 
 def _set(data: dict[str, Any], key: str, value: Any, problems: list[Problem]) -> None:
-    """Put `value` at a dotted key, making mappings on the way; list items go by number (`objects.0.model`)."""
+    """Put `value` at a dotted key and add mappings on the way; `objects.0.model` leads to the first item of a list."""
     node: Any = data
-    steps = key.split(".")
-    for i, step in enumerate(steps):
-        last = i == len(steps) - 1
-        if isinstance(node, list):
-            if not step.isdigit() or int(step) >= len(node):
-                problems.append(
-                    Problem(f"--set {key}", "set-key", f"no item {step!r}", f"a number from 0 to {len(node) - 1}")
-                )
-                return
-            if last:
-                node[int(step)] = value
-                return
-            node = node[int(step)]
-        elif isinstance(node, dict):
-            if last:
-                node[step] = value
-                return
-            node = node.setdefault(step, {})
-            if not isinstance(node, dict | list):
-                # e.g. camera.pitch is the word `metadata` and becomes {fixed_deg: 0}
-                parent: Any = data
-                for s in steps[:i]:
-                    parent = parent[int(s)] if isinstance(parent, list) else parent[s]
-                parent[step] = node = {}
-        else:
-            problems.append(Problem(f"--set {key}", "set-key", f"{'.'.join(steps[:i])} has no fields"))
+    *above, last = key.split(".")
+    for step in above:
+        place = _place(node, step, key, problems)
+        if place is None:
             return
+        child = node.get(place) if isinstance(node, dict) else node[place]
+        if not isinstance(child, dict | list):
+            # No mapping yet, or a word that becomes one: camera.pitch is `metadata` and becomes {fixed_deg: 0}.
+            child = node[place] = {}
+        node = child
+    place = _place(node, last, key, problems)
+    if place is not None:
+        node[place] = value
+
+
+def _place(node: Any, step: str, key: str, problems: list[Problem]) -> Any:
+    """Return the key or index that a step of a dotted key means; None, with a problem, for no item of a list."""
+    if not isinstance(node, list):
+        return step
+    if step.isdigit() and int(step) < len(node):
+        return int(step)
+    problems.append(Problem(f"--set {key}", "set-key", f"no item {step!r}", f"a number from 0 to {len(node) - 1}"))
+    return None

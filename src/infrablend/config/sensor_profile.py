@@ -1,4 +1,4 @@
-"""What is known of a camera before looking at one of its pictures: shipped profiles, and files with further ones."""
+"""Sensor profiles: what is known of a camera before looking at its images. Some are shipped, others are files."""
 
 from __future__ import annotations
 
@@ -18,55 +18,55 @@ PROFILE_SUFFIXES = (".json", ".yaml", ".yml")
 
 
 class Lens(Strict):
-    """The lens and detector that decide how blurred a near object is. The lens is taken to be focused at infinity."""
+    """Lens and detector, which decide the blur of near objects. The lens is assumed to be focused at infinity."""
 
     focal_length_mm: float = Field(gt=0, le=2000)
     """Focal length, mm."""
     f_number: float = Field(gt=0, le=64)
-    """Focal length over the aperture's diameter."""
+    """Focal length divided by the diameter of the aperture."""
     pixel_um: float = Field(gt=0, le=100)
-    """Distance between the detector's pixels, micrometres."""
+    """Pixel pitch of the detector, micrometres."""
     enlargement: float = Field(1.0, gt=0, le=16)
-    """Pixels of the stored picture for each of the detector's."""
+    """Pixels of the stored image per detector pixel."""
 
     def blur_disc_px(self, range_m: float) -> float:
-        """Diameter of the disc that a point at `range_m` (metres, above 0) becomes, px of the stored picture.
+        """Return the diameter of the disc that a point at `range_m` (metres, above 0) becomes, px of the stored image.
 
-        By similar triangles behind a thin lens focused at infinity: aperture * focal length / range, exactly.
+        For a thin lens focused at infinity, similar triangles give aperture * focal length / range, exactly.
         """
         native = self.focal_length_mm**2 / (self.f_number * range_m * self.pixel_um)
         return native * self.enlargement
 
 
 class SensorProfile(Strict):
-    """A kind of picture; `infrablend profile` writes such a file. Pixels are those of the stored picture."""
+    """Properties of the images of a camera; `infrablend profile` writes such a file. Pixels are those of the files."""
 
     name: str = Field(min_length=1)
-    """What the records call it."""
+    """Name in the records."""
     description: str = ""
-    """Where the numbers come from."""
+    """Origin of the numbers."""
     psf_sigma_px: float = Field(ge=0.3, le=10)
-    """Gaussian (sigma) of all that blurs, the pixel included, before sharpening."""
+    """Sigma of the Gaussian blur of optics, pixel and processing together, before sharpening, pixels."""
     edge_bounds_px: range_of(0.1, 10)  # type: ignore[valid-type]
-    """Least and largest sigma believed of a picture's sharpest edges, after sharpening."""
+    """Smallest and largest accepted sigma of an image's sharpest edges, after sharpening, pixels."""
     halo_gain: float = Field(0.0, ge=0, le=4)
-    """Detail enhancement: `P + gain * (P - G_radius * P)`."""
+    """Gain of the detail enhancement `P + gain * (P - G_radius * P)`."""
     halo_radius_px: float = Field(1.6, ge=0.3, le=20)
-    """Its radius (sigma)."""
+    """Radius (sigma) of the detail enhancement, pixels."""
     noise_grey: float = Field(ge=0, le=50)
-    """Standard deviation of the grain where a picture has no flat place, 8-bit levels."""
+    """Standard deviation of the noise for images without a flat area, 8-bit levels."""
     noise_grain_px: float = Field(ge=0.3, le=10)
-    """Sigma of the blur that gives white noise the pictures' grain."""
+    """Sigma of the blur that gives white noise the grain size of the images, pixels."""
     codec_quality: int | None = Field(None, ge=5, le=100)
-    """JPEG quality that stands for the stream the pictures came through; null for none."""
+    """JPEG quality that imitates the video codec of the images; null for none."""
     levels: range_of(0, 255) | None = None  # type: ignore[valid-type]
-    """Darkest and brightest level of 8-bit pictures; null: measured on the dataset of each run."""
+    """Darkest and brightest level of 8-bit images; null: measured on the dataset of each run."""
     time_constant_s: float = Field(0.010, gt=0, le=1)
-    """How slowly the detector follows, seconds: a motion of v px/s leaves a tail of v times this."""
+    """Time constant of the detector, seconds: a motion of v px/s leaves a tail of v times this length."""
     lens: Lens | None = None
-    """For defocus; null for none."""
+    """Lens, for defocus; null for none."""
     measured: dict[str, Any] = Field(default_factory=dict)
-    """What `infrablend profile` found on which pictures; for the reader."""
+    """Measurements of `infrablend profile` and their images, for information only."""
 
 
 PROFILES: Mapping[str, SensorProfile] = {
@@ -86,7 +86,7 @@ PROFILES: Mapping[str, SensorProfile] = {
         ),
         SensorProfile(
             name="monet",
-            # 3000 px of focal length are calibrated on a teaser; with a 12 um detector at its own size they are 36 mm.
+            # A focal length of 3000 px was calibrated on a published teaser image; with a 12 um detector that is 36 mm.
             description="Provisional: HIT-UAV's sharpening, grain and codec; 36 mm f/1.0 and 12 um assumed for the "
             "3000 px of focal length that persons and cars show.",
             psf_sigma_px=0.9,
@@ -113,10 +113,10 @@ PROFILES: Mapping[str, SensorProfile] = {
 
 
 def read_profile(path: Path) -> SensorProfile:
-    """The profile in a JSON or YAML file.
+    """Return the profile in a JSON or YAML file.
 
     Raises:
-        RecipeError: It cannot be read, or has wrong fields; all of them are named.
+        RecipeError: If the file cannot be read or has wrong fields; all of them are listed.
     """
     try:
         data = read_yaml(path.read_text("utf-8"))
@@ -126,7 +126,7 @@ def read_profile(path: Path) -> SensorProfile:
             f"one of the names {', '.join(PROFILES)}"
         ) from error
     try:
-        # Through JSON, as recipes are: strict mode then takes lists for tuples.
+        # Through JSON, as for recipes: strict mode then accepts lists as tuples.
         return SensorProfile.model_validate_json(json.dumps(data))
     except ValidationError as error:
         problems = field_problems(
@@ -138,10 +138,10 @@ def read_profile(path: Path) -> SensorProfile:
 
 
 def find_profile(profile: str | SensorProfile) -> SensorProfile:
-    """The shipped profile of that name; a profile is itself.
+    """Return the shipped profile of that name; a `SensorProfile` is returned as it is.
 
     Raises:
-        RecipeError: No such name.
+        RecipeError: If no profile has that name.
     """
     if isinstance(profile, SensorProfile):
         return profile

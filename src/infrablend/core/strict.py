@@ -1,4 +1,4 @@
-"""What users' YAML is checked against: strict, frozen, no unknown keys; ranges that a single number may stand for."""
+"""The base of the models that users' YAML is validated against, and the type of a range of numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 
 class Strict(BaseModel):
-    """Base of all such models."""
+    """A model that converts nothing silently, cannot be changed, and refuses unknown keys and infinite numbers."""
 
     model_config = ConfigDict(
         strict=True,
@@ -21,13 +21,13 @@ class Strict(BaseModel):
 
 
 def range_of(low: float, high: float) -> Any:
-    """Type of a range `[lo, hi]` whose ends lie in [low, high]; a number alone means `[n, n]`."""
+    """Return the type of a range `[lo, hi]` with both ends in [low, high]; a single number `n` means `[n, n]`."""
     end = Annotated[float, Field(ge=low, le=high, allow_inf_nan=False)]
     return Annotated[tuple[end, end], BeforeValidator(_pair), AfterValidator(_ordered)]
 
 
 def _pair(value: Any) -> Any:
-    """A single number stands for the range that holds just it; JSON's lists become the tuples strict mode wants."""
+    """Return a single number as a range, and a list from JSON as the tuple that strict mode requires."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value)
     if not isinstance(value, list | tuple) or len(value) != 2:
