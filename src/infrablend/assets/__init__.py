@@ -1,1 +1,1 @@
-"""Object models: shapes built from numbers, and the thermal role of each of their parts."""
+"""Object models to insert: procedural car, drone, deer and person, and a user's own; the thermal role of each part."""

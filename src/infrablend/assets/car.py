@@ -102,7 +102,7 @@ _DAY_SUN: Mapping[str, Range] = {
 
 
 def parts_for(params: Params) -> dict[str, PartRange]:
-    """Thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
+    """Return the thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
     deltas = _deltas(params["state"], params["colour"])
     roles = {part: made_of(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
     what = "ground sheltered from the sky (est.)"
@@ -243,18 +243,18 @@ NOMINAL: Mapping[str, Any] = {
 
 
 def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
-    """Parameters of one car, JSON values only.
+    """Draw the parameters of one car, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the others
     as they would have been (save `length_m`, whose range follows the body).
 
     Args:
-        rng: The stream to draw from.
+        rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a list
             to choose from with equal odds.
 
     Raises:
-        ModelError: An unknown option or a bad value; the message names it and what was expected.
+        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
     when = options.get("time_of_day")
@@ -655,7 +655,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 
 
 def build_car(params: Params) -> Mesh:
-    """The mesh of one car: origin on the ground below the middle of its length, +X its nose.
+    """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose.
 
     Raises:
         ModelError: A parameter is missing, unknown or out of range.

@@ -1,4 +1,4 @@
-"""The models that come with InfraBlend, by name, and the way to a user's own."""
+"""Loads object models: those that come with InfraBlend by name, a user's own by path."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ MODELS = {
 
 
 def list_models() -> list[str]:
-    """Names of the models that come with InfraBlend, sorted."""
+    """Return the sorted names of the models that come with InfraBlend."""
     return sorted(MODELS)
 
 
 def load_model(name: str) -> ObjectModel:
-    """The model of that name, or the one a user's YAML describes.
+    """Return the model with a given name, or the one that a YAML file describes.
 
     Raises:
-        ModelError: If there is no such model or its description is wrong.
+        ModelError: There is no such model, or its description is invalid.
     """
     if name in MODELS:
         model = resolve(MODELS[name])
@@ -37,10 +37,10 @@ def load_model(name: str) -> ObjectModel:
         return load_user_model(Path(name))
     if Path(name).suffix.lower() in SUFFIXES:
         raise ModelError(
-            f"model {name!r}: is a 3D file; expected a .yaml beside it that says which part is how warm "
+            f"model {name!r}: is a 3D file; expected a .yaml beside it that gives each part its temperature "
             "(docs/how_to/own_model.md)"
         )
     raise ModelError(
-        f"model {name!r}: no such model; shipped are {', '.join(list_models())}. "
-        "Give one of these names, or the path of a .yaml that describes your own (docs/how_to/own_model.md)."
+        f"model {name!r}: no such model; expected one of {', '.join(list_models())}. "
+        "Use one of these names, or the path of a .yaml that describes your own (docs/how_to/own_model.md)."
     )

@@ -88,7 +88,7 @@ _SUN_SHARE: Mapping[str, float] = {
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
-    """Thermal role of every part; by day the sun warms the coat."""
+    """Return the thermal role of every part; by day the sun warms the coat."""
     if params.get("time_of_day", "night") == "night":
         return PARTS
     low, high = SUN_K
@@ -697,7 +697,7 @@ DEFAULTS: Mapping[str, Any] = {
 
 
 def _checked(params: Params) -> dict[str, Any]:
-    """All parameters, defaults filled in, each checked."""
+    """Return all parameters, checked, with defaults for missing ones."""
     _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
     pose = _CHECKS.one_of("parameter pose", p["pose"], POSES)
@@ -718,7 +718,7 @@ def _checked(params: Params) -> dict[str, Any]:
 
 
 def build(params: Params) -> Mesh:
-    """The deer's mesh in metres.
+    """Build the mesh of a deer in metres.
 
     Args:
         params: As `sample` draws them; what is missing takes the value in `DEFAULTS`.
@@ -759,16 +759,16 @@ def build(params: Params) -> Mesh:
 
 
 def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
-    """Parameters of one deer, JSON values only.
+    """Draw the parameters of one deer, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn.
 
     Args:
-        rng: The stream to draw from.
+        rng: Random stream to draw from.
         options: See `OPTIONS`.
 
     Raises:
-        ModelError: An option is unknown or its value is not what it may be.
+        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(12)]

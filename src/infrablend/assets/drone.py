@@ -157,19 +157,19 @@ _BODY_ODDS_LARGE = (0.15, 0.35, 0.50)
 
 
 def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
-    """Parameters of one drone, JSON values only.
+    """Draw the parameters of one drone, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the
     others as they would have been (save `body` and what follows from it, whose odds depend on the size). A list of
     `propellers` takes one more, at the end.
 
     Args:
-        rng: The stream to draw from.
+        rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a
             list to choose from with equal odds. `propeller_angle_deg` takes four angles too.
 
     Raises:
-        ModelError: An unknown option or a bad value; the message names it and what was expected.
+        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(NOMINAL))
     dice = {name: float(rng.random()) for name in CHOICES}
@@ -416,7 +416,7 @@ def _chord(t: FloatArray, params: Params) -> FloatArray:
 
 
 def parts_for(params: Params) -> dict[str, PartRange]:
-    """Thermal role of every part of this drone: without discs if its propellers stand still.
+    """Return the thermal role of every part of this drone: without discs if its propellers stand still.
 
     A ring's opacity is the share of its circle that the blades cover: blades * chord / (2 pi r).
     """
@@ -851,7 +851,7 @@ def _add_antennas(out: _Pieces, plan: _Plan) -> None:
 
 
 def build_drone(params: Params) -> Mesh:
-    """The mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
+    """Build the mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
 
     Raises:
         ModelError: A parameter is missing, unknown or out of range.

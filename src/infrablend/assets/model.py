@@ -1,4 +1,4 @@
-"""What an object model is: parameters drawn from a stream, a mesh built from them, a thermal role for each part."""
+"""Object models: parameters drawn from a random stream, a mesh built from them, a thermal role per part."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Params = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class PartRange:
-    """Thermal role of a part: ranges from which each frame draws, and what its surface is. See also `made_of`.
+    """Thermal role of a part: ranges from which each frame draws, and its surface. See also `made_of`.
 
     Attributes:
         delta_t_k: (low, high) surface minus air temperature.
         emissivity: (low, high) at normal incidence, in [0, 1].
-        label: False for parts that neither boxes nor masks count.
-        what: A few words on what the part is and where the numbers come from.
+        label: Whether boxes and masks include the part.
+        what: Short description of the part and the source of its numbers.
         ior: Refractive index near 10 um of a smooth surface; 1 for rough ones (fur, cloth), which have no rim.
-        kind: Name in `materials.MATERIALS`; empty if it is none of these.
-        roughness: Of the mirror image on smooth surfaces and metals.
-        metal: Mirrors at all angles.
-        opacity: In (0, 1]; below 1 what lies behind shows through, and labels count neither the part nor what it hides.
+        kind: Name of a material in `materials.MATERIALS`; empty for none of them.
+        roughness: Roughness of reflections on smooth surfaces and metals.
+        metal: Whether the surface reflects at all angles.
+        opacity: In (0, 1]; a part below 1 is translucent, and labels ignore it.
 
     Raises:
-        ValueError: A range is upside down or something lies outside its limits.
+        ValueError: A range is reversed or a value is outside its limits.
     """
 
     delta_t_k: tuple[float, float]
@@ -63,10 +63,10 @@ def made_of(
     label: bool = True,
     opacity: float = 1.0,
 ) -> PartRange:
-    """The role of a part of this material; emissivity and refractive index are the material's unless given.
+    """Return the role of a part of a material; emissivity and refractive index default to those of the material.
 
     Raises:
-        KeyError: There is no such material.
+        KeyError: The material is unknown.
         ValueError: See `PartRange`.
     """
     m = MATERIALS[kind]
@@ -78,18 +78,18 @@ def made_of(
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """An object that can be put into a scene.
+    """Kind of object that can be inserted into a scene.
 
     Attributes:
-        name: In the catalogue.
-        category: The class its labels carry unless a recipe says otherwise.
-        description: One sentence.
-        origin: Where the model's origin lies, in words.
-        stands: True if it stands on the ground with its origin there.
+        name: Name in the catalogue.
+        category: Class of its labels unless a recipe renames it.
+        description: Description in one sentence.
+        origin: Position of the model's origin, in words.
+        stands: Whether it stands on the ground, with its origin on the ground.
         parts: Thermal role of every part that `build` may name.
-        sample: Draws `params` (JSON values only) from a stream; `options` fixes some of them.
-        build: The mesh of given `params`: pure, no randomness; equal params give equal arrays.
-        options: What a recipe may fix: option name -> allowed values or range, in words.
+        sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them.
+        build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays.
+        options: Options that a recipe may set: name -> allowed values or range, in words.
         parts_for: Thermal roles of one individual of given `params`, where they differ between individuals: all names
             that its mesh has, with the labels they have in `parts`, which then holds a typical one's.
     """
@@ -106,5 +106,5 @@ class ObjectModel:
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
 
     def roles(self, params: Params) -> Mapping[str, PartRange]:
-        """Thermal role of every part of the individual of these parameters."""
+        """Return the thermal role of every part of the individual with these parameters."""
         return self.parts if self.parts_for is None else self.parts_for(params)

@@ -96,7 +96,7 @@ _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "ha
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
-    """Thermal role of every part: lighter clothes are warmer outside, and by day the sun is on them."""
+    """Return the thermal role of every part: lighter clothes are warmer outside, and by day the sun is on them."""
     parts = dict(PARTS)
     if params.get("clothing", "winter") == "light":
         parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
@@ -680,7 +680,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
 
 
 def _checked(params: Params) -> dict[str, Any]:
-    """All parameters, defaults filled in, each checked."""
+    """Return all parameters, checked, with defaults for missing ones."""
     _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
     pose = _CHECKS.one_of("parameter pose", p["pose"], POSES)
@@ -700,7 +700,7 @@ def _checked(params: Params) -> dict[str, Any]:
 
 
 def build(params: Params) -> Mesh:
-    """The person's mesh in metres.
+    """Build the mesh of a person in metres.
 
     Args:
         params: As `sample` draws them; what is missing takes the value in `DEFAULTS`.
@@ -790,17 +790,17 @@ def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> Float
 
 
 def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
-    """Parameters of one person, JSON values only.
+    """Draw the parameters of one person, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn
     (as far as pose and clothes allow it).
 
     Args:
-        rng: The stream to draw from.
+        rng: Random stream to draw from.
         options: See `OPTIONS`.
 
     Raises:
-        ModelError: An option is unknown or its value is not what it may be.
+        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(18)]

@@ -1,1 +1,1 @@
-"""The only place that imports Blender (bpy, mathutils). Workers load it by dotted name; nobody else may."""
+"""Everything that needs Blender: the only package that imports bpy; worker processes load it by dotted name."""

@@ -1,1 +1,1 @@
-"""Domain types, geometry, ports and random streams: what every other part of InfraBlend speaks in."""
+"""Domain types, geometry, ports and random streams that all other packages share."""

@@ -31,7 +31,7 @@ class Cycle:
 
     @property
     def category(self) -> str:
-        """The label's class."""
+        """Class of the label."""
         return "Bicycle"
 
 

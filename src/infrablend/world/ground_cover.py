@@ -1,4 +1,4 @@
-"""What covers the ground: materials with their temperatures and patterns, and flat patches of them."""
+"""Ground cover: materials with their temperatures and patterns, and flat patches of them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class GroundMaterial:
 
 @dataclass(frozen=True)
 class Patch:
-    """Something flat on the ground.
+    """Flat patch on the ground.
 
     Attributes:
         shape: `rect` and `ellipse` fill length x width; `ring` is a circle line of diameter `length_m`.
-        material: What it is made of; None adds `amount_k` to what is there.
-        amount_k: Added to the temperature (of the material, too).
-        soft_m: Width of its edge.
-        line_m: Width of a ring's line.
+        material: Material of the patch; None adds `amount_k` to the temperature of the ground below.
+        amount_k: Temperature to add, also to that of the material.
+        soft_m: Width of the soft edge.
+        line_m: Line width of a ring.
     """
 
     shape: Literal["rect", "ellipse", "ring"]

@@ -37,7 +37,7 @@ class Person:
 
     @property
     def category(self) -> str:
-        """The label's class."""
+        """Class of the label."""
         return "Person"
 
 

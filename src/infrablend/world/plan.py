@@ -26,20 +26,20 @@ PlaceKind = Literal["street", "parking", "court", "park", "runway", "dirtroad"]
 
 @dataclass(frozen=True)
 class WorldPlan:
-    """All that is needed to render one frame.
+    """Everything needed to render one frame.
 
     Attributes:
-        camera: Looks at the origin.
-        pitch_deg, altitude_m, time_of_day: As asked for.
-        kind: What the place is.
+        camera: Camera; it looks at the origin.
+        pitch_deg, altitude_m, time_of_day: Requested view and time.
+        kind: Kind of place.
         air_k: Air temperature.
         sky_drop_k: How much colder than the air the sky overhead looks.
         sun: Unit vector to the sun, or None at night.
-        shade_k: What ground in full shade loses (positive), by day.
+        shade_k: Temperature that ground in full shade loses by day (positive).
         gain_per_k: Grey levels per kelvin that the automatic gain starts from.
         mean_grey: Mean grey level of the picture.
-        std_grey: Deviation of grey levels that the gain aims at.
-        seed: Of the patterns on the ground and of the sensor's noise.
+        std_grey: Target deviation of grey levels.
+        seed: Seed of the patterns on the ground.
         base: Name of the material everywhere else.
         materials: The ground's materials.
     """
@@ -69,7 +69,7 @@ class WorldPlan:
     furniture: tuple[Furniture, ...] = ()
 
     def material(self, name: str) -> GroundMaterial:
-        """The material of that name; KeyError if there is none."""
+        """Return the material with a given name; KeyError if there is none."""
         for m in self.materials:
             if m.name == name:
                 return m

@@ -14,7 +14,7 @@ from infrablend.core.mesh import FloatArray
 
 @dataclass(frozen=True)
 class Road:
-    """A road along a circular arc (curvature 0: straight line) through (x, y), heading along it."""
+    """Road along a circular arc through (x, y) with a given heading there; curvature 0 is a straight line."""
 
     x_m: float
     y_m: float
@@ -27,7 +27,7 @@ class Road:
     markings: bool
 
     def along(self, x_m: NDArray[np.floating[Any]], y_m: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-        """Arc length and offset to the left of the centre line, metres, of ground points of any shape."""
+        """Return arc length and offset to the left of the centre line, in metres, of ground points of any shape."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
         forward, left = dx * c + dy * s, dy * c - dx * s
@@ -40,11 +40,11 @@ class Road:
         return np.asarray(radius * np.arctan2(forward, inward)), np.asarray(sign * (radius - np.hypot(forward, inward)))
 
     def offset_m(self, x_m: float, y_m: float) -> float:
-        """Distance of one point from the centre line."""
+        """Return the distance of a point from the centre line."""
         return abs(float(self.along(np.asarray(x_m), np.asarray(y_m))[1]))
 
     def at(self, along_m: float, left_m: float) -> tuple[float, float, float]:
-        """x, y and the road's heading at an arc length and an offset to the left."""
+        """Return x, y and the heading of the road at an arc length and an offset to the left."""
         k, h = self.curvature_per_m, self.heading_rad
         if abs(k) < 1e-6:
             forward, left, turn = along_m, left_m, 0.0

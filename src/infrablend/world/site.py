@@ -46,7 +46,7 @@ class Site:
         self.taken: list[tuple[float, float, float, float, float]] = []
 
     def seen(self, x: float, y: float, radius_m: float, height_m: float) -> bool:
-        """Whether an upright body there can be inside the frame."""
+        """Return whether an upright body at a point can be inside the frame."""
         points = np.array([[x, y, 0.0], [x, y, height_m]])
         xy, depth = self.camera.project(points)
         if not (depth > 1).all():
@@ -57,7 +57,7 @@ class Site:
         return bool(low[0] < w and high[0] > 0 and low[1] < h and high[1] > 0)
 
     def room(self, x: float, y: float, radius_m: float) -> bool:
-        """Whether a disc there touches nothing that stands."""
+        """Return whether a disc at a point is clear of everything placed so far."""
         for ox, oy, heading, half_length, half_width in self.taken:
             c, s = math.cos(heading), math.sin(heading)
             dx, dy = x - ox, y - oy
@@ -67,7 +67,7 @@ class Site:
         return True
 
     def clear_of_roads(self, x: float, y: float, gap_m: float, besides: Road | None = None) -> bool:
-        """Whether a point keeps `gap_m` from every carriageway but one."""
+        """Return whether a point keeps `gap_m` from every carriageway except `besides`."""
         return all(
             r is besides or r.offset_m(x, y) > r.half_width_m + gap_m for r in self.roads
         )  # pavements may be shared
@@ -75,7 +75,7 @@ class Site:
     def add_vehicle(
         self, kind: VehicleKind, x: float, y: float, heading: float, driven: bool = False, warm: bool = False
     ) -> bool:
-        """Place a vehicle if there is room; True if it was placed."""
+        """Place a vehicle if there is room; return whether there was."""
         v = draw_vehicle(self.draws, self.weather, kind, (x, y, heading), driven, warm)
         # Three discs stand for the body.
         c, s = math.cos(heading), math.sin(heading)

@@ -47,7 +47,7 @@ class Vehicle:
 
     @property
     def category(self) -> str:
-        """The label's class."""
+        """Class of the label."""
         return "OtherVehicle" if self.kind in ("bus", "truck") else "Car"
 
 
