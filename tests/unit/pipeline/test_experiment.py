@@ -21,6 +21,7 @@ from infrablend.config.experiment import Check, list_experiments, load_experimen
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
+from infrablend.pipeline.evaluate import Judging
 from infrablend.pipeline.experiments import makers, training_setup
 from infrablend.pipeline.experiments.conclusions import judge_claim
 from infrablend.pipeline.experiments.dataset_facts import spread_images
@@ -81,12 +82,12 @@ class Bench:
         (out / "train.json").write_text(json.dumps(record))
         return SimpleNamespace(out=out, weights=out / "weights.pt", record=record)
 
-    def evaluate(self, weights: Path, dataset: Dataset, out: Path, **options: Any) -> Any:
+    def evaluate(self, weights: Path, dataset: Dataset, out: Path, judging: Judging, **options: Any) -> Any:
         self.stop("evaluate")
         self.judged.append(out)
         names, worth = json.loads(weights.read_text())
-        images = [i for i in dataset.images if i.split == options["split"]]
-        chosen = options["classes"] or names
+        images = [i for i in dataset.images if i.split == judging.split]
+        chosen = judging.classes or names
         value = round(worth / 100, 6)
         of_all = {"p": value, "r": value, "map50": value, "map50_95": value / 2}
         ci = {"map50": [value - 0.01, value + 0.01], "map50_95": [value / 2 - 0.01, value / 2 + 0.01]}

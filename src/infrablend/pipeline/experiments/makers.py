@@ -14,9 +14,10 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, Problem, RenderError
+from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import ClassChanges, convert_dataset
-from infrablend.pipeline.evaluate import compare_evaluations, evaluate_detector
+from infrablend.pipeline.evaluate import Judging, evaluate_detector
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
@@ -210,13 +211,15 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
         training.folder / training.result["weights"],
         read_dataset(data.dataset, options=data.reader_options),
         job.empty_out(),
-        split=spec.split,
-        task=training.record["inputs"]["task"],
+        Judging(
+            split=spec.split,
+            task=training.record["inputs"]["task"],
+            classes=_evaluated_classes(spec, training.result["record"], data.result, job.stage.id),
+            bootstrap=job.stage.inputs["bootstrap"],
+            group=spec.group,
+            seed=job.request.seed,
+        ),
         device=job.request.device,
-        classes=_evaluated_classes(spec, training.result["record"], data.result, job.stage.id),
-        bootstrap=job.stage.inputs["bootstrap"],
-        group=spec.group,
-        seed=job.request.seed,
         on_image=paced(job.on_progress),
     )
     return {"metrics": dict(report.metrics), "there": ["out/evaluation.json", "out/predictions.json"]}
