@@ -23,9 +23,12 @@ from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
-# CPU seconds for one frame on the machine in docs/explanation/performance.md; for estimates only.
-TYPICAL_FRAME_CPU_S = 0.18
-START_S = 4.0
+# For estimates only, measured with Cycles on the CPU: 4 frames with one worker took 6.4 CPU seconds, 24 took 11.8.
+# Workers start at the same time, so that their number does not change the time until the first frame.
+START_S = 5.5
+TYPICAL_FRAME_CPU_S = 0.26
+READ_PICTURE_S = 0.01
+WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
 # Labels, records and per-format copies of one frame, bytes; images are hard-linked.
 TYPICAL_LABELS_BYTES = 12_000
@@ -104,17 +107,26 @@ class RunPlan:
     ignored: tuple[str, ...] = ()
     sample: tuple[ImageRecord, ...] = ()
 
+    @property
+    def needs_levels(self) -> bool:
+        """True if the recipe needs the grey levels that the whole dataset uses."""
+        r = self.recipe
+        return r.matching.mode == "local" or r.sensor.profile != "off" or r.placement.mode == "metric"
+
     def estimate(self, workers: int) -> dict[str, Any]:
-        """Frames, disk and time the run will take, roughly."""
+        """Estimate frames, disk space and time of the run on an idle machine."""
         sizes = [f.background.path.stat().st_size for f in self.frames[:: max(1, len(self.frames) // 200)]]
         factor = 4.0 if self.recipe.output.image == "png" else 1.0
+        frames, formats = len(self.frames), max(1, len(self.recipe.output.formats))
+        start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
+        seconds = start_s + frames * (TYPICAL_FRAME_CPU_S / max(workers, 1) + WRITE_LABELS_S * formats)
         per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + TYPICAL_LABELS_BYTES
         return {
             "backgrounds": len(self.dataset.images),
             "frames": len(self.frames),
             "frames_per_split": _count(f.background.split for f in self.frames),
             "disk_bytes": round(per_frame * len(self.frames)),
-            "about_s": round(START_S + len(self.frames) * TYPICAL_FRAME_CPU_S / max(workers, 1)),
+            "about_s": round(seconds),
             "workers": workers,
             "left_out": _count(p.code for p in self.problems if p.severity == "error"),
         }

@@ -21,9 +21,10 @@ from infrablend.errors import DatasetError, Interrupted, MissingDependencyError,
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
 from infrablend.formats.images import load_background
-from infrablend.pipeline.finish import Finished, write_formats
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings
+from infrablend.pipeline.label_files import LabelSummary, write_formats
+from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
@@ -144,7 +145,7 @@ def run_plan(
             executor = ProcessPool(worker, pool)
         status = "complete"
         try:
-            _make_frames(executor, todo, plan, state, on_progress)
+            _make_frames(executor, todo, plan, state, 1 if in_process else workers, on_progress)
         except Interrupted:
             status = "interrupted"
         except (MissingDependencyError, RenderError):  # the renderer could not start
@@ -153,7 +154,7 @@ def run_plan(
             raise
         made = time.monotonic()
         try:
-            finished = write_formats(plan, folder) if status == "complete" else Finished()
+            finished = write_formats(plan, folder) if status == "complete" else LabelSummary()
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": "interrupted"})
             raise Interrupted(
@@ -198,7 +199,7 @@ def _needs_levels(plan: RunPlan) -> bool:
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
     """The dataset's levels if the recipe needs them; a resumed run goes on with those it began with."""
-    if not _needs_levels(plan):
+    if not plan.needs_levels:
         return None
     if previous is not None and previous.get("levels"):
         low, high = previous["levels"]
@@ -226,15 +227,17 @@ def _make_frames(
     todo: list[PlannedFrame],
     plan: RunPlan,
     state: _State,
+    workers: int,
     on_progress: OnProgress | None,
 ) -> None:
-    """Have every frame of `todo` made; a frame that fails is counted and does not stop the others."""
+    """Make every frame of `todo`; a frame that fails is counted and does not stop the others."""
     of_key = {f.frame_id: f for f in todo}
-    first = time.monotonic()
+    pace = Pace(workers)
     for finished, result in enumerate(executor.run(Task(f.frame_id, f) for f in todo), start=1):
         _take(result, of_key[result.key], state)
         if on_progress is not None:
-            rate = finished / max(time.monotonic() - first, 1e-9)
+            pace.add(result)
+            rate = pace.frames_per_s()
             counts = {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}
             on_progress(
                 Progress(state.resumed + finished, len(plan.frames), rate, (len(todo) - finished) / rate, counts)
@@ -374,7 +377,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
     }
 
 
-def _counts(plan: RunPlan, state: _State, finished: Finished) -> dict[str, Any]:
+def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, Any]:
     codes = Counter(p.code for p in plan.problems if p.severity == "error")
     # By what was found too: several images are missing from one annotation file.
     left_out = {

@@ -135,6 +135,7 @@ def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
     report = generate(data, tmp_path / "run", settings=["matching.min_contrast_grey=5000"])
     assert report.counts["frames_without_object"] == 1
+    assert report.counts["frames_without_object_because"] == {"low_contrast": 1}
     assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
 
 

@@ -1,4 +1,4 @@
-"""Writing the dataset's label files and its card from the records of its frames, once all frames are there."""
+"""Label files and card of a run, written from the records of its frames once all of them are finished."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from infrablend.report.card import write_card
 
 
 @dataclass(frozen=True)
-class Finished:
-    """What the label files hold.
+class LabelSummary:
+    """Contents of the label files of a run.
 
     Attributes:
-        counts: Images, labels per category, removals by reason.
-        draws: How placement went: attempts, rejections by reason, the shift of the camera's distance.
-        removed: Every original label that the new objects covered.
-        losses: What formats could not hold, by `<format>.<kind>`.
+        counts: Images, labels per category, removals and empty frames by reason.
+        draws: Placement statistics: attempts, rejections by reason, shift of the camera distance.
+        removed: Original labels that inserted objects cover.
+        losses: Counts of what formats cannot express, by `<format>.<kind>`.
         problems: Warnings.
     """
 
@@ -40,8 +40,8 @@ class Finished:
     problems: tuple[Problem, ...] = ()
 
 
-def write_formats(plan: RunPlan, folder: RunFolder) -> Finished:
-    """Write every format the recipe asks for, and the card; the same records give the same bytes."""
+def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
+    """Write the card and every format of the recipe; the same records give the same bytes."""
     records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
     images = [labelled_image(f, r, folder) for f, r in records]
     losses: Counter[str] = Counter()
@@ -71,7 +71,7 @@ def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:
-    """A finished frame as an image of a dataset: the background's metadata, the frame's picture and labels."""
+    """Return a finished frame as an image of a dataset: metadata of the background, picture and labels of the frame."""
     source = frame.background
     kept = record.originals(source.instances)
     width, height = record.background["size_wh"]
@@ -86,7 +86,7 @@ def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) 
 
 
 def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """What was noticed about single backgrounds while their frames were made, one warning for each kind."""
+    """Return the warnings about single backgrounds, one for each kind."""
     seen: dict[str, dict[str, Mapping[str, Any]]] = {}
     for r in records:
         for w in r.warnings:
@@ -101,7 +101,7 @@ def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
 
 
 def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
-    """A warning if at least half of the wanted objects are missing: no ground in sight, say, or all too small."""
+    """Return a warning if at least half of the wanted objects are missing, e.g. because no ground is in sight."""
     absent, wanted = sum(draws.get("absent", {}).values()), draws.get("wanted", 0)
     if not absent or 2 * absent < wanted:
         return []
@@ -114,8 +114,8 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
 
 def summarize(
     plan: RunPlan, records: Sequence[tuple[PlannedFrame, FrameRecord]], images: Sequence[ImageRecord]
-) -> Finished:
-    """Counts and draw statistics of the finished frames."""
+) -> LabelSummary:
+    """Return counts and placement statistics of the finished frames."""
     labels: Counter[str] = Counter(i.category for image in images for i in image.instances)
     per_split: dict[str, Counter[str]] = {}
     for image in images:
@@ -140,13 +140,30 @@ def summarize(
         "objects_without_label": dict(sorted(drops.items())),
         "masks_of_one_pixel": fallbacks,
         "frames_without_object": sum(not r.inserted for _, r in records),
+        "frames_without_object_because": empty_frames([r for _, r in records]),
         "frames_of_other_size": other_size,
     }
-    return Finished(counts, draw_statistics([r for _, r in records]), tuple(removed))
+    return LabelSummary(counts, draw_statistics([r for _, r in records]), tuple(removed))
+
+
+def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
+    """Count the frames that show no labelled inserted object, by reason; a frame counts once under each of its reasons.
+
+    Unchanged originals, which are meant to show none, do not count.
+    """
+    reasons: Counter[str] = Counter()
+    for r in records:
+        if r.scene is None or r.inserted:
+            continue
+        found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
+        if r.scene.draws.get("empty_by_recipe"):
+            found = {"recipe"}
+        reasons.update(found or {"unknown"})
+    return dict(sorted(reasons.items()))
 
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
-    """How often scenes were redrawn, why, and how that shifts the distribution of the camera's distance."""
+    """Return how often scenes were redrawn, why, and how that shifts the distribution of the camera distance."""
     scenes = [r.scene for r in records if r.scene is not None and r.scene.draws.get("wanted")]
     if not scenes:
         return {}
