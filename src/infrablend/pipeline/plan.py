@@ -111,7 +111,7 @@ class RunPlan:
     def needs_levels(self) -> bool:
         """True if the recipe needs the grey levels that the whole dataset uses."""
         r = self.recipe
-        return r.matching.mode == "local" or r.sensor.profile != "off" or r.placement.mode == "metric"
+        return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
     def estimate(self, workers: int) -> dict[str, Any]:
         """Estimate frames, disk space and time of the run on an idle machine."""

@@ -192,11 +192,6 @@ def run_plan(
     return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
 
 
-def _needs_levels(plan: RunPlan) -> bool:
-    r = plan.recipe
-    return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
-
-
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
     """The dataset's levels if the recipe needs them; a resumed run goes on with those it began with."""
     if not plan.needs_levels:
