@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from children import Stopwatch
+from infrablend.pipeline.finish import write_formats
 from numpy.typing import NDArray
 from scenes import Work
 
@@ -25,7 +26,6 @@ from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.finish import write_formats
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.frame_settings import percentile_settings
