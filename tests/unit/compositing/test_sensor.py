@@ -129,7 +129,8 @@ def test_an_insert_gets_the_sharpness_of_its_background():
         picture = compose(ground, layer)
         fit = fit_sensor(picture, "hit-uav", SensorStrength(noise=0, codec=0), LEVELS, 1)
         found.append(fit.blur_sigma_px)
-        again = apply_sensor(*slanted(math.sqrt(fit.blur_sigma_px**2 + PIXEL_BOX_VARIANCE)), fit)
+        ground, layer = slanted(math.sqrt(fit.blur_sigma_px**2 + PIXEL_BOX_VARIANCE))
+        again = apply_sensor(ground, layer, fit)
         assert edge_sigma(again)[0] == pytest.approx(edge_sigma(picture)[0], abs=0.1)
     assert found[0] < found[1] - 0.07
 

@@ -814,9 +814,9 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     shown = capsys.readouterr().out
     assert "train:aligned" in shown and "5 of 5 stages" in shown and not (tmp_path / "w").exists()
     assert main(command) == 0
-    shown = capsys.readouterr()
-    assert "0.898" in shown.out and shown.out.rstrip().endswith("hit-uav-drone-smoke.md")
-    assert "stage 4 of 5, train:aligned: done" in shown.err
+    output = capsys.readouterr()
+    assert "0.898" in output.out and output.out.rstrip().endswith("hit-uav-drone-smoke.md")
+    assert "stage 4 of 5, train:aligned: done" in output.err
     assert main([*command, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["made"] == [] and facts["status"] == "complete"

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError
 from infrablend.formats.groups import frame_place, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
 from tests.samples import SAMPLES
@@ -108,7 +109,7 @@ def test_groups_are_runs_days_or_flights() -> None:
     assert names["gap"] == [["a/1.jpg", "a/2.jpg", "a/7.jpg"], ["a/13.jpg"]]
     assert names["date"] == [["a/2.jpg"], ["a/1.jpg", "a/7.jpg", "a/13.jpg"]]
     assert names["sequence"] == [["a/1.jpg", "a/7.jpg", "a/13.jpg"], ["a/2.jpg"]]
-    with pytest.raises(api.DatasetError, match="1 of 4 images without a date of capture"):
+    with pytest.raises(DatasetError, match="1 of 4 images without a date of capture"):
         group_images([replace(images[0], captured=None), *images[1:]], "date")
 
 

@@ -64,8 +64,9 @@ def test_temperatures_must_be_positive():
     ],
 )
 def test_emissivity_against_angle(index, angles):
+    n, k = index
     for degrees, expected in angles.items():
-        assert fresnel_emissivity(*index, np.radians(degrees)) == pytest.approx(expected, abs=1e-3), degrees
+        assert fresnel_emissivity(n, k, np.radians(degrees)) == pytest.approx(expected, abs=1e-3), degrees
 
 
 def test_emissivity_falls_towards_grazing_angles():
