@@ -150,9 +150,10 @@ import sys
 from pathlib import Path
 from infrablend import api
 from infrablend.evaluation.detections import write_predictions
+from infrablend.formats.reading import Reading
 from infrablend.training.predict import load_detector, predict
 weights, data, out = map(Path, sys.argv[1:])
-images = api.read_dataset(data, splits=["test"]).images
+images = api.read_dataset(data, Reading(["test"])).images
 # One by one, like the validation below: convolutions of several pictures at once round otherwise.
 write_predictions(out, predict(load_detector(weights, "cpu", "float32"), images, image_size=160, batch=1))
 """
