@@ -125,7 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def backgrounds(given: Path | None, out: Path, amount: Amount) -> tuple[Path, str]:
-    """The dataset to measure on, and how to call it."""
+    """Return the dataset to measure on, and how to call it."""
     real = given or (Path(os.environ[DATA_VARIABLE]) if os.environ.get(DATA_VARIABLE) else None)
     if real is not None:
         below = real / "hit-uav"
@@ -254,7 +254,7 @@ def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, 
 
 
 def rows(shares: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The rows of all shares, by frame."""
+    """Return the rows of all shares, by frame."""
     return sorted((row for share in shares for row in share), key=lambda row: row["frame"])
 
 
@@ -264,7 +264,7 @@ def mean_cpu(done: Sequence[dict[str, Any]]) -> float:
 
 
 def commit() -> str:
-    """The commit that is measured; marked if files differ from it."""
+    """Return the commit that is measured; marked if files differ from it."""
     git: Callable[..., str] = lambda *a: subprocess.run(  # noqa: E731
         ["git", "-C", str(ROOT), *a], capture_output=True, text=True, check=False
     ).stdout.strip()
@@ -273,7 +273,7 @@ def commit() -> str:
 
 
 def machine() -> dict[str, Any]:
-    """What it ran on."""
+    """Return the machine's facts."""
     names = [
         line.partition(":")[2].strip()
         for line in Path("/proc/cpuinfo").read_text().splitlines()
@@ -290,7 +290,7 @@ def machine() -> dict[str, Any]:
 
 
 def settings(amount: Amount, quick: bool) -> dict[str, Any]:
-    """What was asked for."""
+    """Return the arguments of the call."""
     return {
         "recipe": RECIPE,
         "seed": SEED,
@@ -307,7 +307,7 @@ def settings(amount: Amount, quick: bool) -> dict[str, Any]:
 
 
 def kept(report: dict[str, Any]) -> dict[str, Any]:
-    """The line that goes into the history."""
+    """Return the line that goes into the history."""
     names = [
         "frames", "naive_cpu_s_per_frame", "defaults_cpu_s_per_frame", "cpu_s_per_frame", "speedup", "frames_per_s",
         "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px", "peak_worker_rss_mb",
@@ -334,7 +334,7 @@ def show(report: dict[str, Any]) -> None:
 
 
 def draw(report: dict[str, Any], errors: dict[str, Any], rss_mb: Sequence[float], path: Path) -> None:
-    """The plot: time, error, boxes, memory."""
+    """Return the plot: time, error, boxes, memory."""
     from plot import draw_bench
 
     draw_bench(report, errors, rss_mb, path)
@@ -347,7 +347,7 @@ def say_cpu(done: Sequence[dict[str, Any]], more_s: float = 0.0) -> None:
 
 
 def relative(path: Path) -> Path:
-    """The path as seen from where the user stands, if it lies below."""
+    """Return the path relative to the current folder, if it is inside."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 

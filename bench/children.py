@@ -33,7 +33,7 @@ class Child:
     log: Path
 
     def result(self) -> Any:
-        """What the function returned.
+        """Return the function's value.
 
         Raises:
             ChildError: If it raised, or the process died.
@@ -76,7 +76,7 @@ def in_parallel(
 
 
 def own_cores(count: int = 2) -> list[int]:
-    """The cores to measure on."""
+    """Return the cores to measure on."""
     return sorted(os.sched_getaffinity(0))[:count]
 
 

@@ -101,7 +101,7 @@ def covered(result: RenderResult) -> NDArray[np.bool_]:
 
 
 def stretched(mapping: GreyMapping, reference: RenderResult) -> tuple[GreyMapping, float]:
-    """The mapping, widened so that the object's own levels span at least `LEAST_SPAN_GREY`; and that span."""
+    """Widen the mapping until the object's levels span `LEAST_SPAN_GREY`; return it with that span."""
     inside = reference.alpha > 0.5
     if not inside.any():
         inside = reference.alpha > 0
@@ -113,7 +113,7 @@ def stretched(mapping: GreyMapping, reference: RenderResult) -> tuple[GreyMappin
 
 
 def joined(parts: list[Errors]) -> Errors:
-    """The errors of several shares of the frames."""
+    """Return the errors of several shares of the frames."""
     names = parts[0].by_way
     return Errors(
         {n: np.concatenate([p.by_way[n] for p in parts]) for n in names},

@@ -42,7 +42,7 @@ class Work:
         return recipe_from_json(self.settings.recipe_json)
 
     def into(self, out: Path) -> Work:
-        """The same work with another output folder."""
+        """Return the same work with another output folder."""
         return Work(self.frames, replace(self.settings, out=out))
 
     def part(self, number: int, of: int) -> Work:
@@ -51,7 +51,7 @@ class Work:
 
 
 def plan_of(data: Path) -> RunPlan:
-    """The whole run of the shipped recipe on a dataset."""
+    """Return the whole run of the shipped recipe on a dataset."""
     return make_plan(load_recipe(RECIPE), hit_uav.read(data), SEED)
 
 
@@ -70,7 +70,7 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
 
 
 def part_of_plan(plan: RunPlan, frames: Sequence[PlannedFrame]) -> RunPlan:
-    """The plan with those frames only."""
+    """Return the plan with those frames only."""
     return replace(plan, frames=tuple(frames))
 
 

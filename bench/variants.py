@@ -196,7 +196,7 @@ def keep_float(out: Path, frame_id: str, result: RenderResult) -> None:
 
 
 def load_float(out: Path, frame_id: str) -> RenderResult:
-    """What `keep_float` saved."""
+    """Return what `keep_float` saved."""
     with np.load(out / "float" / f"{frame_id}.npz") as data:
         radiance, alpha = data["radiance"], data["alpha"]
     h, w = alpha.shape

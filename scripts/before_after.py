@@ -80,14 +80,14 @@ def panels(run: Path, frame_id: str, window: tuple[int, int, int]) -> list[Image
 
 
 def crop(picture: Image.Image, window: tuple[int, int, int]) -> Image.Image:
-    """The window of a picture, scaled to a panel."""
+    """Return the window of a picture, scaled to a panel."""
     left, top, width = window
     height = width * PANEL_WH[1] // PANEL_WH[0]
     return picture.crop((left, top, left + width, top + height)).resize(PANEL_WH, Image.Resampling.LANCZOS)
 
 
 def labelled(picture: Image.Image, run: Path, name: str, window: tuple[int, int, int]) -> Image.Image:
-    """The window with boxes, oriented boxes and masks drawn at the panel's resolution."""
+    """Return the window with boxes, oriented boxes and masks drawn at the panel's resolution."""
     labels = json.loads((run / "coco" / f"{name.partition('/')[0]}.json").read_text("utf-8"))
     image = next(i for i in labels["images"] if i["file_name"].endswith(Path(name).name))
     annotations: list[dict[str, Any]] = [a for a in labels["annotations"] if a["image_id"] == image["id"]]

@@ -59,7 +59,7 @@ def with_supervision(format_: str, folder: Path) -> list[dict[str, Any]]:
 
 
 def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
-    """The folder loaded by `datumaro.Dataset.import_from`."""
+    """Return the folder loaded by `datumaro.Dataset.import_from`."""
     from datumaro.components.annotation import AnnotationType
     from datumaro.components.dataset import Dataset
 

@@ -202,7 +202,7 @@ def _default(field: FieldInfo) -> str:
 
 
 def cli_page() -> str:
-    """The page on all commands, from their own help."""
+    """Return the page on all commands, from their own help."""
     from typer.main import get_command
 
     from infrablend.cli import exits
@@ -242,7 +242,7 @@ def cli_page() -> str:
 
 
 def formats_page() -> str:
-    """The page on what every format holds."""
+    """Return the page on what every format holds."""
     from infrablend.core.format_table import FIELDS, FORMATS, NATIVE, WRITERS
     from infrablend.formats.detection import reader_options
     from infrablend.formats.losses import LOSSES

@@ -460,7 +460,7 @@ def plan_train(
     resume: bool = False,
     overwrite: bool = False,
 ) -> TrainPlan:
-    """What `train` would do: images, epochs, time, disk. Nothing is written; what `train` would refuse is refused."""
+    """Return images, epochs, time and disk space of a training without starting it; refuse what `train` would."""
     chosen = choose_preset(preset, settings or {})
     found = read_dataset(dataset, Reading(format=format, options=options or {}))
     return plan_training(

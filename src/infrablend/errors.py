@@ -49,7 +49,7 @@ class Problem:
         return text
 
     def to_json(self) -> dict[str, str]:
-        """The problem as a plain dict."""
+        """Return the problem as a plain dict."""
         return asdict(self)
 
 
@@ -57,7 +57,7 @@ SHOWN_ALIKE = 3
 
 
 def told(problems: Iterable[Problem]) -> list[str]:
-    """A line for each problem; what is wrong alike in more than three places is one line that names three of them."""
+    """Return a line per problem; one found in more than three places is one line that names three."""
     alike: dict[Problem, list[Problem]] = {}
     for p in problems:
         alike.setdefault(replace(p, where=""), []).append(p)

@@ -16,7 +16,7 @@ def unknown_classes(dataset: Dataset, names: Collection[str]) -> list[str]:
 
 
 def rename_classes(dataset: Dataset, names: Mapping[str, str]) -> Dataset:
-    """The dataset with classes renamed, all at once; several may become one.
+    """Return the dataset with classes renamed, all at once; several may become one.
 
     A class that becomes the same as one that keeps its name joins it and takes its id; else the renamed class keeps
     the id of the first that becomes it, and is one to ignore if all that became it were.
@@ -70,7 +70,7 @@ def ignored_turned_objects(dataset: Dataset, names: Mapping[str, str]) -> list[P
 
 
 def drop_classes(dataset: Dataset, names: Collection[str]) -> Dataset:
-    """The dataset without some classes and their objects; ids of the others stay.
+    """Return the dataset without some classes and their objects; ids of the others stay.
 
     Raises:
         ValueError: `names` has a class that the dataset has not.

@@ -299,7 +299,7 @@ def _require_params(params: Params) -> None:
 
 
 def _curve(points: ArrayLike, x: ArrayLike) -> FloatArray:
-    """A smooth curve through (P, 2) points of rising abscissa that overshoots none of them, at x."""
+    """Evaluate a smooth curve through (P, 2) points of rising abscissa, without overshoot, at x."""
     p = np.asarray(points, np.float64)
     px, py = p[:, 0], p[:, 1]
     step = np.diff(px)
@@ -597,7 +597,7 @@ def _add_cabin(out: _Pieces, plan: _Plan) -> None:
 
 
 def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, proud: float = 0.012) -> Solid:
-    """A bar that follows nose or tail from one share of the half width to another."""
+    """Return a bar that follows nose or tail from one share of the half width to another."""
     y = plan.half * np.linspace(*share, 9)
     x = plan.end_x(y, z, end) - end * (0.03 - proud)
     path = np.stack([x, y, np.full(9, z)], axis=1)
@@ -681,7 +681,7 @@ def build_car(params: Params) -> Mesh:
 
 
 def _build_pieces(params: Params) -> list[Piece]:
-    """Closed solids of one car."""
+    """Return closed solids of one car."""
     plan = _Plan(params)
     out = _Pieces()
     _add_lower_body(out, plan)

@@ -441,7 +441,7 @@ def _trunk_parts(part: IntArray, trunk: Tube, points: FloatArray) -> None:
 
 
 def _ear(poll: FloatArray, frame: tuple[FloatArray, ...], sign: int) -> tuple[FloatArray, IntArray]:
-    """A leaf-shaped ear, set at the side of the skull, its hollow forward and outward."""
+    """Return a leaf-shaped ear, set at the side of the skull, its hollow forward and outward."""
     f, s, u = frame
     root = poll + 0.012 * f + 0.030 * sign * s + 0.030 * u
     axis = unit(-0.30 * f + 0.78 * sign * s + 0.56 * u)
@@ -631,7 +631,7 @@ def withers_height(vertices: FloatArray, triangles: IntArray) -> float:
 
 
 def _on_ground(vertices: FloatArray, cell: float) -> FloatArray:
-    """The vertices with the two lowest cells stretched so that what nearly touches the ground touches it."""
+    """Stretch the two lowest cells so that vertices close to the ground touch it."""
     lowest, top = float(vertices[:, 2].min()), 2.0 * cell
     if lowest > cell:
         return vertices
@@ -647,7 +647,7 @@ def _feet_centre(hooves: FloatArray) -> float:
 
 
 def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
-    """The shape with ears, and antlers if any; these turn with the head."""
+    """Return the shape with ears, and antlers if any; these turn with the head."""
     frame = (shape.forward, shape.side, np.cross(shape.forward, shape.side))
     pieces, parts = [(shape.vertices, shape.triangles)], [shape.parts]
     for sign in (1, -1):

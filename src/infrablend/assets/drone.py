@@ -336,7 +336,7 @@ class _Pieces:
         self.items.append((part, solid.vertices, solid.triangles, smooth))
 
     def add_both_sides(self, part: str, solid: Solid, *, smooth: bool = True) -> None:
-        """The solid and its mirror image across the plane y = 0."""
+        """Return the solid and its mirror image across the plane y = 0."""
         self.add(part, solid, smooth=smooth)
         self.add(part, shapes.mirrored(solid, 1), smooth=smooth)
 
@@ -431,7 +431,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
 
 def _with_discs(mesh: Mesh, params: Params, plan: _Plan, centre: FloatArray, size: float) -> Mesh:
-    """The mesh with a disc over each motor: a sheet of rings that share vertices, so that they run into each other."""
+    """Add a disc over each motor: rings that share vertices, so that they blend into each other."""
     n, rings = 48, list(DISC_RINGS)
     edges = np.array([DISC_RINGS[rings[0]][0], *(DISC_RINGS[name][1] for name in rings)])
     turn = np.arange(n) * (2 * math.pi / n)
@@ -526,7 +526,7 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
 
 
 def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: float) -> Solid:
-    """A small box lying on an arm at fraction `t` of it."""
+    """Return a small box lying on an arm at fraction `t` of it."""
     x, y, _ = (tip - root).tolist()
     at = root + t * (tip - root) + (0.0, 0.0, lift)
     return shapes.placed(shapes.box(size, 0.15 * min(size)), shapes.turn_z(math.atan2(y, x)), at)
@@ -536,7 +536,7 @@ def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: floa
 
 
 def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
-    """A sleek moulded body, its battery let into the back, eyes at the nose, outlets at the flanks."""
+    """Return a sleek moulded body, its battery let into the back, eyes at the nose, outlets at the flanks."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     t = np.sin(np.linspace(-1, 1, 21) * math.pi / 2 * 0.955)
     closing = (1 - np.abs(t) ** 6) ** 0.4
@@ -604,7 +604,7 @@ def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
 
 
 def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
-    """An elongated plate with a waist, 32 points, counter-clockwise."""
+    """Return an elongated plate with a waist, 32 points, counter-clockwise."""
     unit = shapes.circle(32, 5.0)
     x, y = L * unit[:, 0], W * unit[:, 1]
     y = y * (1 - waist * np.exp(-((x / (0.38 * L)) ** 2)))
@@ -678,7 +678,7 @@ def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
 
 
 def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
-    """A faceted hull with hot-swap batteries side by side at the back, sensor block in front, cooling slots."""
+    """Return a faceted hull: hot-swap batteries at the back, sensor block in front, cooling slots."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     x0 = 0.05 * L
     levels = []
@@ -738,7 +738,7 @@ def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
 
 
 def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
-    """A three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
+    """Return a three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
     body = plan.p["body"]
     if body == "shell":
         s, at = 0.042, np.array([0.90 * plan.half_length, 0.0, -1.05 * plan.half_height])
@@ -866,7 +866,7 @@ def build_drone(params: Params) -> Mesh:
 
 
 def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
-    """Closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
+    """Return closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
     plan = _plan(params)
     out = _Pieces()
     add_body = {"shell": _add_shell_body, "plate": _add_plate_body, "industrial": _add_industrial_body}

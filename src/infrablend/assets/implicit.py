@@ -129,7 +129,7 @@ def tube(
     steps: int = 1,
     beyond: Sequence[tuple[float, str]] = (),
 ) -> Tube:
-    """A tube through control points.
+    """Return a tube through control points.
 
     Args:
         part: Name of the part.
@@ -200,7 +200,7 @@ class Ellipsoid:
 def ellipsoid(
     part: str, centre: ArrayLike, half: ArrayLike, *, axes: ArrayLike | None = None, blend: float = 0.0
 ) -> Ellipsoid:
-    """An ellipsoid; `axes` (3, 3) holds its axes as rows, by default the coordinate axes."""
+    """Return an ellipsoid; `axes` (3, 3) holds its axes as rows, by default the coordinate axes."""
     return Ellipsoid(
         part,
         np.asarray(centre, np.float64),
@@ -303,7 +303,7 @@ class Body:
 
 
 def surface(body: Body, cell: float, attempts: int = 8) -> tuple[FloatArray, IntArray]:
-    """The body's surface: (V, 3) vertices and (T, 3) triangles, closed, counter-clockwise seen from outside.
+    """Return the body's closed surface: (V, 3) vertices, (T, 3) triangles, counter-clockwise from outside.
 
     Where a cell holds a thin handle or gap an edge can still get four triangles; the grid is then moved by a fraction
     of a cell and the surface taken again, at most `attempts` times.

@@ -488,7 +488,7 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
 
 @lru_cache(maxsize=64)
 def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
-    """What hangs from the hips around both thighs: the lower half of a coat, or a skirt."""
+    """Return the lower half of a coat, or a skirt: it hangs from the hips around both thighs."""
     pose = _POSES[pose_name, variant]
     (hip, knee, _), (hip2, knee2, _) = _leg_lines(pose)
     girth = _GIRTH[build_name]
@@ -602,7 +602,7 @@ def _head(headwear: str, hair: str) -> Piece:
 
 @lru_cache(maxsize=32)
 def _backpack(top: str, build_name: str) -> Piece:
-    """A backpack with two shoulder straps, in the trunk's frame."""
+    """Return a backpack with two shoulder straps, in the trunk's frame."""
     rows = _trunk_rows(top, build_name, False)
 
     def at(z: float) -> tuple[float, float]:
@@ -639,7 +639,7 @@ def _backpack(top: str, build_name: str) -> Piece:
 
 @lru_cache(maxsize=4)
 def _seat(height: float) -> Piece:
-    """A block to sit on, its top at `height`."""
+    """Return a block to sit on, its top at `height`."""
     return _one_part("seat", moved(box((0.24, 0.34, height), 0.008), (0.02, 0.0, height / 2)))
 
 

@@ -32,7 +32,7 @@ def loft(
     end: ArrayLike | None = None,
     wrap: bool = False,
 ) -> Solid:
-    """The skin over a row of rings.
+    """Return the skin over a row of rings.
 
     Args:
         rings: (R, N, 3) rings of N points; each runs counter-clockwise seen from the side the row goes to.
@@ -116,7 +116,7 @@ def rounded_rectangle(half_x: float, half_y: float, radius: float, steps: int = 
 
 
 def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: int = 1) -> Solid:
-    """A box about the origin with bevelled edges.
+    """Return a box about the origin with bevelled edges.
 
     Args:
         size: (3,) full extents.
@@ -133,7 +133,7 @@ def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: in
 
 
 def stack(levels: Sequence[tuple[float, FloatArray]], *, sharp: bool = True) -> Solid:
-    """A solid from outlines (z, (N, 2) counter-clockwise) in rising order, closed by flat caps.
+    """Return a solid from outlines (z, (N, 2) counter-clockwise) in rising order, closed by flat caps.
 
     The first and last outline must be star-shaped about their mean.
     """
@@ -146,7 +146,7 @@ def stack(levels: Sequence[tuple[float, FloatArray]], *, sharp: bool = True) -> 
 
 
 def plate(outline: FloatArray, low: float, high: float, hole: FloatArray | None = None) -> Solid:
-    """A flat plate from z `low` to `high`: an outline (N, 2), counter-clockwise, with or without a hole (N, 2)."""
+    """Return a flat plate from z `low` to `high`: outline (N, 2), counter-clockwise, hole (N, 2) or none."""
     if hole is None:
         return stack([(low, outline), (high, outline)])
     rings = np.empty((4, len(outline), 3))
@@ -157,7 +157,7 @@ def plate(outline: FloatArray, low: float, high: float, hole: FloatArray | None 
 
 
 def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: float = 35.0) -> Solid:
-    """A solid of revolution about Z.
+    """Return a solid of revolution about Z.
 
     Args:
         profile: (P, 2) of (radius, z), outside on the right hand: upwards along the outer wall. A first or last
@@ -185,7 +185,7 @@ def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: flo
 
 
 def cylinder(radius: float, low: float, high: float, n: int = 16, bevel: float = 0.0) -> Solid:
-    """An upright cylinder about Z with bevelled rims."""
+    """Return an upright cylinder about Z with bevelled rims."""
     if bevel <= 0:
         return lathe([(radius, low), (radius, high)], n)
     bevel = min(bevel, 0.45 * (high - low), 0.5 * radius)
@@ -193,7 +193,7 @@ def cylinder(radius: float, low: float, high: float, n: int = 16, bevel: float =
 
 
 def ellipsoid(half: ArrayLike, n: int = 16, rows: int = 8) -> Solid:
-    """An ellipsoid about the origin with half axes (3,)."""
+    """Return an ellipsoid about the origin with half axes (3,)."""
     a = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
     profile = np.stack([np.cos(a), np.sin(a)], axis=1)
     profile[0, 0] = profile[-1, 0] = 0.0
@@ -211,7 +211,7 @@ def sweep(
     up: ArrayLike = (0.0, 0.0, 1.0),
     round_ends: bool = False,
 ) -> Solid:
-    """A bar along a path.
+    """Return a bar along a path.
 
     Args:
         path: (P, 3) points; neighbours differ.
@@ -255,7 +255,7 @@ def sweep(
 
 
 def capsule(a: ArrayLike, b: ArrayLike, radius_a: float, radius_b: float | None = None, n: int = 12) -> Solid:
-    """A round bar with domed ends between two points, tapering from `radius_a` to `radius_b`."""
+    """Return a round bar with domed ends between two points, tapering from `radius_a` to `radius_b`."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     along = np.abs(b - a)
     up = np.zeros(3)
@@ -274,7 +274,7 @@ def blade(
     camber: float = 0.05,
     clockwise: bool = False,
 ) -> Solid:
-    """A propeller blade along +X, Z up, turning counter-clockwise seen from above (leading edge towards +Y).
+    """Return a propeller blade along +X, Z up, turning counter-clockwise from above (leading edge to +Y).
 
     Args:
         span: (S,) stations along X, rising.
@@ -307,17 +307,17 @@ def blade(
 
 
 def moved(solid: Solid, offset: ArrayLike) -> Solid:
-    """The solid shifted by (3,) `offset`."""
+    """Return the solid shifted by (3,) `offset`."""
     return Solid(solid.vertices + np.asarray(offset, np.float64), solid.triangles)
 
 
 def placed(solid: Solid, rotation: FloatArray, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
-    """The solid turned by a (3, 3) rotation, then shifted."""
+    """Return the solid turned by a (3, 3) rotation, then shifted."""
     return Solid(solid.vertices @ rotation.T + np.asarray(offset, np.float64), solid.triangles)
 
 
 def mirrored(solid: Solid, axis: int) -> Solid:
-    """The solid mirrored in the plane through the origin across `axis`, still oriented outward."""
+    """Return the solid mirrored in the plane through the origin across `axis`, still oriented outward."""
     v = solid.vertices.copy()
     v[:, axis] *= -1.0
     return Solid(v, np.ascontiguousarray(solid.triangles[:, ::-1]))
@@ -342,7 +342,7 @@ def turn_x(angle_rad: float) -> FloatArray:
 
 
 def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> Solid:
-    """The solid with its vertices parted along edges that bend by more than `angle_rad`; triangles keep their order.
+    """Split vertices along edges that bend by more than `angle_rad`; triangles keep their order.
 
     Shading then interpolates within smooth stretches only. Edges shared by vertex index count, so the solid must not
     have parted vertices already.

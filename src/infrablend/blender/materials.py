@@ -40,7 +40,7 @@ SOCKETS = (
 
 
 def infrared_effect_group() -> bpy.types.ShaderNodeTree:
-    """The InfraredEffect group of this file; built on first use."""
+    """Return the InfraredEffect group of this file; built on first use."""
     group = bpy.data.node_groups.get(GROUP_NAME)
     if group is not None:
         return group

@@ -49,7 +49,7 @@ def radiance_coefficients() -> tuple[float, ...]:
 
 
 def physical_group() -> bpy.types.ShaderNodeTree:
-    """The node group of this file; built on first use. Works by hand in Blender's Shader Editor too."""
+    """Return the node group of this file; built on first use. Works by hand in Blender's Shader Editor too."""
     group = bpy.data.node_groups.get(GROUP_NAME)
     if group is not None:
         return group
@@ -121,9 +121,11 @@ def emission_alone(tree: bpy.types.NodeTree, celsius: Any, emissivity: Any, ior:
     emission adds exactly its share. Neighbouring parts are not mirrored.
 
     Args:
-        tree: Of the material.
-        celsius, emissivity, ior: Of the surface.
-        sky: A socket for each name of `sky_values`.
+        tree: Node tree of the material.
+        celsius: Temperature of the surface.
+        emissivity: Emissivity of the surface.
+        ior: Refractive index of the surface.
+        sky: Socket per name of `sky_values`.
     """
     geometry, dot = tree.nodes.new("ShaderNodeNewGeometry"), tree.nodes.new("ShaderNodeVectorMath")
     dot.operation = "DOT_PRODUCT"
@@ -157,7 +159,7 @@ SKY = ("clear_at_zenith", "air", "cloud", "cover", "ground")
 
 
 def sky_values(weather: Weather) -> dict[str, float]:
-    """What the sky's nodes need of the weather, by the names in `SKY`; radiances in units of L(300 K)."""
+    """Return what the sky's nodes need of the weather, by the names in `SKY`; radiances in units of L(300 K)."""
     air, cloud, ground = (
         float(band_radiance(k)) / UNIT_W_M2_SR for k in (weather.air_k, weather.cloud_base_k, weather.ground_k)
     )

@@ -28,5 +28,5 @@ MATCHED = Sampling(128, 0.006, 8, "TABULATED_SOBOL")
 
 
 def sampling_for(samples: int) -> Sampling:
-    """The sampling of a scene: exactly so many samples, or for 0 the fewest that keep within the error bars."""
+    """Return the sampling of a scene: a fixed number, or for 0 the fewest within the error bars."""
     return Sampling(samples) if samples else MATCHED

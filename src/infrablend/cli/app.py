@@ -88,7 +88,7 @@ def _root(
 
 
 def build_app() -> typer.Typer:
-    """The whole command line."""
+    """Return the whole command line."""
     app = typer.Typer(
         name="infrablend",
         cls=_Commands,

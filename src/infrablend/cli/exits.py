@@ -43,7 +43,7 @@ logger = logging.getLogger(__name__)
 
 
 def exit_code(error: BaseException) -> int:
-    """The exit code of an exception that ended the command."""
+    """Return the exit code of an exception that ended the command."""
     match error:
         case KeyboardInterrupt() | Interrupted():
             return INTERRUPTED
@@ -62,7 +62,7 @@ def exit_code(error: BaseException) -> int:
 
 
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
-    """A line for each problem, alike ones together: the first 20, then how many more there are and where they stand."""
+    """Return a line per problem, similar ones together: the first 20, then the number and place of the rest."""
     found = list(problems)
     all_of_them = told(found)
     lines = [f"  - {line}" for line in all_of_them[:SHOWN_PROBLEMS]]

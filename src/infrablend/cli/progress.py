@@ -106,7 +106,7 @@ class FetchPace:
         self._began = (0.0, 0)
 
     def __call__(self, p: FetchProgress) -> str:
-        """The line for `p`."""
+        """Return the line for `p`."""
         if self._step != (p.step, p.file) or p.done < self._began[1]:
             self._step, self._began = (p.step, p.file), (self._clock(), p.done)
         seconds = self._clock() - self._began[0]

@@ -81,7 +81,7 @@ def split(
 
 
 def _three(text: str) -> list[float]:
-    """The numbers that `--shares` gives."""
+    """Return the numbers that `--shares` gives."""
     try:
         wanted = [float(part) for part in text.split(",")]
     except ValueError:

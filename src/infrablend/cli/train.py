@@ -129,7 +129,7 @@ def train(
 
 
 def _used(prepared: dict[str, Any]) -> dict[str, str]:
-    """What the trainer has really seen; in tiles an object counts as often as it is in one."""
+    """Return what the trainer has seen; an object counts once per tile that shows it."""
     both = f"{prepared['images']}, {prepared['labels']}: all used"
     tiles = prepared.get("tiles")
     if not tiles:

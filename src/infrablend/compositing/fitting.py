@@ -125,7 +125,7 @@ class Readings:
     steps: NDArray[np.float64] | None
 
     def to_json(self) -> dict[str, Any]:
-        """The figures, rounded, as plain JSON values."""
+        """Return the figures, rounded, as plain JSON values."""
         plain: dict[str, Any] = {
             "edges": len(self.sigmas_px),
             "edge_sigma_px": _round(np.percentile(self.sigmas_px, [10, 20, 50]).tolist()),
@@ -142,7 +142,7 @@ class Readings:
 
 
 def readings(survey: Survey) -> Readings:
-    """What a survey's pictures show together.
+    """Return the readings of all pictures of a survey.
 
     Raises:
         ValueError: Too few clean edges.
@@ -180,7 +180,7 @@ class Fit:
 
 
 def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
-    """The chain whose pictures read as the survey's do.
+    """Return the chain whose pictures give the survey's readings.
 
     Sharpening is fitted to the side of the edge that overshoots less: small warm things lift the other one.
 
@@ -219,7 +219,7 @@ def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
 
 
 def chain_readings(profile: SensorProfile) -> Readings:
-    """What a profile's own chain makes of ideal steps of 80 levels and of a flat place, read as pictures are.
+    """Return the readings of a profile's chain for ideal steps of 80 levels and a flat place.
 
     The steps have one sharpness, so that their median stands for the 20th percentile of a scene's. Blockiness depends
     on what is shown and is not read of these.

@@ -49,7 +49,7 @@ def sharpened_sigma(sigma_px: float, gain: float, radius_px: float) -> float:
 
 
 def unsharpened_sigma(seen_px: float, gain: float, radius_px: float) -> float:
-    """The sigma before detail enhancement whose edge reads `seen_px` after it; the inverse of `sharpened_sigma`."""
+    """Return the sigma that detail enhancement turns into `seen_px`; the inverse of `sharpened_sigma`."""
     if gain <= 0:
         return seen_px
     low, high = 0.05, 6.0
@@ -119,8 +119,10 @@ def edge_sigma(picture: GreyImage, scale: float = 1.0, percentile: float = 20.0)
 
 
 def profile_sigmas(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) sigma of each of (n, 65) profiles, from the distance between the crossings of 10 and 90 % nearest to the
-    middle, the reading's own width taken off; NaN where there are none.
+    """Return the (n,) sigma of each of (n, 65) profiles; NaN where an edge has none.
+
+    It follows from the distance between the crossings of 10 and 90 % nearest to the middle, less the reading's own
+    width.
     """
     rows, middle, at = np.arange(len(profiles)), len(EDGE_PX) // 2, np.arange(len(EDGE_PX))
     centre = middle - 8 + np.argmin(np.abs(profiles[:, middle - 8 : middle + 9] - 0.5), axis=1)[:, None]
@@ -202,8 +204,9 @@ def _blocks(picture: NDArray[Any]) -> NDArray[Any]:
 
 
 def grain_correlation(blocks: NDArray[np.float64], lag: int) -> float | None:
-    """Median over (n, 32, 32) blocks of their correlation with themselves `lag` px aside, both ways; None without any
-    grain.
+    """Return the median correlation of (n, 32, 32) blocks with themselves `lag` px aside, both ways.
+
+    It is None for blocks without grain.
     """
     found = [
         0.5 * float((r[:, lag:] * r[:, :-lag]).mean() + (r[lag:] * r[:-lag]).mean()) / float(r.var())

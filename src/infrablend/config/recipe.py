@@ -313,8 +313,10 @@ class PercentileMatching(Matching):
 
 
 class LocalMatching(Matching):
-    """Matching of `appearance.mode: physical`: by radiance relative to the ground around the object, with a gain
-    estimated for each background."""
+    """Matching of `appearance.mode: physical`: by radiance relative to the ground around the object.
+
+    The gain is estimated for each background.
+    """
 
     gain_grey_per_k: range_of(0.1, 100) = (2.5, 12.0)  # type: ignore[valid-type]
     """Lower and upper bound of the gain, 8-bit grey levels per kelvin."""

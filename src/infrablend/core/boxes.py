@@ -169,7 +169,7 @@ def clip_triangles_near(xyz_m: FloatArray, near_m: float) -> tuple[FloatArray, N
         return xyz_m, np.arange(len(xyz_m))
 
     def turned(which: NDArray[np.intp], lone: NDArray[np.bool_]) -> FloatArray:
-        """The triangles turned so that the corner alone on its side of the plane comes first."""
+        """Return the triangles turned so that the corner alone on its side of the plane comes first."""
         first = np.argmax(lone[which], axis=1)
         return np.asarray(xyz_m[which[:, None], (first[:, None] + np.arange(3)) % 3])
 

@@ -85,7 +85,7 @@ class Instance:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Instance:
-        """The instance that `to_json` wrote."""
+        """Return the instance that `to_json` wrote."""
         d = dict(data)
         d["box_xyxy"] = np.array(d["box_xyxy"], np.float64)
         if d["corners_xy"] is not None:
@@ -96,7 +96,7 @@ class Instance:
         return cls(**d)
 
     def equals(self, other: Instance, atol_px: float = 0.0) -> bool:
-        """True if all fields agree, coordinates within `atol_px`."""
+        """Return True if all fields agree, coordinates within `atol_px`."""
 
         def close(a: NDArray[np.float64] | None, b: NDArray[np.float64] | None) -> bool:
             if a is None or b is None:
@@ -179,7 +179,7 @@ class Dataset:
         return f"<Dataset {self.root}: {self.format}, {len(self.images)} images, {objects} objects>"
 
     def category(self, name: str) -> Category:
-        """The category of that name; KeyError if there is none."""
+        """Return the category of that name; KeyError if there is none."""
         for c in self.categories:
             if c.name == name:
                 return c

@@ -21,7 +21,7 @@ _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, 
 
 
 def part_path(path: Path) -> Path:
-    """The name a file has while it is being written: hidden, beside the final one, so that renaming is atomic.
+    """Return the name of a file while it is written: hidden, beside the final one, for an atomic rename.
 
     It keeps the suffix, which some writers insist on, and is the same each time: what a killed process left behind is
     overwritten by the next one.
@@ -30,7 +30,7 @@ def part_path(path: Path) -> Path:
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """The `OutputError` for a failed write of `path`."""
+    """Return the `OutputError` for a failed write of `path`."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     todo = "free some space and run again with --resume" if full else "check the folder and its permissions"
     reason = error.strerror or str(error)

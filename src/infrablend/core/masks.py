@@ -23,7 +23,7 @@ class Mask:
         return cls(rle["counts"].decode("ascii"), (int(mask.shape[0]), int(mask.shape[1])))
 
     def to_array(self) -> NDArray[np.bool_]:
-        """The mask as (h, w) bool."""
+        """Return the mask as (h, w) bool."""
         return np.asarray(_coco.decode(self.to_coco()), np.bool_)
 
     def to_coco(self) -> dict[str, object]:
@@ -32,7 +32,7 @@ class Mask:
 
     @classmethod
     def from_coco(cls, value: object, size_hw: tuple[int, int]) -> Mask:
-        """The mask that a foreign file's `{"size": ..., "counts": ...}` means, compressed or a plain list of lengths.
+        """Return the mask of a foreign `{"size": ..., "counts": ...}`, compressed or a plain list of lengths.
 
         pycocotools trusts its input and reads or writes beyond its memory where run lengths do not fill the frame.
 
@@ -59,7 +59,7 @@ class Mask:
 
     @classmethod
     def from_rings(cls, rings: object, size_hw: tuple[int, int]) -> Mask:
-        """The mask of a foreign file's polygons, lists of x, y, x, y, ...; painted as pycocotools does.
+        """Return the mask of a foreign file's polygons, lists of x, y, x, y, ...; painted as pycocotools does.
 
         Raises:
             ValueError: No such lists, or a corner further from the frame than the frame is large: pycocotools walks
@@ -86,7 +86,7 @@ class Mask:
 
 
 def run_lengths(counts: str) -> NDArray[np.int64]:
-    """The run lengths in COCO's compressed text: six bits a character, the lowest first, differences from the third on.
+    """Encode run lengths as COCO does: six bits a character, lowest first, differences from the third on.
 
     Raises:
         ValueError: It is no such text.

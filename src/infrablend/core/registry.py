@@ -9,7 +9,7 @@ from infrablend.errors import MissingDependencyError
 
 
 def resolve(dotted: str) -> Any:
-    """The object that `package.module:name` names.
+    """Return the object that `package.module:name` names.
 
     Raises:
         MissingDependencyError: If the module cannot be imported because something it needs is missing.

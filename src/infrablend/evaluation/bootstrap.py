@@ -49,7 +49,7 @@ def several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
 
 
 def interval(values: FloatArray) -> list[float] | None:
-    """The middle 95 % of drawn values, NaN left out; None if there are none."""
+    """Return the middle 95 % of drawn values, NaN left out; None if there are none."""
     known = values[~np.isnan(values)]
     if not len(known):
         return None

@@ -27,7 +27,7 @@ def coco_precisions(
     task: Task,
     ranges: Sequence[tuple[float, float]] = ((0.0, float("inf")),),
 ) -> FloatArray:
-    """(a, classes, 10) average precision at IoU 0.5 to 0.95, at most 300 findings an image; NaN without objects.
+    """Return (a, classes, 10) average precision at IoU 0.5 to 0.95, at most 300 detections an image.
 
     Boxes and masks are compared by pycocotools' own code; oriented boxes, which it does not know, by ours.
 

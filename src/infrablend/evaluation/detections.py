@@ -71,7 +71,7 @@ class Detections:
         return len(self.scores)
 
     def take(self, which: NDArray[np.int64]) -> Detections:
-        """Some of them, in the order given."""
+        """Return some of them, in the order given."""
         return Detections(
             self.boxes_xyxy[which],
             self.scores[which],
@@ -84,7 +84,7 @@ class Detections:
 def detections(
     boxes_xyxy: Any, scores: Any, classes: Any, corners_xy: Any = None, masks: Sequence[Mask] | None = None
 ) -> Detections:
-    """`Detections` from anything like arrays, in any order: rounded and sorted by falling score, ties as given."""
+    """Return `Detections` from array-likes in any order: rounded, sorted by falling score, ties as given."""
     score = np.round(np.asarray(scores, np.float64).reshape(-1), 6)
     made = Detections(
         np.round(np.asarray(boxes_xyxy, np.float64).reshape(-1, 4), 3),
@@ -152,7 +152,7 @@ def write_predictions(path: Path, predictions: Predictions) -> Path:
 
 
 def read_predictions(path: Path) -> Predictions:
-    """The findings that a file holds.
+    """Return the findings that a file holds.
 
     Raises:
         DatasetError: It is no such file; `problems` names what is wrong with which entry.

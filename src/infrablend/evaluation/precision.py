@@ -96,7 +96,7 @@ def precision_by_recall(matches: ClassMatches) -> FloatArray:
 
 
 def operating_point(all_matches: Sequence[ClassMatches]) -> tuple[float, list[tuple[float, float] | None]]:
-    """The confidence at which F1 (at IoU 0.5, mean over classes, smoothed) is best; precision and recall there.
+    """Return the confidence with the best smoothed mean F1 at IoU 0.5, with precision and recall there.
 
     This is how Ultralytics chooses what it prints: one confidence for all classes, among 1,000 in [0, 1].
 

@@ -127,7 +127,7 @@ def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance,
 
 
 def _box_mask(instance: Instance, size_wh: tuple[int, int]) -> Mask:
-    """The box of an object without mask, filled."""
+    """Return the box of an object without mask, filled."""
     w, h = size_wh
     x0, y0, x1, y1 = (round(v) for v in instance.box_xyxy)
     filled = np.zeros((h, w), np.bool_)

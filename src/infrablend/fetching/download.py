@@ -71,7 +71,7 @@ class _NotWhole(Exception):  # noqa: N818 - a signal between two functions here
 
 
 def public_url(url: str) -> str:
-    """The address without user, query and fragment, which may hold secrets."""
+    """Return the address without user, query and fragment, which may hold secrets."""
     parts = urlsplit(url)
     host = parts.netloc.rpartition("@")[2]
     return urlunsplit((parts.scheme, host, parts.path, "", ""))
@@ -162,7 +162,7 @@ def _size(path: Path) -> int:
 
 
 def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
-    """What an earlier call left: the remote file and the bytes of it; (None, 0) if it cannot be gone on with."""
+    """Return the remote file and the bytes that an earlier call left; (None, 0) if they are of no use."""
     try:
         remote = _Remote(**json.loads(_memo(part).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
@@ -257,7 +257,7 @@ def _placed(response: Any, remote: _Remote | None, here: int, part: Path) -> tup
 
 
 def _changed(part: Path) -> _NotWhole:
-    """What the server has now is not what the part was made from: the next attempt begins anew."""
+    """Discard the part because the server's file has changed; the next attempt starts from zero."""
     _memo(part).unlink(missing_ok=True)
     return _NotWhole("the file on the server has changed")
 
@@ -319,7 +319,7 @@ def _opener() -> urllib.request.OpenerDirector:
 
 
 def _refused(url: str, error: urllib.error.HTTPError) -> Exception:
-    """What to raise for an HTTP status: another try, or the end."""
+    """Return what to raise for an HTTP status: another try, or the end."""
     status = f"HTTP {error.code} {error.reason}".strip()
     if error.code in _RETRY_STATUS:
         return _NotWhole(f"the server answers {status}", _retry_after(error.headers.get("Retry-After")))
@@ -341,7 +341,7 @@ def _retry_after(value: str | None) -> float:
 
 
 def _unreachable(url: str, error: Exception) -> Exception:
-    """What to raise if there was no answer."""
+    """Return what to raise if there was no answer."""
     reason = error.reason if isinstance(error, urllib.error.URLError) else error
     if isinstance(reason, ssl.SSLCertVerificationError):
         found = f"the server's certificate was not accepted: {reason.verify_message}"

@@ -101,7 +101,7 @@ class _Order:
 
 
 def require_source(name: str) -> Source:
-    """The dataset of that name.
+    """Return the dataset of that name.
 
     Raises:
         DatasetError: There is none.
@@ -130,7 +130,7 @@ def how_to_get(source: Source) -> str:
 
 
 def licence_lines(source: Source) -> list[str]:
-    """The licence, and what to know about it."""
+    """Return the licence, and what to know about it."""
     licence = source.licence
     lines = [f"Licence: {licence.name}" + (f", {licence.url}" if licence.url else "")]
     return lines + ([source.licence_note] if source.licence_note else [])
@@ -210,7 +210,7 @@ def _wanted(source: Source, parts: Sequence[str] | None, *, single: bool) -> lis
 
 
 def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
-    """The parts that are there already; refuses a folder that holds anything else than this dataset."""
+    """Return the parts that are there already; refuses a folder that holds anything else than this dataset."""
     record = order.out / SOURCE_FILE
     names = {p.name for p in sorted(order.out.iterdir())}
     known: dict[str, Any] = {}
@@ -304,7 +304,7 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
 
 
 def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
-    """The whole archive on this machine, and what the server said of it."""
+    """Return the whole archive on this machine, and what the server said of it."""
     if order.archive is not None:
         return order.archive, {"url": None}
     file = order.work / a.file

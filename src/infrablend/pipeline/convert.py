@@ -195,7 +195,7 @@ def convert_dataset(
 
 
 def _loosened(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
-    """Inserted objects' boxes so many times as wide and high, cut at the frame; how many."""
+    """Enlarge the boxes of inserted objects, cut at the frame; return the images and the number of boxes."""
     loose, n = [], 0
     for image in images:
         instances = []
@@ -216,7 +216,7 @@ def _changes(
     problems: Sequence[Problem],
     chosen: Mapping[str, Any] | None,
 ) -> list[str]:
-    """What was done, for the card."""
+    """Return the changes, for the card."""
     texts = [f"The labels were written in the form `{to}`; the pictures are the same files."]
     if rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
@@ -234,7 +234,7 @@ def _changes(
 
 
 def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> list[Problem]:
-    """A warning for a COCO file with a category 0."""
+    """Return a warning for a COCO file with a category 0."""
     zero = next((c.name for c in dataset.categories if c.id == 0), None)
     if name != "coco" or zero is None or settings.category_ids == "from_one":
         return []
@@ -256,7 +256,7 @@ def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str],
 
 
 def _require_names(dataset: Dataset, names: Iterable[str]) -> None:
-    """A name that formats of lines and words can hold: the same rule as a recipe's."""
+    """Check that all formats can hold the names, by the rule for recipes."""
     bad = [repr(n) for n in names if not re.fullmatch(CLASS_NAME, n)]
     if bad:
         expected = "a name without line breaks, and without blanks at its ends"
@@ -269,7 +269,7 @@ def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
 
 
 def _with_sizes(dataset: Dataset, problems: list[Problem]) -> list[ImageRecord]:
-    """The images, with sizes read from the pictures where the labels do not say them; unreadable ones are left out."""
+    """Return the images with sizes, read from the pictures where labels lack them; leave out unreadable ones."""
     images = []
     for image in dataset.images:
         if image.size_wh is not None:

@@ -24,7 +24,7 @@ class RunFolder(RunLayout):
     """The folder of one run."""
 
     def read_run(self) -> dict[str, Any]:
-        """The run record.
+        """Return the run record.
 
         Raises:
             OutputError: If there is none or it cannot be read.

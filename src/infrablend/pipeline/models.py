@@ -17,7 +17,7 @@ IMPORT_TIMEOUT_S = 300.0
 
 
 def ready_model(name: str) -> ObjectModel:
-    """The model of that name or YAML path, its geometry imported if need be.
+    """Return the model of that name or YAML path, its geometry imported if need be.
 
     Raises:
         ModelError: If there is none, its description is wrong, or Blender cannot read its file.

@@ -60,7 +60,7 @@ class PlannedFrame:
         return f"{self.background.split}/{self.name}"
 
     def key(self, size_wh: tuple[int, int]) -> FrameKey:
-        """What the frame's random streams depend on."""
+        """Return the key of the frame's random streams."""
         assert self.configuration is not None
         b = self.background
         return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, b.time_of_day)
@@ -141,7 +141,7 @@ def make_plan(
     limit: int | None = None,
     dropped: Sequence[Problem] = (),
 ) -> RunPlan:
-    """The plan of a run.
+    """Return the plan of a run.
 
     Args:
         recipe: What to do.
@@ -244,12 +244,12 @@ def make_plan(
 
 
 def is_text(name: str) -> bool:
-    """False for a file name with bytes that are no UTF-8 (Python keeps them as lone surrogates)."""
+    """Return False for a file name with bytes that are no UTF-8 (Python keeps them as lone surrogates)."""
     return name == as_text(name)
 
 
 def as_text(name: str) -> str:
-    """The name with whatever is not UTF-8 written as `\\udcff`."""
+    """Return the name with whatever is not UTF-8 written as `\\udcff`."""
     return name.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -267,7 +267,7 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
-    """What the recipe needs to know of a picture's camera and nobody says."""
+    """Return the facts about a picture's camera that the recipe needs and nobody states."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
     height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
     if not pitch and not height:
@@ -325,7 +325,7 @@ def fingerprint(dataset: Dataset) -> str:
 
 
 def data_root(dataset: Dataset) -> Path:
-    """The folder that background paths are recorded against."""
+    """Return the folder that recorded background paths are relative to."""
     return dataset.root.resolve()
 
 

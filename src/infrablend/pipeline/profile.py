@@ -138,7 +138,7 @@ def taken_by(dataset: Dataset, time: str) -> Dataset:
 def _levels(
     dataset: Dataset, images: Sequence[ImageRecord], problems: list[Problem]
 ) -> tuple[list[ImageRecord], tuple[float, float], NDArray[np.int64], int]:
-    """The pictures that can be used, the levels they live in, how often each level occurs, their bit depth."""
+    """Return the usable pictures, their range of levels, the histogram of levels, and the bit depth."""
     usable, histogram, depths = [], np.zeros(65536, np.int64), set()
     for image, picture in _load(images, problems):
         usable.append(image)
@@ -187,7 +187,7 @@ def _free(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
 
 
 def jpeg_quality(picture: Background) -> int | None:
-    """The quality (1 to 100) whose quantisation table is nearest to the file's; None if it is no JPEG."""
+    """Return the quality (1 to 100) whose quantisation table is nearest to the file's; None if it is no JPEG."""
     if not picture.quantization:
         return None
     table = np.array(picture.quantization[0])
@@ -205,7 +205,7 @@ def _quality_table(quality: int) -> NDArray[np.int64]:
 def _table(
     fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: Readings | None
 ) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
-    """What was found against what the fitted chain gives, and a shipped profile's chain: readings, then settings."""
+    """Return readings and settings of the pictures, of the fitted chain and of a shipped profile's chain."""
     chains = [(fit.found, None), (fit.chain, fit.profile)]
     columns = ["pictures", "fitted"]
     if reference is not None and of_reference is not None:

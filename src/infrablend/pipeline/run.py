@@ -193,7 +193,7 @@ def run_plan(
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
-    """The dataset's levels if the recipe needs them; a resumed run goes on with those it began with."""
+    """Return the dataset's levels if the recipe needs them; a resumed run keeps its first ones."""
     if not plan.needs_levels:
         return None
     if previous is not None and previous.get("levels"):
@@ -344,7 +344,7 @@ def _differing_fields(was: Any, now: Any, path: str) -> Iterator[tuple[str, Any,
 
 
 def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str, Any]:
-    """The part of the run record that is known before the first frame."""
+    """Return the part of the run record that is known before the first frame."""
     return {
         "infrablend": __version__,
         "recipe": plan.key["recipe"],

@@ -62,7 +62,7 @@ SELECT_ALL = Selection()
 
 
 def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:
-    """The part of a dataset that a selection asks for, and what it left out, counted by reason.
+    """Return the part of a dataset that a selection asks for, and what it left out, counted by reason.
 
     Same dataset and selection, same pictures; they keep their order, splits, and all their labels.
 

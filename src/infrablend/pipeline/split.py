@@ -185,13 +185,13 @@ def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
-    """What has to be shared out in a group: images, then objects of every class."""
+    """Return what has to be shared out in a group: images, then objects of every class."""
     counts = Counter(o.category for i in group for o in i.instances)
     return [len(group), *(counts[n] for n in names)]
 
 
 def deal_out(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
-    """Number of the split for each of n groups, so that every column of (n, k) counts is shared out as wanted.
+    """Return the split of each of n groups that divides every column of (n, k) counts as wanted.
 
     Columns count alike, whatever their sums; those that are all 0 do not count.
     """
@@ -247,7 +247,7 @@ def _improve(
 def _warnings(
     images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping
 ) -> tuple[Problem, ...]:
-    """Splits that got no image, and classes that a split got none of."""
+    """Return warnings for splits without images and for classes missing from a split."""
     problems = []
     for split, share in zip(SPLITS, wanted, strict=True):
         if share == 0:

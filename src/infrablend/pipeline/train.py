@@ -96,7 +96,7 @@ class TrainPlan:
 
 
 def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
-    """The preset with single fields and Ultralytics' arguments set otherwise.
+    """Return the preset with single fields and Ultralytics' arguments set otherwise.
 
     Raises:
         OutputError: No such preset, or a field with a value of the wrong kind.
@@ -141,7 +141,7 @@ def plan_training(
     resume: bool = False,
     overwrite: bool = False,
 ) -> TrainPlan:
-    """What `train_dataset` would do, without doing it.
+    """Return the plan of a training without starting it.
 
     What it would refuse is refused here too, but for Ultralytics' arguments where that is not installed, and for
     published weights, which are not asked for.
@@ -244,7 +244,7 @@ def train_dataset(
 def _wanted(
     dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None
 ) -> tuple[Dataset, dict[str, int]]:
-    """The dataset as it is trained on, and how many labels of which classes are left out. Everything wrong at once."""
+    """Return the dataset to train on and the labels left out by class; report all faults at once."""
     problems: list[Problem] = []
     if task not in presets.TASKS:
         raise OutputError(f"--task {task}: no such task; expected one of {', '.join(presets.TASKS)}")
@@ -384,7 +384,7 @@ def _content(wanted: Dataset, task: str) -> str:
 
 
 def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
-    """The record of an earlier call to go on with, or None for a folder that is empty, or now is."""
+    """Return the record of an earlier call to go on with, or None for a folder that is empty, or now is."""
     record, damaged = _earlier(out, resume, overwrite)
     if record is not None and resume:
         return record
@@ -403,7 +403,7 @@ def _output(out: Path) -> OutputFolder:
 
 
 def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] | None, bool]:
-    """The record of an earlier call, and whether it is there but damaged; refused if nobody said what to do with it."""
+    """Return an earlier call's record and whether it is damaged; refuse it without `resume` or `overwrite`."""
     path = out / RECORD
     entries = sorted(p.name for p in out.iterdir() if p != part_path(path))
     if not entries:
@@ -445,7 +445,7 @@ def _require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]
 
 
 def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record with its settings side by side: `settings.passes`, `settings.arguments.lr0`."""
+    """Return a record with its settings side by side: `settings.passes`, `settings.arguments.lr0`."""
     flat = dict(record)
     settings = dict(flat.pop("settings", {}))
     settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
@@ -506,7 +506,7 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
 def _run(
     out: Path, record: dict[str, Any], preset: Preset, task: str, device: str, seed: int, on_progress: OnProgress | None
 ) -> TrainReport:
-    """The process that trains, from here or from its last checkpoint."""
+    """Return the process that trains, from here or from its last checkpoint."""
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
@@ -576,7 +576,7 @@ def _run(
 
 
 def _reached(sessions: Sequence[Mapping[str, Any]]) -> int:
-    """The last epoch that ended, of sessions of which each went on where the one before ended or began anew."""
+    """Return the last epoch that ended, over sessions that continued each other or started again."""
     reached = 0
     for s in sessions:
         reached = max(0 if "begun_anew" in s else reached, s["epoch"])
@@ -620,7 +620,7 @@ def _watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]
 
 
 def _failure(out: Path, code: int, said: Mapping[str, Any] | None, preset: Preset) -> InfraBlendError:
-    """What went wrong, for people."""
+    """Return the error as a readable text."""
     if said is not None and said["code"] == "labels-dropped":
         return DatasetError(f"{out}: the trainer would drop labels: {said['message']}")
     if code == -9 or (said is not None and said["code"] == "out-of-memory"):

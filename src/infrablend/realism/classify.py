@@ -70,7 +70,7 @@ def group_numbers(objects: Sequence[Measured]) -> NDArray[np.int64]:
 
 
 def group_folds(groups: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """(indices to train on, indices to test on), five times, no group on both sides."""
+    """Return (indices to train on, indices to test on), five times, no group on both sides."""
     from sklearn.model_selection import GroupKFold
 
     yield from GroupKFold(FOLDS).split(groups, groups=groups)
@@ -124,7 +124,7 @@ def bootstrap(y: NDArray[np.int64], predictions: NDArray[np.float64], groups: ND
 
 
 def weights(real: Sequence[Measured], other: Sequence[Measured]) -> Mapping[str, float]:
-    """The logistic classifier's coefficients for standardised features, fitted on all pairs; for the reader."""
+    """Return the logistic classifier's coefficients for standardised features, fitted on all pairs."""
     from sklearn.linear_model import LogisticRegression
     from sklearn.preprocessing import StandardScaler
 

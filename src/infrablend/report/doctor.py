@@ -76,7 +76,7 @@ class Check:
     todo: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """The check as a plain dict."""
+        """Return the check as a plain dict."""
         return asdict(self)
 
 
@@ -177,7 +177,7 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
 
 
 def judge(machine: Machine) -> Diagnosis:
-    """The verdicts on the facts, in the order they are read."""
+    """Judge the facts; the checks are in reading order."""
     return Diagnosis(
         (
             _check_system(machine),
@@ -333,7 +333,7 @@ def _ask_trainer(limit_s: float) -> Trainer:
 
 
 def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | None, str]:
-    """The JSON that code says in a process of its own; if it says none, None and why."""
+    """Return the JSON that code says in a process of its own; if it says none, None and why."""
     try:
         # A file of ours in the current folder must not be imported in place of the real thing: -P.
         done = subprocess.run(

@@ -27,7 +27,7 @@ DEBIAN_PACKAGES: Mapping[str, str] = {
 
 
 def loads(soname: str) -> bool:
-    """True if the dynamic loader finds and loads the shared object."""
+    """Return True if the dynamic loader finds and loads the shared object."""
     try:
         ctypes.CDLL(soname)
     except OSError:
@@ -43,7 +43,7 @@ def missing_packages(can_load: Callable[[str], bool] = loads, platform: str = sy
 
 
 def install_command(packages: tuple[str, ...]) -> str:
-    """The one line that installs the packages on Debian and Ubuntu."""
+    """Return the one line that installs the packages on Debian and Ubuntu."""
     return "sudo apt-get update && sudo apt-get install -y --no-install-recommends " + " ".join(packages)
 
 

@@ -42,7 +42,7 @@ def quiet_ultralytics() -> Iterator[None]:
 
 
 def wrong_arguments(arguments: Mapping[str, Any]) -> str:
-    """What Ultralytics has against arguments of a training, in its words; empty if nothing, or if it cannot be asked.
+    """Return Ultralytics' objections to training arguments; empty if there are none or it is not installed.
 
     Its import changes the environment; it is put back, so that a process started later has its own start.
     """

@@ -64,7 +64,7 @@ class Detector:
     facts: dict[str, Any]
 
     def __call__(self, x: Any) -> Any:
-        """What the network says of (b, c, h, w) pictures in [0, 1]."""
+        """Return what the network says of (b, c, h, w) pictures in [0, 1]."""
         import torch
 
         if self.facts["precision"] == "float32":
@@ -101,7 +101,7 @@ def pick_device(wanted: str) -> str:
 
 
 def load_detector(weights: Path, device: str = "auto", precision: Precision = "auto") -> Detector:
-    """The detector that a file of weights (.pt) holds.
+    """Return the detector that a file of weights (.pt) holds.
 
     With bfloat16 the layers before the head are computed so, several times faster on processors with AMX; the head,
     which says where objects are, always in 32 bits. `auto` takes it on such processors, and 32 bits elsewhere.
@@ -199,7 +199,7 @@ def predict(
     batch: int | None = None,
     on_image: Callable[[int, int], None] | None = None,
 ) -> Predictions:
-    """Findings on whole images.
+    """Return the detections on whole images.
 
     Args:
         detector: From `load_detector`.
@@ -241,7 +241,7 @@ def predict(
 
 
 def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
-    """What is wrong with pictures as far as headers and PNG's checksums tell, before hours of detection."""
+    """Return faults of pictures that headers and checksums show, before hours of detection."""
     from ultralytics.utils.patches import imread
 
     problems = []
@@ -257,7 +257,7 @@ def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
 
 
 def _torn(image: ImageRecord) -> Problem | None:
-    """A problem if the file ends too soon or has wrong checksums, where its format tells without decoding."""
+    """Return a problem if the file is too short or has wrong checksums, as far as seen without decoding."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -405,7 +405,7 @@ def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detect
 
 
 def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mask]]:
-    """The rows that have a mask, and the masks in the picture as stored, from those of the padded one."""
+    """Return the rows with a mask, and the masks moved from the padded picture to the stored one."""
     from ultralytics.utils import ops
 
     height, width = picture.pixels.shape[:2]

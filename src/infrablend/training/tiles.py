@@ -57,7 +57,7 @@ class Tile:
         return np.asarray(cv2.resize(whole, (self.side_px, self.side_px), interpolation=cv2.INTER_AREA), np.uint8)
 
     def label(self, instance: Instance) -> Instance | None:
-        """The object as the tile shows it; None if less than `MIN_SHARE` of its box is inside."""
+        """Return the object as the tile shows it; None if less than `MIN_SHARE` of its box is inside."""
         assert self.image.size_wh is not None
         shift = np.array(self.origin_xy, np.float64)
         # The picture may end before the window does: labels end with the picture.
@@ -157,7 +157,7 @@ def _tiles_of(image: ImageRecord, side: int, seed: int) -> list[Tile]:
 
 
 def write_tiles(tiles: Iterable[Tile], folder: Path) -> tuple[list[ImageRecord], Counter[str]]:
-    """The tiles as PNG files, and the records that describe them.
+    """Return the tiles as PNG files, and the records that describe them.
 
     Returns:
         A record per tile, and counts: `labels` (in all tiles), `labels_cut` (partly inside), `labels_left_out` (less

@@ -105,7 +105,7 @@ class Turns:
 
 
 def with_turns(base: Any, job: Job, begun: int) -> Any:
-    """A trainer class whose training data come in `Turns`, from epoch `begun` on, where an epoch is no walk."""
+    """Return a trainer class that takes its training data in `Turns` from epoch `begun` on."""
 
     class Trainer(base):  # type: ignore[misc]
         turns: Turns | None = None

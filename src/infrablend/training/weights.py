@@ -45,7 +45,7 @@ class Start:
 
 
 def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None) -> Start:
-    """The weights to start from.
+    """Return the weights to start from.
 
     Args:
         wanted: A file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's own published weights if they
@@ -110,7 +110,7 @@ def require_ultralytics() -> None:
 
 
 def _published(name: str, folder: Path) -> Path:
-    """The file of that name from the cache, or downloaded whole into it."""
+    """Return the file of that name from the cache, or downloaded whole into it."""
     path = folder / name
     said = ""
     if path.is_file():

@@ -58,7 +58,7 @@ def draw_building(
 
 
 def building(b: Building) -> Surface:
-    """A building about its own centre, length along +X."""
+    """Return a building about its own centre, length along +X."""
     rng = np.random.Generator(np.random.PCG64(b.seed))
     p = SurfaceBuilder()
     hx, hy, z = b.length_m / 2, b.width_m / 2, b.height_m

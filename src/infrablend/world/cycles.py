@@ -52,7 +52,7 @@ def draw_cycle(draws: Draws, weather: Weather, x: float, y: float, heading: floa
 
 
 def cycle(c: Cycle) -> Surface:
-    """A bicycle or scooter standing upright, front along +X, with its rider if it has one."""
+    """Return a bicycle or scooter standing upright, front along +X, with its rider if it has one."""
     p = SurfaceBuilder()
     scooter = c.kind == "scooter"
     radius, base = (0.24, 0.62) if scooter else (0.34, 0.53)

@@ -109,7 +109,7 @@ def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], p
 
 
 def _facts(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label]) -> dict[str, Any]:
-    """The camera, the place, and every object that has a class with its visibility."""
+    """Return the camera, the place, and every object that has a class with its visibility."""
     return {
         "name": frame.name,
         "split": frame.split,

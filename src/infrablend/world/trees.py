@@ -98,7 +98,7 @@ def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> 
 
 
 def _bare(rng: np.random.Generator) -> Surface:
-    """A tree in winter: trunk and branches."""
+    """Return a tree in winter: trunk and branches."""
     p = SurfaceBuilder()
 
     def grow(start: FloatArray, direction: FloatArray, length: float, radius: float, level: int) -> None:
@@ -128,7 +128,7 @@ def _bare(rng: np.random.Generator) -> Surface:
 
 
 def _icosahedron() -> Solid:
-    """A ball of 20 triangles, radius 1."""
+    """Return a ball of 20 triangles, radius 1."""
     g = (1 + 5**0.5) / 2
     v = [
         (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g),

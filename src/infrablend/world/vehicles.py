@@ -85,7 +85,7 @@ def draw_vehicle(draws: Draws, weather: Weather, kind: VehicleKind, at: Position
 
 
 def vehicle(v: Vehicle) -> Surface:
-    """A vehicle standing on the ground, nose along +X."""
+    """Return a vehicle standing on the ground, nose along +X."""
     p = SurfaceBuilder()
     if v.kind in ("bus", "truck"):
         _large_vehicle(p, v)
@@ -160,7 +160,7 @@ def _car(p: SurfaceBuilder, v: Vehicle) -> None:
 
 
 def _warm_flanks(kelvin: FloatArray, solid: Solid, v: Vehicle) -> None:
-    """What faces sideways sees the ground as much as the sky, and stays nearer to the ground's temperature."""
+    """Return the temperature of a side, which faces ground and sky alike and stays near the ground's."""
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     upward = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
