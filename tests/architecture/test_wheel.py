@@ -84,13 +84,9 @@ def test_the_installed_command_works(installed: Path, tmp_path: Path) -> None:
     assert "hit-uav-drone" in run(command, "recipes", "list", cwd=tmp_path)
 
 
-def test_the_installed_package_renders_pages_and_is_typed(installed: Path, tmp_path: Path) -> None:
+def test_the_installed_package_finds_its_templates(installed: Path, tmp_path: Path) -> None:
     code = "from infrablend.report.page import _environment as e; print(e().get_template('evaluation.html.jinja').name)"
     assert run(installed / "bin" / "python", "-c", code, cwd=tmp_path).strip() == "evaluation.html.jinja"
-    (tmp_path / "use.py").write_text("from infrablend.api import read_dataset\nreveal_type(read_dataset)\n")
-    mypy = (sys.executable, "-m", "mypy", "--python-executable", installed / "bin" / "python")
-    shown = run(*mypy, "--follow-imports=silent", "--cache-dir", tmp_path / "cache", "use.py", cwd=tmp_path)
-    assert "Dataset" in shown  # without py.typed the type would be Any, and mypy would fail
 
 
 def test_the_metadata_of_the_wheel_are_complete(wheel: Path) -> None:
