@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 from children import Stopwatch
-from infrablend.pipeline.finish import write_formats
 from numpy.typing import NDArray
 from scenes import Work
 
@@ -29,6 +28,7 @@ from infrablend.formats.images import encode_image, load_background, output_suff
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.frame_settings import percentile_settings
+from infrablend.pipeline.label_files import write_formats
 from infrablend.pipeline.plan import RunPlan
 from infrablend.sampling.scene import sample_scene
 

@@ -91,3 +91,27 @@ def test_no_source_outside_the_blender_package_names_blender_in_an_import(module
             if any(name.partition(".")[0] == module for name in names):
                 offenders.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert offenders == []
+
+
+def test_programs_beside_the_package_import_names_that_exist() -> None:
+    import ast
+    import importlib
+
+    missing = []
+    programs = [p for folder in ("bench", "scripts", "examples") for p in sorted((ROOT / folder).rglob("*.py"))]
+    assert programs
+    for path in programs:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            # Blender's part is imported by the tests in tests/blender alone.
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("infrablend"):
+                continue
+            if "blender" in (node.module or "").split("."):
+                continue
+            for name in node.names:
+                try:
+                    module = importlib.import_module(node.module or "")
+                    if not hasattr(module, name.name):
+                        importlib.import_module(f"{node.module}.{name.name}")
+                except ImportError as error:
+                    missing.append(f"{path.relative_to(ROOT)}:{node.lineno}: {error}")
+    assert missing == []
