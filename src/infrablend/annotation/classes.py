@@ -1,4 +1,4 @@
-"""Other names for the classes of a dataset, and datasets without some of them."""
+"""Renaming and dropping of the classes of a dataset."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from infrablend.errors import Problem
 
 
 def unknown_classes(dataset: Dataset, names: Collection[str]) -> list[str]:
-    """Those of `names` that are no class of the dataset, sorted."""
+    """Return the names that are not classes of the dataset, sorted."""
     return sorted(set(names) - {c.name for c in dataset.categories})
 
 
 def rename_classes(dataset: Dataset, names: Mapping[str, str]) -> Dataset:
-    """Return the dataset with classes renamed, all at once; several may become one.
+    """Return the dataset with classes renamed simultaneously, so that two classes can swap names.
 
-    A class that becomes the same as one that keeps its name joins it and takes its id; else the renamed class keeps
-    the id of the first that becomes it, and is one to ignore if all that became it were.
+    Classes renamed to the same name are merged. If a class that keeps its name is among them, its id and its `ignore`
+    are kept. Otherwise the merged class has the id of the first one, and is ignored only if all of them are.
 
     Raises:
-        ValueError: `names` has a class that the dataset has not.
+        ValueError: `names` contains a class that is not in the dataset.
     """
     if unknown := unknown_classes(dataset, names):
         raise ValueError(f"no such class: {', '.join(unknown)}")
@@ -70,10 +70,10 @@ def ignored_turned_objects(dataset: Dataset, names: Mapping[str, str]) -> list[P
 
 
 def drop_classes(dataset: Dataset, names: Collection[str]) -> Dataset:
-    """Return the dataset without some classes and their objects; ids of the others stay.
+    """Return the dataset without some classes and their objects; the ids of the other classes do not change.
 
     Raises:
-        ValueError: `names` has a class that the dataset has not.
+        ValueError: `names` contains a class that is not in the dataset.
     """
     if unknown := unknown_classes(dataset, names):
         raise ValueError(f"no such class: {', '.join(unknown)}")

@@ -1,14 +1,14 @@
-"""InfraredEffect: the node group that makes a surface look as a thermal camera would show it.
+"""Materials of inserted objects, and InfraredEffect: the node group of the artistic thermal look.
 
-The paper builds it by hand for each object from Emission, Color Ramp and Fresnel nodes. Here one group does it for
-all parts, driven by two numbers that mean something: the part's temperature and its emissivity.
+The paper builds the effect by hand for each object from Emission, Color Ramp and Fresnel nodes. Here one group serves
+all parts and is driven by two physical quantities, the temperature and the emissivity of the part.
 
-    level(T)   = ColorRamp( (T - Cold) / (Hot - Cold) )                         0 = black, 1 = white
-    eps(theta) = Emissivity * (1 - Fresnel(IOR, theta))          looked at straight on it shines fully ...
-    emission   = eps * level(Temperature) + (1 - eps) * level(Surroundings)   ... at grazing angles it mirrors
+    level(T)   = ColorRamp( (T - Cold) / (Hot - Cold) )                       0 = black, 1 = white
+    eps(theta) = Emissivity * (1 - Fresnel(IOR, theta))                       largest at normal incidence
+    emission   = eps * level(Temperature) + (1 - eps) * level(Surroundings)   reflection dominates at grazing angles
 
-The rim therefore takes the grey of what it reflects, as real paint and plastic do, and does not turn black.
-An IOR of 1 switches the angle dependence off (fur, cloth, grass: rough surfaces show no Fresnel rim).
+The rim therefore takes the grey level of its surroundings, as with real paint and plastic, and does not turn black.
+An IOR of 1 removes the dependence on the angle: rough surfaces such as fur, cloth and grass have no Fresnel rim.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from infrablend.blender.physical import SKY, add_inputs, emission_alone, physica
 from infrablend.core.files import replace_atomically
 
 GROUP_NAME = "InfraredEffect"
-# name, default, minimum, maximum, description; the order is the order of the sockets.
+# Name, default, minimum, maximum and description, in the order of the sockets.
 SOCKETS = (
     ("Temperature", 25.0, -100.0, 1000.0, "Surface temperature, degrees Celsius"),
-    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity looked at straight on"),
+    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity at normal incidence"),
     (
         "Surroundings",
         0.0,
         -100.0,
         1000.0,
-        "Apparent temperature of what the surface mirrors, degrees Celsius",
+        "Apparent temperature of the surroundings that the surface mirrors, degrees Celsius",
     ),
     ("IOR", 1.5, 1.0, 5.0, "Refractive index of the surface; 1 for rough surfaces such as fur and cloth"),
     ("Cold", 5.0, -100.0, 1000.0, "Temperature shown black, degrees Celsius"),
@@ -40,7 +40,7 @@ SOCKETS = (
 
 
 def infrared_effect_group() -> bpy.types.ShaderNodeTree:
-    """Return the InfraredEffect group of this file; built on first use."""
+    """Return the InfraredEffect node group, built on first use."""
     group = bpy.data.node_groups.get(GROUP_NAME)
     if group is not None:
         return group
@@ -102,12 +102,17 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
 
 
 def object_material(slot: int, look: str = "artistic", *, translucent: bool = False) -> bpy.types.Material:
-    """Material of the k-th object of a scene: the look's node group fed from the mesh's attributes.
+    """Return the material of the k-th object of a scene, in which mesh attributes drive the node group of the look.
 
-    Attributes (per face corner): `temperature_c`, `emissivity`, `ior`, `label`; with the physical look `roughness` and
-    `metal`; of an object with translucent parts `opacity`. Custom properties of the scene object: `cold_c`, `hot_c` and
-    `surroundings_c` for the artistic look, those of `physical.SKY` for the physical one. The AOV `coverage_<slot>` gets
-    `label`.
+    Mesh attributes (per face corner): `temperature_c`, `emissivity`, `ior` and `label`; in the physical look also
+    `roughness` and `metal`; for translucent objects also `opacity`. Custom properties of the scene object: `cold_c`,
+    `hot_c` and `surroundings_c` in the artistic look, the names in `physical.SKY` in the physical one. `label` is
+    written to the AOV `coverage_<slot>`.
+
+    Args:
+        slot: Number of the object in the scene.
+        look: `artistic` or `physical`.
+        translucent: Whether the object has translucent parts.
     """
     name = f"{look}_{slot}" + ("_translucent" if translucent else "")
     material = bpy.data.materials.get(name)
@@ -158,7 +163,7 @@ def object_material(slot: int, look: str = "artistic", *, translucent: bool = Fa
 
 
 def _mixed(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
-    """Shader that is `none` where the share is 0 and `full` where it is 1."""
+    """Return a shader that mixes `none` (share 0) and `full` (share 1)."""
     mix = tree.nodes.new("ShaderNodeMixShader")
     for socket, value in zip(mix.inputs, (share, none, full), strict=True):
         tree.links.new(value, socket)
@@ -166,12 +171,12 @@ def _mixed(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
 
 
 def aov_name(slot: int) -> str:
-    """Name of the pass that holds the coverage of the k-th object."""
+    """Return the name of the pass with the coverage of the k-th object."""
     return f"coverage_{slot}"
 
 
 def write_infrared_effect(path: Path) -> Path:
-    """Write both node groups, each with a material that shows how to use it, as a .blend to append from."""
+    """Write a .blend file to append from, with both node groups and an example material for each."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     for group, what in (
         (infrared_effect_group(), "Thermal look of a surface from its temperature and emissivity (InfraBlend)"),

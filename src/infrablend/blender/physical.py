@@ -1,13 +1,13 @@
-"""The physical look: surfaces that emit band radiance and mirror a sky and a ground.
+"""Shaders of the physical look: surfaces that emit band radiance and mirror sky and ground.
 
     leaving radiance = eps(theta) L(T) + (1 - eps(theta)) L_env(mirrored direction)
 
-Emission and mirror are added in one shader; what is mirrored is traced by Cycles, so parts also mirror each other, and
-the World shows the sky's radiance above the horizon and the ground's below. Radiance in the shader is in units of
-L(300 K), so that values are near one.
+One shader adds emission and reflection. Cycles traces the reflection, so parts also mirror each other; the World emits
+the radiance of the sky above the horizon and that of the ground below. Radiance is in units of L(300 K), which keeps
+values near one.
 
-Smooth dielectrics (IOR above 1) mirror more towards the rim; rough ones (IOR 1) scatter; metals mirror at all angles,
-as sharply as their roughness lets them.
+Smooth dielectrics (IOR above 1) reflect more towards the rim, rough ones (IOR 1) scatter, and metals reflect at all
+angles, blurred by their roughness.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from infrablend.thermal.sky import window_transmittance
 GROUP_NAME = "InfraredEffect Physical"
 REFERENCE_K = 300.0
 UNIT_W_M2_SR = float(band_radiance(REFERENCE_K))
-# ln(L(T) / L(300 K)) as a polynomial in 300/T - 1, fitted below; within 3e-4 of Planck's law from 230 to 400 K.
+# ln(L(T) / L(300 K)) is fitted by a polynomial in 300/T - 1; within 3e-4 of Planck's law from 230 to 400 K.
 _FIT_K = (230.0, 400.0)
 _FIT_DEGREE = 3
-# name, default, minimum, maximum, description; the order is the order of the sockets.
+# Name, default, minimum, maximum and description, in the order of the sockets.
 SOCKETS = (
     ("Temperature", 25.0, -80.0, 600.0, "Surface temperature, degrees Celsius"),
-    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity looked at straight on"),
+    ("Emissivity", 0.95, 0.0, 1.0, "Emissivity at normal incidence"),
     ("IOR", 1.5, 1.0, 5.0, "Refractive index of a smooth surface; 1 for rough ones (fur, cloth, soil): no rim"),
-    ("Roughness", 0.1, 0.0, 1.0, "Of the mirror image on smooth surfaces and metals"),
-    ("Metal", 0.0, 0.0, 1.0, "1: bare metal, which mirrors at all angles; its emissivity is the same everywhere"),
-    ("Texture", 0.0, 0.0, 50.0, "Largest deviation of a slow pattern from the temperature, kelvin"),
-    ("Texture Size", 0.3, 0.001, 1000.0, "Size of that pattern's patches, metres in object coordinates"),
+    ("Roughness", 0.1, 0.0, 1.0, "Roughness of the reflection on smooth surfaces and metals"),
+    ("Metal", 0.0, 0.0, 1.0, "1 for bare metal: it mirrors at all angles, its emissivity does not depend on the angle"),
+    ("Texture", 0.0, 0.0, 50.0, "Largest deviation of a smooth pattern from the temperature, kelvin"),
+    ("Texture Size", 0.3, 0.001, 1000.0, "Size of the pattern's patches, metres in object coordinates"),
 )
 
 
 def radiance_coefficients() -> tuple[float, ...]:
-    """c0, c1, ... of ln(L(T) / L(300 K)) = sum c_k (300/T - 1)^k."""
+    """Return the coefficients c_k of ln(L(T) / L(300 K)) = sum c_k (300/T - 1)^k."""
     t = np.linspace(*_FIT_K, 2000)
     powers = np.vander(REFERENCE_K / t - 1, _FIT_DEGREE + 1, increasing=True)
     fit, *_ = np.linalg.lstsq(powers, np.log(band_radiance(t) / UNIT_W_M2_SR), rcond=None)
@@ -49,7 +49,7 @@ def radiance_coefficients() -> tuple[float, ...]:
 
 
 def physical_group() -> bpy.types.ShaderNodeTree:
-    """Return the node group of this file; built on first use. Works by hand in Blender's Shader Editor too."""
+    """Return the node group of the physical look, built on first use; it can also be used in the Shader Editor."""
     group = bpy.data.node_groups.get(GROUP_NAME)
     if group is not None:
         return group
@@ -63,7 +63,7 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     celsius = _math(group, "ADD", inputs.outputs["Temperature"], deviation)
     radiance = _radiance_of(group, _math(group, "ADD", celsius, ZERO_C_K))
 
-    # A metal is taken for a surface of IOR 1 here: constant emissivity.
+    # The emissivity of metals is constant, which is expressed by an IOR of 1.
     dielectric = _math(group, "SUBTRACT", 1.0, inputs.outputs["Metal"])
     ior = _math(group, "MULTIPLY_ADD", _math(group, "SUBTRACT", inputs.outputs["IOR"], 1.0), dielectric, 1.0)
     emissivity = _emissivity_at_angle(group, inputs.outputs["Emissivity"], ior)
@@ -72,10 +72,10 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     link(_math(group, "MULTIPLY", radiance, emissivity), emission.inputs["Strength"])
     diffuse, glossy, kind = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic"), new("ShaderNodeMixShader")
-    # White, and its share mixed in: a grey one would lose light in every bounce between its own facets.
+    # White, with the share as a mix factor: a grey surface would lose light in every bounce between its own facets.
     for node in (diffuse, glossy):
         node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    glossy.distribution = "MULTI_GGX"  # the plain one loses energy at grazing angles
+    glossy.distribution = "MULTI_GGX"  # plain GGX loses energy at grazing angles
     link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
     smooth = _math(group, "GREATER_THAN", ior, 1.0001)
     link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), kind.inputs["Fac"])
@@ -92,7 +92,10 @@ def physical_group() -> bpy.types.ShaderNodeTree:
 
 
 def _emissivity_at_angle(tree: bpy.types.NodeTree, straight_on: Any, ior: Any) -> Any:
-    """eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)): flat to about 50 degrees, gone at grazing; with IOR 1 constant."""
+    """Return eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)).
+
+    Nearly constant up to about 50 degrees, 0 at grazing angles; with IOR 1 constant at all angles.
+    """
     fresnel = tree.nodes.new("ShaderNodeFresnel")
     tree.links.new(ior, fresnel.inputs["IOR"])
     less, more = (_math(tree, op, ior, 1.0) for op in ("SUBTRACT", "ADD"))
@@ -105,7 +108,7 @@ def _emissivity_at_angle(tree: bpy.types.NodeTree, straight_on: Any, ior: Any) -
 
 
 def _pattern(tree: bpy.types.NodeTree, size_m: Any) -> Any:
-    """Smooth noise in [-1, 1] in object coordinates."""
+    """Return smooth noise in [-1, 1] in object coordinates."""
     where, noise = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
     noise.normalize = True
     noise.inputs["Detail"].default_value = 0.0
@@ -115,17 +118,17 @@ def _pattern(tree: bpy.types.NodeTree, size_m: Any) -> Any:
 
 
 def emission_alone(tree: bpy.types.NodeTree, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, Any]) -> Any:
-    """Shader of a translucent surface: all it shows as emission, its mirror image of the bare sky and ground included.
+    """Return the shader of a translucent surface, which emits its own radiance and the reflection of sky and ground.
 
-    Beside a Transparent node a shader that scatters is sampled at random, and alpha and coverage become noisy; an
-    emission adds exactly its share. Neighbouring parts are not mirrored.
+    A scattering shader mixed with a Transparent node is sampled at random, which makes alpha and coverage noisy; an
+    emission is exact. Reflections of other parts are missing.
 
     Args:
         tree: Node tree of the material.
-        celsius: Temperature of the surface.
-        emissivity: Emissivity of the surface.
-        ior: Refractive index of the surface.
-        sky: Socket per name of `sky_values`.
+        celsius: Socket of the temperature, degrees Celsius.
+        emissivity: Socket of the emissivity at normal incidence.
+        ior: Socket of the refractive index.
+        sky: Socket for each name of `sky_values`.
     """
     geometry, dot = tree.nodes.new("ShaderNodeNewGeometry"), tree.nodes.new("ShaderNodeVectorMath")
     dot.operation = "DOT_PRODUCT"
@@ -148,7 +151,7 @@ def emission_alone(tree: bpy.types.NodeTree, celsius: Any, emissivity: Any, ior:
 
 
 def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, float, float, float, str]]) -> None:
-    """Give a node group number inputs: name, default, least, largest, description."""
+    """Add float inputs to a node group, each given by name, default, minimum, maximum and description."""
     for name, default, low, high, description in sockets:
         socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.default_value, socket.min_value, socket.max_value = default, low, high
@@ -159,7 +162,7 @@ SKY = ("clear_at_zenith", "air", "cloud", "cover", "ground")
 
 
 def sky_values(weather: Weather) -> dict[str, float]:
-    """Return what the sky's nodes need of the weather, by the names in `SKY`; radiances in units of L(300 K)."""
+    """Return the values of the sky's nodes for this weather, by the names in `SKY`; radiances in units of L(300 K)."""
     air, cloud, ground = (
         float(band_radiance(k)) / UNIT_W_M2_SR for k in (weather.air_k, weather.cloud_base_k, weather.ground_k)
     )
@@ -168,7 +171,7 @@ def sky_values(weather: Weather) -> dict[str, float]:
 
 
 def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
-    """Make the World the sky above the horizon and the ground below it, for this weather."""
+    """Set the World to the sky above the horizon and the ground below it, in this weather."""
     world = bpy.data.worlds.get("thermal_sky") or _build_world()
     scene.world = world
     for name, value in sky_values(weather).items():
@@ -178,7 +181,7 @@ def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
 def _build_world() -> bpy.types.World:
     world = bpy.data.worlds.new("thermal_sky")
     world.use_nodes = True
-    # Mirrors alone see the World; sampling it as a light would cost a table per render and change nothing.
+    # Only reflections see the World. Sampling it as a light would cost a table per render without any effect.
     world.cycles.sampling_method = "NONE"
     tree = world.node_tree
     tree.nodes.clear()
@@ -200,7 +203,7 @@ def _build_world() -> bpy.types.World:
 
 
 def _sky(tree: bpy.types.NodeTree, up: Any, values: Mapping[str, Any]) -> Any:
-    """Radiance that comes from a direction with this upward component; `values` holds a socket for each of `SKY`."""
+    """Return the radiance from a direction with this upward component; `values` holds a socket for each of `SKY`."""
     clear, air, cloud, cover, ground = (values[name] for name in SKY)
     cos = _math(tree, "MAXIMUM", up, float(np.cos(np.radians(89.0))))
     through = _math(tree, "POWER", clear, _math(tree, "DIVIDE", 1.0, cos))
@@ -211,7 +214,7 @@ def _sky(tree: bpy.types.NodeTree, up: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _radiance_of(tree: bpy.types.NodeTree, kelvin: Any) -> Any:
-    """L(T) in units of L(300 K), by Horner's rule on `radiance_coefficients`."""
+    """Return L(T) in units of L(300 K), from `radiance_coefficients` by Horner's rule."""
     x = _math(tree, "SUBTRACT", _math(tree, "DIVIDE", REFERENCE_K, kelvin), 1.0)
     *lower, highest = radiance_coefficients()
     sum_ = _math(tree, "MULTIPLY_ADD", x, highest, lower.pop())
@@ -221,7 +224,7 @@ def _radiance_of(tree: bpy.types.NodeTree, kelvin: Any) -> Any:
 
 
 def _math(tree: bpy.types.NodeTree, operation: str, *values: Any) -> Any:
-    """Output of a new Math node; each value is a number or a socket."""
+    """Add a Math node and return its output; each value is a number or a socket."""
     node = tree.nodes.new("ShaderNodeMath")
     node.operation = operation
     for i, v in enumerate(values):

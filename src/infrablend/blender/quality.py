@@ -1,4 +1,4 @@
-"""How many samples a pixel gets. No Blender needed to read this."""
+"""Sampling settings of Cycles. This module does not import Blender."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Sampling:
-    """How Cycles samples a pixel.
+    """Sampling settings of Cycles.
 
     Attributes:
-        samples: Per pixel; with a threshold, at most.
-        adaptive_threshold: Noise at which a pixel is left alone; 0 switches adaptive sampling off.
-        adaptive_min_samples: Before the first look at the noise; Cycles looks at every 16th sample only.
-        pattern: Cycles' name of the sample sequence; AUTOMATIC is Blender's own choice.
+        samples: Samples per pixel; the maximum if sampling is adaptive.
+        adaptive_threshold: Noise level at which sampling of a pixel stops; 0 switches adaptive sampling off.
+        adaptive_min_samples: Samples before the first noise check; Cycles checks at every 16th sample only.
+        pattern: Sample sequence as Cycles names it; AUTOMATIC is Blender's own choice.
     """
 
     samples: int
@@ -22,11 +22,11 @@ class Sampling:
     pattern: str = "AUTOMATIC"
 
 
-# `quality: matched`. The inside of a body is smooth and done after 16 samples, its outline is not. `make bench` holds
-# this against 2,048 samples; docs/explanation/quality.md lists what was tried.
+# `quality: matched`. The inside of a body is smooth and needs 16 samples, its outline needs more. `make bench` compares
+# this setting with 2,048 samples; docs/explanation/quality.md lists the alternatives.
 MATCHED = Sampling(128, 0.006, 8, "TABULATED_SOBOL")
 
 
 def sampling_for(samples: int) -> Sampling:
-    """Return the sampling of a scene: a fixed number, or for 0 the fewest within the error bars."""
+    """Return the sampling for a fixed number of samples; 0 selects `MATCHED`."""
     return Sampling(samples) if samples else MATCHED

@@ -1,7 +1,7 @@
-"""One Blender process: an empty scene with every setting that touches pixels pinned.
+"""Setup of the Blender process: an empty scene in which every setting that affects pixels has a fixed value.
 
-`bpy` has one global scene per process; this module owns it. What Blender does by default to pictures (tone
-mapping, dither, denoising, sample clamping, soft pixel filter) would falsify thermal data, so all of it is off.
+`bpy` has one global scene per process, which this module owns. Blender's default picture processing (tone mapping,
+dither, denoising, sample clamping, soft pixel filter) would falsify thermal data and is switched off.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from infrablend.errors import MissingDependencyError
 log = logging.getLogger(__name__)
 
 Device = Literal["auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"]
-# In the order in which `auto` tries them.
+# `auto` tries them in this order.
 GPU_BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
-# glibc's names (malloc.h); an eighth of this cost 5 % more time and kept 4 MB less.
+# Parameter numbers from glibc's malloc.h. An eighth of this block size took 5 % more time and saved 4 MB.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _LARGE_BLOCK_BYTES = 2**20
 
 
 def reset() -> bpy.types.Scene:
-    """Empty the process's scene, drop user preferences, pin all settings that touch pixels."""
+    """Empty the scene, discard user preferences and pin all settings that affect pixels."""
     # Factory settings also guarantee that scripts in .blend files stay off (use_scripts_auto_execute).
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
@@ -35,10 +35,10 @@ def reset() -> bpy.types.Scene:
 
 
 def return_large_blocks() -> None:
-    """Have the C library give every large block back to the system once it is freed; for the whole process.
+    """Make the C library return every large block to the system when it is freed; applies to the whole process.
 
-    By default it starts to keep them in its heap, where small blocks that live on soon lie between them: nothing is
-    lost, yet the process grows by some 3 MB per 100 frames (measured). Does nothing where there is no glibc.
+    By default glibc keeps them in its heap, which fragments: the process grew by some 3 MB per 100 frames. Does nothing
+    without glibc.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -49,7 +49,7 @@ def return_large_blocks() -> None:
 
 
 def pin_settings(scene: bpy.types.Scene) -> None:
-    """Set everything that touches pixel values: linear float out, no tone mapping, no filter beyond the pixel."""
+    """Pin all settings that affect pixels: linear float output, no tone mapping, no filter wider than a pixel."""
     scene.render.engine = "CYCLES"
     r, c = scene.render, scene.cycles
     r.film_transparent = True
@@ -64,15 +64,15 @@ def pin_settings(scene: bpy.types.Scene) -> None:
     c.use_denoising = False
     c.use_adaptive_sampling = False
     c.sample_clamp_direct = c.sample_clamp_indirect = 0.0
-    # A box of one pixel is the detector's own footprint: alpha is then the covered share of the pixel, which is
-    # what labels are made of. The optics' blur is a later step, in compositing.
+    # A box of one pixel is the footprint of a detector element, so alpha is the covered share of the pixel, which
+    # labels are derived from. Compositing adds the blur of the optics.
     c.pixel_filter_type = "BOX"
     c.filter_width = 1.0
     c.max_bounces = 0
     c.diffuse_bounces = c.glossy_bounces = c.transmission_bounces = c.volume_bounces = 0
-    # Behind propeller discs of several drones in a row there is still something to be seen ...
+    # Rays must pass the translucent propeller discs of several drones in a row.
     c.transparent_max_bounces = 64
-    # ... and counted: an AOV is written on every surface up to the first one of this alpha.
+    # An AOV is written on every surface up to the first one with this alpha.
     scene.view_layers[0].pass_alpha_threshold = 1.0
     c.caustics_reflective = c.caustics_refractive = False
     c.use_auto_tile = False
@@ -87,15 +87,15 @@ def pin_settings(scene: bpy.types.Scene) -> None:
 
 
 def use_device(scene: bpy.types.Scene, device: Device, threads: int = 0) -> str:
-    """Choose where Cycles computes; returns the device used, e.g. `cpu` or `cuda`.
+    """Set the device that Cycles renders on and return its name, e.g. `cpu` or `cuda`.
 
     Args:
-        scene: The scene to set.
-        device: `auto` takes a GPU if there is one, else the CPU.
-        threads: CPU threads per render; 0 leaves it to Blender.
+        scene: Scene to change.
+        device: Device to use; `auto` takes a GPU if there is one, else the CPU.
+        threads: CPU threads per render; 0 lets Blender decide.
 
     Raises:
-        MissingDependencyError: If a GPU backend is asked for and has no device here.
+        MissingDependencyError: No device of the requested GPU backend was found.
     """
     if threads:
         scene.render.threads_mode = "FIXED"
@@ -119,18 +119,18 @@ def use_device(scene: bpy.types.Scene, device: Device, threads: int = 0) -> str:
     names = sorted(k.lower() for k, v in found.items() if v)
     raise MissingDependencyError(
         f"--device {device}: Blender finds no such device here; found {', '.join(names) or 'no GPU at all'}. "
-        "Use --device cpu or --device auto, or install the GPU's driver."
+        "Use --device cpu or --device auto, or install the driver of the GPU."
     )
 
 
 def gpu_devices() -> dict[str, list[str]]:
-    """Names of the GPUs Cycles finds, by backend (`OPTIX`, `CUDA`, ...); empty lists where there are none."""
+    """Return the names of the GPUs that Cycles finds, by backend (`OPTIX`, `CUDA`, ...)."""
     preferences = _cycles_preferences()
     found: dict[str, list[str]] = {}
     for backend in GPU_BACKENDS:
         try:
             devices = preferences.get_devices_for_type(backend)
-        except (ValueError, TypeError):  # this build knows no such backend
+        except (ValueError, TypeError):  # not supported by this build
             continue
         found[backend] = [d.name for d in devices if d.type == backend]
     return found

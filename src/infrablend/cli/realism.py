@@ -1,4 +1,4 @@
-"""`infrablend realism`: how well inserted objects can be told from real ones."""
+"""`infrablend realism`: compare inserted objects with real ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class TimeOfDay(StrEnum):
-    """Which images."""
+    """Time of day of the images to compare."""
 
     NIGHT = "night"
     DAY = "day"
@@ -25,21 +25,21 @@ class TimeOfDay(StrEnum):
 def realism(
     ctx: typer.Context,
     run: RunArgument,
-    against: Annotated[Path, typer.Option(metavar="DATASET", help="The dataset that the run was made from.")],
+    against: Annotated[Path, typer.Option(metavar="DATASET", help="Background dataset of the run.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where to write the report [default: RUN/realism].")
+        Path | None, typer.Option(metavar="DIR", help="Folder of the report [default: RUN/realism].")
     ] = None,
     classes: Annotated[
         str | None,
-        typer.Option("--class", metavar="A,B", help="Classes [default: all both inserted and annotated]."),
+        typer.Option("--class", metavar="A,B", help="Classes [default: all with inserted and real objects]."),
     ] = None,
-    time: Annotated[TimeOfDay, typer.Option(help="Only images of that time.")] = TimeOfDay.ALL,
-    pairs: Annotated[int, typer.Option(min=10, help="At most so many pairs of each class.")] = 1000,
+    time: Annotated[TimeOfDay, typer.Option(help="Time of day of the images.")] = TimeOfDay.ALL,
+    pairs: Annotated[int, typer.Option(min=10, help="Largest number of pairs per class.")] = 1000,
     workers: WorkersOption = None,
     options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare inserted objects with the real ones of their class: classifiers, controls, medians, sheets of crops."""
+    """Compare inserted objects with real ones of their class: classifiers, controls, medians, sheets of crops."""
     session: Session = ctx.obj
     session.json = as_json
     chosen = comma_list(classes, "--class")
@@ -84,6 +84,6 @@ def _lines(facts: dict[str, Any]) -> dict[str, str]:
         "  floor, boosting": show("floor_boosting"),
         "  hard paste, logistic": show("hard_paste_logistic"),
         "  chain off, logistic": show("chain_off_logistic"),
-        "  counts": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
-        "  told by": ", ".join(t["feature"] for t in facts["tells"][:5]),
+        "  valid": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
+        "  separated by": ", ".join(f["feature"] for f in facts["separating_features"][:5]),
     }

@@ -1,4 +1,4 @@
-"""A sensor profile from pictures alone: gather readings picture by picture (`Survey`), then fit the chain to them."""
+"""Fit a sensor profile to pictures: measure them one by one (`Survey`), then fit the sensor chain (`fit_profile`)."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from infrablend.config.sensor_profile import SensorProfile
 
 LAGS = (1, 2, 3, 4)
 MIN_EDGES = 30
-_KEPT_EDGES = 50_000  # of all pictures together: 13 MB, however many pictures there are
+_KEPT_EDGES = 50_000  # over all pictures; limits memory to 13 MB
 _CODEC_SAMPLE = 12
 _TRIED_QUALITIES = (100, 95, 90, 85, 80, 75, 70, 65, 60, 50, 40, 30, 20)
-# Less than this above what the file's own JPEG does is taken for no further codec.
+# Excess of blockiness over that of the file's own JPEG compression from which on a video codec is assumed.
 _BLOCKY = 0.05
 _GAINS = np.arange(0, 2.01, 0.05)
 _RADII = np.arange(1.0, 4.51, 0.25)
@@ -45,12 +45,20 @@ _NO_HALO = (0.0, 1.6)
 
 @dataclass
 class Survey:
-    """Readings of pictures of one camera.
+    """Measurements of pictures of one camera.
 
     Attributes:
-        levels: Darkest and brightest level of all pictures; clipped places are no flat places.
-        pictures: How many there will be: sets how many edges of each are kept.
+        levels: Darkest and brightest level of all pictures; clipped areas do not count as flat.
+        pictures: Expected number of pictures; limits the edges kept per picture.
         scale: Levels of the pictures per 8-bit level.
+        profiles: (n, 65) edge profiles of each picture.
+        sharpest: Sigma of the sharpest edges of each picture that has enough of them, px.
+        noise: Grain of each picture with flat blocks, levels.
+        correlations: Autocorrelation of the grain of each picture, at `LAGS`.
+        steps: (8,) `block_steps` of each picture.
+        qualities: JPEG quality of each JPEG file.
+        shifted: Some pictures without their first rows and columns, to try codecs on.
+        read: Number of pictures measured.
     """
 
     levels: tuple[float, float]
@@ -66,7 +74,13 @@ class Survey:
     read: int = 0
 
     def add(self, picture: GreyImage, free: NDArray[np.bool_] | None, jpeg_quality: int | None) -> None:
-        """Read one picture; `free` (h, w) is false on annotated objects, `jpeg_quality` that of its file."""
+        """Measure one picture.
+
+        Args:
+            picture: (h, w) grey levels.
+            free: (h, w) false on annotated objects; None if there are none.
+            jpeg_quality: Quality of the JPEG file; None for other files.
+        """
         self.read += 1
         profiles, _ = edge_profiles(picture, self.scale, free)
         sigma = profile_sigmas(profiles)
@@ -88,30 +102,30 @@ class Survey:
             self.qualities.append(jpeg_quality)
         every = max(1, self.pictures // _CODEC_SAMPLE)
         if picture.dtype == np.uint8 and min(picture.shape) >= 64 and self.read % every == 1 % every:
-            # Half a block aside: a second codec's grid then falls between the first one's.
+            # Shifted by half a block, so that the grid of a second codec falls between the lines of the first one.
             self.shifted.append(np.array(picture[4:, 4:], np.uint8))
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """(n, 65) all profiles kept."""
+        """(n, 65) profiles of all pictures."""
         kept = [p for p in self.profiles if len(p)]
         return np.concatenate(kept).astype(np.float64) if kept else np.zeros((0, len(EDGE_PX)))
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What pictures show: those of a survey, or those that a profile's chain would make.
+    """Summary of a survey, of real pictures or of the output of a sensor chain.
 
     Attributes:
-        sigmas_px: (n,) of all clean edges.
-        sigma_px: Their 20th percentile.
-        edge: (65,) median profile of edges about that sharp (10th to 30th percentile), its middle moved to 0.
-        overshoot: Of that profile on the bright and on the dark side, share of the step.
-        typical_overshoot: Median over all edges, noise included; bright and dark side.
-        noise_grey: Median deviation of flat blocks, 8-bit levels.
-        correlations: At `LAGS`.
-        blockiness: Median over pictures; None where there are none large enough.
-        steps: (8,) mean of `block_steps`, relative to their mean; None likewise.
+        sigmas_px: (n,) sigmas of all clean edges.
+        sigma_px: 20th percentile of the sigmas.
+        edge: (65,) median profile of the edges between the 10th and 30th percentile of sharpness, centred.
+        overshoot: Overshoot of that profile on the bright and on the dark side, as shares of the step.
+        typical_overshoot: Median overshoot of all edges, noise included; bright and dark side.
+        noise_grey: Median standard deviation of flat blocks, 8-bit levels; None without flat blocks.
+        correlations: Autocorrelation of the grain at `LAGS`; None without grain.
+        blockiness: Median over the pictures; None if all are too small.
+        steps: (8,) mean of `block_steps`, relative to their mean; None if all pictures are too small.
     """
 
     sigmas_px: NDArray[np.float64]
@@ -125,7 +139,7 @@ class Readings:
     steps: NDArray[np.float64] | None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures, rounded, as plain JSON values."""
+        """Return the rounded figures as plain JSON values."""
         plain: dict[str, Any] = {
             "edges": len(self.sigmas_px),
             "edge_sigma_px": _round(np.percentile(self.sigmas_px, [10, 20, 50]).tolist()),
@@ -142,7 +156,7 @@ class Readings:
 
 
 def readings(survey: Survey) -> Readings:
-    """Return the readings of all pictures of a survey.
+    """Summarise a survey.
 
     Raises:
         ValueError: Too few clean edges.
@@ -171,7 +185,14 @@ def readings(survey: Survey) -> Readings:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted profile and what it rests on: readings of the pictures, readings of its own chain, the codec's curve."""
+    """A fitted profile and the measurements behind it.
+
+    Attributes:
+        profile: The fitted profile.
+        found: Readings of the pictures.
+        chain: Readings of the fitted chain's own output.
+        codec: (JPEG quality, blockiness) pairs, see `codec_curve`.
+    """
 
     profile: SensorProfile
     found: Readings
@@ -180,9 +201,9 @@ class Fit:
 
 
 def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
-    """Return the chain whose pictures give the survey's readings.
+    """Fit the sensor chain whose output has the same readings as the survey.
 
-    Sharpening is fitted to the side of the edge that overshoots less: small warm things lift the other one.
+    Sharpening is fitted to the side of the edge that overshoots less, because small warm objects raise the other side.
 
     Raises:
         ValueError: Too few clean edges.
@@ -212,17 +233,17 @@ def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
         levels=survey.levels if survey.scale == 1.0 else None,
         measured={"pictures": survey.read, "levels": list(survey.levels), **found.to_json()},
     )
-    # The closed form knows nothing of how a wide halo shifts the sides that an edge is measured against: one step more.
+    # The closed form ignores that a wide halo shifts the levels that an edge is measured against. Correct once for it.
     off = chain_readings(profile).sigma_px - found.sigma_px
     profile = profile.model_copy(update={"psf_sigma_px": round(min(max(psf - off, 0.3), 6.0), 3)})
     return Fit(profile, found, chain_readings(profile), curve)
 
 
 def chain_readings(profile: SensorProfile) -> Readings:
-    """Return the readings of a profile's chain for ideal steps of 80 levels and a flat place.
+    """Return the readings of a profile's chain applied to ideal steps of 80 levels and to flat pictures.
 
-    The steps have one sharpness, so that their median stands for the 20th percentile of a scene's. Blockiness depends
-    on what is shown and is not read of these.
+    All steps have the same sharpness, so their median takes the place of a scene's 20th percentile. Blockiness depends
+    on the scene and is not measured here.
     """
     size, fine = 512, 4
     y, x = (np.mgrid[: size * fine, : size * fine].astype(np.float32) + np.float32(0.5)) / fine
@@ -240,7 +261,7 @@ def chain_readings(profile: SensorProfile) -> Readings:
         codec_quality=profile.codec_quality,
     )
     survey = Survey((0.0, 255.0), 1)
-    # Five blocks in each flat picture: as many as are read, so that none is chosen for being flat by chance.
+    # Each flat picture has exactly the five blocks that are measured, so that no selection biases the grain.
     flat = [np.full((32, 160), 120.0, np.float32)] * 16
     for seed, picture in enumerate([(80 + 80 * stripes).astype(np.float32), *flat]):
         layer = Layer((0, 0), picture, np.ones(picture.shape, np.float32))
@@ -262,7 +283,7 @@ def chain_readings(profile: SensorProfile) -> Readings:
 
 
 def _centred(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Profiles moved so that each crosses 50 % at 0: edges are found to a whole pixel only."""
+    """Return profiles shifted so that each crosses 50 % at 0; Canny locates edges to whole pixels only."""
     middle = len(EDGE_PX) // 2
     moved = np.empty_like(profiles)
     for row, profile in enumerate(profiles):
@@ -277,7 +298,7 @@ def _centred(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def edge_model(sigma_px: float, gain: float, radius_px: float) -> NDArray[np.float64]:
-    """(65,) profile of a sharpened Gaussian edge as `edge_profiles` reads it."""
+    """Return the (65,) profile that `edge_profiles` measures on a sharpened Gaussian edge."""
     narrow = math.hypot(sigma_px, PROFILE_SIGMA_PX) * math.sqrt(2)
     wide = math.hypot(narrow, radius_px * math.sqrt(2))
     edge = np.array([0.5 + 0.5 * ((1 + gain) * math.erf(t / narrow) - gain * math.erf(t / wide)) for t in EDGE_PX])
@@ -286,7 +307,7 @@ def edge_model(sigma_px: float, gain: float, radius_px: float) -> NDArray[np.flo
 
 
 def _fit_halo(found: Readings) -> tuple[float, float]:
-    """Gain and radius of the sharpening that give the edge its width and the overshoot of its calmer side."""
+    """Return gain and radius of the sharpening that fit the edge's width and its smaller overshoot."""
     bright, dark = found.overshoot
     edge = found.edge if dark <= bright else 1 - found.edge[::-1]
     side = (EDGE_PX > -PLATEAU_PX) & (EDGE_PX <= 0)
@@ -308,9 +329,9 @@ def _fit_halo(found: Readings) -> tuple[float, float]:
 
 
 def codec_curve(survey: Survey) -> tuple[tuple[int, float], ...]:
-    """(JPEG quality, blockiness) of the survey's pictures at each quality tried, 100 standing for none.
+    """Return (JPEG quality, blockiness) pairs of the survey's pictures compressed again; 100 means no compression.
 
-    They are moved by half a block first, so that what they have been through does not count twice.
+    The pictures are shifted by half a block first, so that their earlier compression does not count.
     """
 
     def blocky(quality: int) -> float:
@@ -321,10 +342,10 @@ def codec_curve(survey: Survey) -> tuple[tuple[int, float], ...]:
 
 
 def _fit_codec(survey: Survey, found: Readings, curve: Sequence[tuple[int, float]]) -> int | None:
-    """JPEG quality that makes such pictures as blocky as they are; None if their file's own JPEG explains it."""
+    """Return the JPEG quality that reproduces the blockiness; None if the compression of the files explains it."""
     if found.blockiness is None or not curve:
         return None
-    # Coarser quantisation only adds blocks.
+    # Coarser quantisation never reduces blockiness.
     qualities, blocky = [q for q, _ in curve], np.maximum.accumulate([b for _, b in curve])
     of_file = statistics.median(survey.qualities) if survey.qualities else 100
     explained = float(np.interp(-of_file, [-q for q in qualities], blocky))

@@ -1,6 +1,6 @@
-"""What can be measured of a camera in its pictures: how sharp their edges are, how they overshoot, the grain.
+"""Measurements of a camera in its pictures: sharpness and overshoot of edges, grain and codec blocks.
 
-Everything is scale-free in polarity, so black-hot pictures need nothing of their own.
+None of them depends on polarity, so black-hot pictures need no special treatment.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
 
-# Profiles are read by bilinear interpolation and averaged over three, which widens them by this sigma, px.
+# Blur that `edge_profiles` adds itself (bilinear interpolation, mean of three lines), as a sigma, px.
 PROFILE_SIGMA_PX = 0.43
-# Width of a Gaussian edge from 10 to 90 %, in sigmas.
+# Distance from 10 to 90 % of a Gaussian edge, in sigmas.
 WIDTH_PER_SIGMA = 2.563
-# Where profiles are sampled across an edge, and from where on its sides count as flat, px.
+# Positions of the samples across an edge, and distance from the edge at which its sides count as flat, px.
 EDGE_PX = np.arange(-8, 8.001, 0.25)
 PLATEAU_PX = 5.0
-CODEC_BLOCK = 8  # side of a block of JPEG and of most video codecs, px
-_BLOCK = 32  # side of a block for the grain, px
+CODEC_BLOCK = 8  # side of the blocks of JPEG and of most video codecs, px
+_BLOCK = 32  # side of the blocks that grain is measured in, px
 _FLATTEST = 5
 _MAX_EDGES = 3000
 
 
 def sharpened_sigma(sigma_px: float, gain: float, radius_px: float) -> float:
-    """Sigma that `profile_sigmas` reads of a Gaussian edge after detail enhancement.
+    """Return the sigma that `profile_sigmas` measures on a Gaussian edge after detail enhancement.
 
-    The reading's own blur comes after the enhancement, so that taking it off again in quadrature leaves less than the
-    edge has: 0.58 px of 0.63 for a sigma of 0.9 px with HIT-UAV's.
+    The measurement adds its own blur after the enhancement and subtracts it in quadrature, which removes too much. With
+    HIT-UAV's enhancement an edge of sigma 0.9 px has 0.63 px afterwards and is measured as 0.58 px.
     """
     if gain <= 0:
         return sigma_px
     sharp = math.hypot(sigma_px, PROFILE_SIGMA_PX) * math.sqrt(2)
     wide = math.hypot(sharp, radius_px * math.sqrt(2))
     low, high = 0.0, 5 * wide
-    # Beyond its crossing of 90 % the edge overshoots and comes back to 100 %: one crossing, so halving finds it.
+    # The edge crosses 90 % only once (it overshoots and then falls back to 100 %), so bisection finds the crossing.
     for _ in range(40):
         x = (low + high) / 2
         if 0.5 + 0.5 * ((1 + gain) * math.erf(x / sharp) - gain * math.erf(x / wide)) < 0.9:
@@ -49,7 +49,10 @@ def sharpened_sigma(sigma_px: float, gain: float, radius_px: float) -> float:
 
 
 def unsharpened_sigma(seen_px: float, gain: float, radius_px: float) -> float:
-    """Return the sigma that detail enhancement turns into `seen_px`; the inverse of `sharpened_sigma`."""
+    """Return the sigma before detail enhancement of an edge measured as `seen_px` after it.
+
+    The inverse of `sharpened_sigma`.
+    """
     if gain <= 0:
         return seen_px
     low, high = 0.05, 6.0
@@ -65,14 +68,18 @@ def unsharpened_sigma(seen_px: float, gain: float, radius_px: float) -> float:
 def edge_profiles(
     picture: GreyImage, scale: float = 1.0, free: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Profiles across a picture's clean steps.
+    """Return the profiles across the clean edges of a picture, and their heights.
 
-    Canny finds the edges on a slightly blurred copy; across each, over 8 px either way, three parallel lines are
-    averaged. Kept are steps of more than 35 eight-bit levels between two flat sides; where `free` (h, w) is given only
-    those in it.
+    Canny detects the edges on a slightly blurred copy. A profile is the mean of three parallel lines that reach 8 px to
+    both sides. Clean edges are steps of more than 35 eight-bit levels between two flat sides.
+
+    Args:
+        picture: (h, w) grey levels.
+        scale: Levels of the picture per 8-bit level.
+        free: (h, w) pixels where edges may be; everywhere by default.
 
     Returns:
-        (n, 65) profiles, 0 on the dark and 1 on the bright side, a sample each quarter pixel; (n,) steps in levels.
+        (n, 65) profiles, 0 on the dark and 1 on the bright side, four samples per pixel; (n,) heights in levels.
     """
     grey = picture.astype(np.float32) / np.float32(scale)
     if picture.dtype != np.uint8:
@@ -108,10 +115,10 @@ def edge_profiles(
 
 
 def edge_sigma(picture: GreyImage, scale: float = 1.0, percentile: float = 20.0) -> tuple[float | None, int]:
-    """Sigma of a picture's sharpest edges, px: the 20th percentile, as most edges of a scene are soft by themselves.
+    """Return the sigma of a picture's sharpest edges, px, and the number of clean edges.
 
-    Returns:
-        Sigma with the reading's own width taken off, None if there is no clean edge; number of edges.
+    The sigma is a low percentile, because most edges of a scene are soft before any optics. The blur of the measurement
+    is subtracted. Without a clean edge the sigma is None.
     """
     sigma = profile_sigmas(edge_profiles(picture, scale)[0])
     sigma = sigma[~np.isnan(sigma)]
@@ -119,10 +126,9 @@ def edge_sigma(picture: GreyImage, scale: float = 1.0, percentile: float = 20.0)
 
 
 def profile_sigmas(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) sigma of each of (n, 65) profiles; NaN where an edge has none.
+    """Return the (n,) sigmas of (n, 65) profiles; NaN for a profile that does not cross 10 and 90 %.
 
-    It follows from the distance between the crossings of 10 and 90 % nearest to the middle, less the reading's own
-    width.
+    Measured between the two crossings nearest to the middle; the blur of the measurement is subtracted.
     """
     rows, middle, at = np.arange(len(profiles)), len(EDGE_PX) // 2, np.arange(len(EDGE_PX))
     centre = middle - 8 + np.argmin(np.abs(profiles[:, middle - 8 : middle + 9] - 0.5), axis=1)[:, None]
@@ -141,9 +147,10 @@ def profile_sigmas(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def overshoots(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2) how far profiles rise above the bright side and fall below the dark side near the edge, share of the step.
+    """Return the (n, 2) overshoots of profiles on the bright and on the dark side, as shares of the step.
 
-    The highest and the lowest sample, so noise alone gives some; the mean of many profiles has less of that.
+    These are extreme samples near the edge, so noise alone yields a small overshoot; averaging profiles
+    first reduces it.
     """
     near = np.abs(EDGE_PX) < PLATEAU_PX
     return np.stack([profiles[:, near].max(axis=1) - 1, -profiles[:, near].min(axis=1)], axis=1)
@@ -152,11 +159,11 @@ def overshoots(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
 def flat_noise(
     picture: GreyImage, levels: tuple[float, float], scale: float = 1.0
 ) -> tuple[float | None, float | None, int]:
-    """Grain of a picture from its flattest places, see `flat_blocks`.
+    """Measure the grain of a picture in its flattest blocks, see `flat_blocks`.
 
     Returns:
-        Their median deviation in levels, their median correlation of neighbours, how many they are; None without
-        any block, and for the correlation without any grain.
+        Median standard deviation in levels, None without any block; median correlation between neighbouring pixels,
+        None without any grain; number of blocks.
     """
     blocks = flat_blocks(picture, levels, scale)
     if not len(blocks):
@@ -171,9 +178,9 @@ def flat_blocks(
     scale: float = 1.0,
     free: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
-    """(n, 32, 32) what a picture's flattest blocks hold beside a quadratic surface; five at most.
+    """Return the (n, 32, 32) residuals of a picture's flattest blocks after fitting a quadratic surface; at most five.
 
-    Those of least deviation of all 32 px blocks away from the dark and bright limit and, where it is given, in `free`.
+    Blocks near the darkest or brightest level, and blocks not entirely inside `free` (if given), are left out.
     """
     h, w = (n // _BLOCK for n in picture.shape)
     if not h or not w:
@@ -186,7 +193,7 @@ def flat_blocks(
     if free is not None:
         order = order[_blocks(free).all(axis=1)[order]]
     found: list[int] = []
-    # Percentiles are dear: they are taken of the flattest, until enough of them are neither black nor white.
+    # Percentiles are expensive: compute them for the flattest blocks first, and stop when enough are unclipped.
     for start in range(0, len(order), 16):
         some = order[start : start + 16]
         lowest, highest = np.percentile(blocks[some], [5, 95], axis=1)
@@ -197,16 +204,16 @@ def flat_blocks(
 
 
 def _blocks(picture: NDArray[Any]) -> NDArray[Any]:
-    """(n, 1024) the whole blocks of a picture."""
+    """Return the (n, 1024) complete blocks of a picture."""
     h, w = (n // _BLOCK for n in picture.shape)
     cut = picture[: h * _BLOCK, : w * _BLOCK].reshape(h, _BLOCK, w, _BLOCK)
     return cut.swapaxes(1, 2).reshape(h * w, _BLOCK * _BLOCK)
 
 
 def grain_correlation(blocks: NDArray[np.float64], lag: int) -> float | None:
-    """Return the median correlation of (n, 32, 32) blocks with themselves `lag` px aside, both ways.
+    """Return the median autocorrelation of (n, 32, 32) blocks at a lag in pixels; None without any grain.
 
-    It is None for blocks without grain.
+    The mean of the horizontal and the vertical direction.
     """
     found = [
         0.5 * float((r[:, lag:] * r[:, :-lag]).mean() + (r[lag:] * r[:-lag]).mean()) / float(r.var())
@@ -217,9 +224,9 @@ def grain_correlation(blocks: NDArray[np.float64], lag: int) -> float | None:
 
 
 def block_steps(picture: GreyImage) -> NDArray[np.float64] | None:
-    """(8,) mean step between neighbours in levels, by where in a codec's 8 px grid the right or lower one lies.
+    """Return the (8,) mean differences between neighbouring pixels, in levels, per position in the codec's 8 px grid.
 
-    None for pictures of less than 24 px.
+    The position is that of the right or lower pixel. None for pictures smaller than 24 px.
     """
     if min(picture.shape) < 3 * CODEC_BLOCK:
         return None
@@ -233,24 +240,25 @@ def block_steps(picture: GreyImage) -> NDArray[np.float64] | None:
 
 
 def blockiness(steps: NDArray[np.float64]) -> float:
-    """How much larger `block_steps` are between two blocks than inside one; 1 for no codec.
+    """Return the ratio of `block_steps` between two blocks to those inside a block; 1 without any codec.
 
-    The middle of a block is left out: a picture moved by half a block has its old grid there.
+    The middle of the block is left out: in a picture shifted by half a block, the old grid is there.
     """
     inside = [n for n in range(1, CODEC_BLOCK) if n != CODEC_BLOCK // 2]
     return float(steps[0] / max(float(steps[inside].mean()), 1e-6))
 
 
 def grain_of(correlation: float) -> float:
-    """Blur sigma that gives white noise this correlation between neighbours: exp(-1 / (4 sigma^2))."""
+    """Return the blur sigma that gives white noise this correlation between neighbours, exp(-1 / (4 sigma^2))."""
     return math.sqrt(-1 / (4 * math.log(min(max(correlation, 0.02), 0.98))))
 
 
 def true_grain(noise: float, correlation: float, step: float) -> tuple[float, float]:
-    """Deviation and blur sigma of the grain that `flat_noise` reads as these, in pictures rounded to whole `step`s.
+    """Return standard deviation and blur sigma of the grain that `flat_noise` measures as `noise` and `correlation`.
 
-    Rounding adds white noise of step^2 / 12, which an insert gets by its own rounding; the removed surface takes six
-    of the block's low frequencies along, more of them the coarser the grain.
+    Two effects are undone. Rounding to multiples of `step` adds white noise of variance step^2 / 12, which inserts get
+    from their own rounding. Subtracting the quadratic surface removes six low-frequency components of the block, which
+    hold more of the variance the coarser the grain is.
     """
     sigma, grain = noise, grain_of(correlation)
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""Datasets in memory: images with camera metadata and labelled instances, whatever the format on disk."""
+"""Datasets in memory: images with camera metadata and labelled instances, independent of the format on disk."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ TimeOfDay = Literal["day", "night"]
 
 @dataclass(frozen=True)
 class Category:
-    """A class of objects. `id` is the source's own id; `ignore` marks regions that are no objects (DontCare)."""
+    """A class of objects.
+
+    Attributes:
+        id: Id in the source.
+        name: Name of the class.
+        supercategory: Group of classes, as in COCO; may be empty.
+        ignore: Whether the class marks regions to ignore instead of objects (DontCare).
+    """
 
     id: int
     name: str
@@ -33,17 +40,17 @@ class Instance:
     """One labelled object.
 
     Attributes:
-        category: Name of its category.
+        category: Name of the category.
         box_xyxy: (4,) float64 axis-aligned box x0, y0, x1, y1, half-open pixels.
-        corners_xy: (4, 2) float64 corners of the oriented box, clockwise on screen, or None if unknown.
-        mask: The visible pixels, or None if unknown.
-        visibility: Visible share in [0, 1], or None if unknown.
-        truncated: Cut by the frame's edge; None if unknown.
-        difficult: The source's flag; None if unknown.
-        inserted: True for objects InfraBlend put there.
-        source_id: The id the source file gives the annotation, or None.
-        extra: Further fields of the source, kept for writing back.
-        track_id: The same for one object through a sequence; None if unknown.
+        corners_xy: (4, 2) float64 corners of the oriented box, clockwise on screen; None if unknown.
+        mask: Visible pixels; None if unknown.
+        visibility: Visible share in [0, 1]; None if unknown.
+        truncated: Whether the frame's edge cuts the object; None if unknown.
+        difficult: Flag of the source; None if unknown.
+        inserted: Whether InfraBlend inserted the object.
+        source_id: Id of the annotation in the source; None if it has none.
+        extra: Further fields of the source, kept for writing.
+        track_id: Id of the object throughout its sequence; None if unknown.
     """
 
     category: str
@@ -68,7 +75,7 @@ class Instance:
             self.corners_xy.setflags(write=False)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `from_json` gives an equal instance back."""
+        """Return plain JSON values, from which `from_json` restores an equal instance."""
         return {
             "category": self.category,
             "box_xyxy": self.box_xyxy.tolist(),
@@ -85,7 +92,7 @@ class Instance:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Instance:
-        """Return the instance that `to_json` wrote."""
+        """Restore an instance from the values of `to_json`."""
         d = dict(data)
         d["box_xyxy"] = np.array(d["box_xyxy"], np.float64)
         if d["corners_xy"] is not None:
@@ -96,7 +103,7 @@ class Instance:
         return cls(**d)
 
     def equals(self, other: Instance, atol_px: float = 0.0) -> bool:
-        """Return True if all fields agree, coordinates within `atol_px`."""
+        """Return whether all fields are equal, coordinates within `atol_px`."""
 
         def close(a: NDArray[np.float64] | None, b: NDArray[np.float64] | None) -> bool:
             if a is None or b is None:
@@ -113,22 +120,22 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class ImageRecord:
-    """One image of a dataset and what is known of it. Nothing here has been decoded: `path` is.
+    """Labels and metadata of one image of a dataset. The picture itself is not decoded.
 
     Attributes:
-        id: Unique in the dataset and stable: the file stem where that is unique.
-        path: The image file.
-        split: The split it belongs to.
-        size_wh: Size in pixels as the annotation says, or None if it does not say.
-        pitch_deg: Camera depression angle, 0 level, 90 straight down, negative looking up; None if unknown.
-        altitude_m: Above ground as the metadata says; None if unknown.
-        time_of_day: None if unknown.
-        instances: The labels, in the source's order.
-        source_id: The id the source file gives the image, or None.
-        extra: Further fields of the source, kept for writing back.
-        file_name: Where the picture lies below its split's picture folder, POSIX, with extension; empty means
-            `path.name`. Writers name the picture so.
-        sequence: The flight or clip the image comes from; None if unknown.
+        id: Stable id, unique in the dataset; the file stem where that is unique.
+        path: Image file.
+        split: Split of the image.
+        size_wh: Size in pixels according to the annotation; None if unknown.
+        pitch_deg: Camera depression angle: 0 level, 90 straight down, negative looking up; None if unknown.
+        altitude_m: Height above ground according to the metadata; None if unknown.
+        time_of_day: Time of day; None if unknown.
+        instances: Labels in the order of the source.
+        source_id: Id of the image in the source; None if it has none.
+        extra: Further fields of the source, kept for writing.
+        file_name: Path relative to the split's picture folder, POSIX, with extension, used by writers; empty means
+            `path.name`.
+        sequence: Flight or clip of the image; None if unknown.
         captured: Date or time of capture, ISO 8601; None if unknown.
     """
 
@@ -148,22 +155,22 @@ class ImageRecord:
 
     @property
     def name(self) -> str:
-        """`file_name`, or the path's own name if that is empty."""
+        """File name for writers: `file_name`, or the name of `path` if that is empty."""
         return self.file_name or self.path.name
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """A dataset as read: images sorted by (split order, id), what was wrong with it, what it came from.
+    """A dataset in memory, with the problems found while reading it.
 
     Attributes:
-        root: The folder it was read from.
+        root: Folder of the dataset.
         format: Name of the reader, e.g. `hit-uav`.
-        categories: In the source's order, ids as in the source.
-        images: Sorted by split (train, val, test), then id.
-        problems: Everything found wrong; an item with an `error` was skipped, with a `warning` kept.
-        notes: Facts for the run record, e.g. which forms were united and how often they disagreed.
-        extra: Top-level fields of the source (info, licences), kept for writing back.
+        categories: Classes in the order of the source, with its ids.
+        images: Images sorted by split (train, val, test), then by id.
+        problems: Problems found; items with an `error` were skipped, items with a `warning` kept.
+        notes: Facts for the run record, e.g. which annotation forms were merged and how often they disagreed.
+        extra: Top-level fields of the source (info, licences), kept for writing.
     """
 
     root: Path
@@ -174,12 +181,16 @@ class Dataset:
     notes: Mapping[str, Any] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def __repr__(self) -> str:  # thousands of labels are no use on a screen
+    def __repr__(self) -> str:  # a dataclass would print thousands of labels
         objects = sum(len(image.instances) for image in self.images)
         return f"<Dataset {self.root}: {self.format}, {len(self.images)} images, {objects} objects>"
 
     def category(self, name: str) -> Category:
-        """Return the category of that name; KeyError if there is none."""
+        """Return the category with this name.
+
+        Raises:
+            KeyError: There is no such category.
+        """
         for c in self.categories:
             if c.name == name:
                 return c

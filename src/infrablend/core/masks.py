@@ -1,4 +1,4 @@
-"""Binary masks, run-length encoded as COCO does, and polygons made of them."""
+"""Binary masks in COCO's run-length encoding."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from pycocotools import mask as _coco
 
 @dataclass(frozen=True)
 class Mask:
-    """A binary mask of a whole image: COCO's compressed run lengths (column-major) and the image's size."""
+    """A binary mask of a whole image.
+
+    Attributes:
+        counts: Column-major run lengths in COCO's compressed text.
+        size_hw: Height and width of the image, pixels.
+    """
 
     counts: str
     size_hw: tuple[int, int]
@@ -23,21 +28,22 @@ class Mask:
         return cls(rle["counts"].decode("ascii"), (int(mask.shape[0]), int(mask.shape[1])))
 
     def to_array(self) -> NDArray[np.bool_]:
-        """Return the mask as (h, w) bool."""
+        """Decode to a (h, w) boolean array."""
         return np.asarray(_coco.decode(self.to_coco()), np.bool_)
 
     def to_coco(self) -> dict[str, object]:
-        """COCO's form: `{"size": [h, w], "counts": "..."}`."""
+        """Return the mask in COCO's form, `{"size": [h, w], "counts": "..."}`."""
         return {"size": list(self.size_hw), "counts": self.counts}
 
     @classmethod
     def from_coco(cls, value: object, size_hw: tuple[int, int]) -> Mask:
-        """Return the mask of a foreign `{"size": ..., "counts": ...}`, compressed or a plain list of lengths.
+        """Return the mask of an untrusted `{"size": ..., "counts": ...}`, with compressed or plain run lengths.
 
-        pycocotools trusts its input and reads or writes beyond its memory where run lengths do not fill the frame.
+        The run lengths are checked first, because pycocotools reads and writes out of bounds if they do not fill the
+        frame exactly.
 
         Raises:
-            ValueError: It is no such thing, of another size, or its runs do not fill the frame.
+            ValueError: The value has another form or size, or its run lengths do not fill the frame.
         """
         counts = value.get("counts") if isinstance(value, dict) else None
         if not isinstance(value, dict) or not isinstance(counts, str | list):
@@ -49,54 +55,57 @@ class Mask:
         elif all(type(n) is int and 0 <= n <= 2**31 for n in counts):
             lengths = np.array(counts, np.int64)
         else:
-            raise ValueError("run lengths that are no whole numbers of at least 0")
+            raise ValueError("run lengths that are not whole numbers of at least 0")
         if (lengths < 0).any() or int(lengths.sum()) != size_hw[0] * size_hw[1]:
             raise ValueError(f"run lengths that do not fill {size_hw[1]}x{size_hw[0]} px")
         if isinstance(counts, str):
             return cls(counts, size_hw)
-        made = _coco.frPyObjects({"size": list(size_hw), "counts": counts}, *size_hw)
-        return cls(made["counts"].decode("ascii"), size_hw)
+        rle = _coco.frPyObjects({"size": list(size_hw), "counts": counts}, *size_hw)
+        return cls(rle["counts"].decode("ascii"), size_hw)
 
     @classmethod
     def from_rings(cls, rings: object, size_hw: tuple[int, int]) -> Mask:
-        """Return the mask of a foreign file's polygons, lists of x, y, x, y, ...; painted as pycocotools does.
+        """Return the mask of untrusted polygons, lists of x, y, x, y, ..., as pycocotools rasterises them.
 
         Raises:
-            ValueError: No such lists, or a corner further from the frame than the frame is large: pycocotools walks
-                along every edge pixel by pixel, so that would cost any amount of memory.
+            ValueError: The value has another form, or a corner is farther from the frame than the frame's own size.
+                pycocotools walks along edges pixel by pixel, so such corners could use any amount of memory.
         """
         h, w = size_hw
-        made = []
+        polygons = []
         for ring in rings if isinstance(rings, list) else ():
             if not isinstance(ring, list) or len(ring) < 6 or len(ring) % 2:
-                raise ValueError("a polygon that is no list of three or more x, y pairs")
+                raise ValueError("a polygon that is not a list of three or more x, y pairs")
             points = np.array([float(v) for v in ring], np.float64).reshape(-1, 2)
             if not (np.isfinite(points).all() and (np.abs(points - [w / 2, h / 2]) <= [1.5 * w, 1.5 * h]).all()):
                 raise ValueError("a polygon with corners far outside the frame")
-            made.append(points.ravel().tolist())
-        if not made:
+            polygons.append(points.ravel().tolist())
+        if not polygons:
             raise ValueError("no polygon")
-        rle = _coco.merge(_coco.frPyObjects(made, h, w))
+        rle = _coco.merge(_coco.frPyObjects(polygons, h, w))
         return cls(rle["counts"].decode("ascii"), size_hw)
 
     @property
     def area_px(self) -> int:
-        """Number of pixels set."""
+        """Number of pixels in the mask."""
         return int(_coco.area(self.to_coco()))
 
 
 def run_lengths(counts: str) -> NDArray[np.int64]:
-    """Encode run lengths as COCO does: six bits a character, lowest first, differences from the third on.
+    """Decode COCO's compressed run lengths.
+
+    Each character holds six bits, the lowest come first. Lengths after the third are stored as differences from the
+    last but one.
 
     Raises:
-        ValueError: It is no such text.
+        ValueError: The text is not valid, or a length is too large.
     """
     bits = np.frombuffer(counts.encode("ascii", "replace"), np.uint8).astype(np.int64) - 48
     if not len(bits):
         return np.zeros(0, np.int64)
     ends = np.flatnonzero((bits & 32) == 0)
     if (bits < 0).any() or (bits > 63).any() or not len(ends) or ends[-1] != len(bits) - 1:
-        raise ValueError("run lengths that are not COCO's text")
+        raise ValueError("run lengths that are not valid COCO text")
     starts = np.concatenate([[0], ends[:-1] + 1])
     place = np.arange(len(bits)) - np.repeat(starts, ends - starts + 1)
     if place.max() > 6:

@@ -1,7 +1,7 @@
-"""The port of executors: tasks in, results out in the order of completion.
+"""Interface of executors: they take tasks and yield results in the order of completion.
 
 A task is a small picklable value with a stable key. Heavy state (Blender, loaded models) is created once per worker by
-a factory, which is given by its dotted name so that the parent need not import it.
+a factory, which is referred to by its dotted name so that the parent process does not import it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FailureKind = Literal["error", "crash", "timeout"]
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work.
+    """A unit of work.
 
     Attributes:
         key: Name of the task in results, logs and errors; the same in every run (a frame id).

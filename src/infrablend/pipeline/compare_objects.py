@@ -39,7 +39,7 @@ from infrablend.realism.class_comparison import (
 )
 from infrablend.realism.classify import require_sklearn
 from infrablend.realism.features import Measured
-from infrablend.realism.matching import pair_by_size
+from infrablend.realism.pairing import pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS
 from infrablend.report.realism import CropSheet, html_report, sheets_of
 

@@ -92,7 +92,7 @@ def compare_class(
     }
     facts["all_sizes"] = {"real": _box_measures(real), "inserted": _box_measures(inserted)}
     facts["size_by_altitude"] = _sizes(real, inserted)
-    facts["tells"] = _separating_features(reals, inserts) if logistic is not None else []
+    facts["separating_features"] = _separating_features(reals, inserts) if logistic is not None else []
     facts["cnn"] = _cnn(pairs, redone.get("floor", ()))
     facts["mmd_dct"] = _distances(reals, inserts)
     facts["kid"] = _kid(reals, inserts)

@@ -1,4 +1,4 @@
-"""How well classifiers tell two sets of objects apart."""
+"""Classifiers that separate two populations of objects, scored by cross-validated AUC."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ BOOTSTRAPS = 500
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """One comparison.
+    """Score of one comparison.
 
     Attributes:
-        auc: 0.5 if the two cannot be told apart, 1 if always; of predictions by models that have not seen the fold.
-        interval: 2.5 and 97.5 % quantile over resampled backgrounds.
-        predictions: (2n,) log odds of being the second kind, real ones first.
-        n: Pairs.
+        auc: AUC of the out-of-fold predictions; 0.5 is chance, 1 perfect separation.
+        interval: 2.5 and 97.5 % quantile of the AUC over resampled backgrounds.
+        predictions: (2n,) log odds of belonging to the second population; the real objects come first.
+        n: Number of pairs.
     """
 
     auc: float
@@ -40,7 +40,7 @@ class Score:
 
 
 def require_sklearn() -> None:
-    """Refuse early and clearly where the extra is missing.
+    """Check that scikit-learn can be imported.
 
     Raises:
         MissingDependencyError: scikit-learn is not installed.
@@ -49,13 +49,13 @@ def require_sklearn() -> None:
         importlib.import_module("sklearn")
     except ImportError as error:
         raise MissingDependencyError(
-            "scikit-learn is not installed, and the classifiers of `infrablend realism` are made with it. "
+            "scikit-learn is not installed; the classifiers of `infrablend realism` need it. "
             'Install the extra: pip install "infrablend[realism]"'
         ) from error
 
 
 def score(real: Sequence[Measured], other: Sequence[Measured], kind: Kind) -> Score:
-    """AUC of five folds over whole backgrounds."""
+    """Score a classifier in five folds; objects on one background share a fold."""
     x = np.array([m.features for m in (*real, *other)], np.float64)
     y = np.repeat([0, 1], [len(real), len(other)])
     groups = group_numbers([*real, *other])
@@ -64,13 +64,13 @@ def score(real: Sequence[Measured], other: Sequence[Measured], kind: Kind) -> Sc
 
 
 def group_numbers(objects: Sequence[Measured]) -> NDArray[np.int64]:
-    """(n,) the background of each object, counted from 0."""
+    """Return the (n,) numbers of the objects' backgrounds, from 0."""
     names = {g: i for i, g in enumerate(sorted({m.group for m in objects}))}
     return np.array([names[m.group] for m in objects], np.int64)
 
 
 def group_folds(groups: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return (indices to train on, indices to test on), five times, no group on both sides."""
+    """Yield (training indices, test indices) of five folds; no group is on both sides."""
     from sklearn.model_selection import GroupKFold
 
     yield from GroupKFold(FOLDS).split(groups, groups=groups)
@@ -79,7 +79,7 @@ def group_folds(groups: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], 
 def out_of_fold(
     x: NDArray[np.float64], y: NDArray[np.int64], groups: NDArray[np.int64], kind: Kind
 ) -> NDArray[np.float64]:
-    """(n,) log odds of class 1, each by a model that saw no object of the same group."""
+    """Return the (n,) log odds of class 1, each from a model trained without the object's group."""
     from sklearn.ensemble import GradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
     from sklearn.pipeline import make_pipeline
@@ -98,7 +98,7 @@ def out_of_fold(
 
 
 def auc(y: NDArray[np.int64], predictions: NDArray[np.float64], weight: NDArray[np.float64] | None = None) -> float:
-    """Area under the receiver operating characteristic: how often a 1 is above a 0, ties counting half."""
+    """Return the area under the ROC curve: the probability that a 1 ranks above a 0, ties counting half."""
     _, place = np.unique(predictions, return_inverse=True)
     return _auc_by_place(y, place, np.ones(len(y)) if weight is None else weight)
 
@@ -110,7 +110,7 @@ def _auc_by_place(y: NDArray[np.int64], place: NDArray[np.int64], weight: NDArra
 
 
 def bootstrap(y: NDArray[np.int64], predictions: NDArray[np.float64], groups: NDArray[np.int64]) -> tuple[float, float]:
-    """2.5 and 97.5 % quantile of the AUC over backgrounds drawn with replacement."""
+    """Return the 2.5 and 97.5 % quantiles of the AUC over backgrounds drawn with replacement."""
     rng = stream(0, "bootstrap")
     count = int(groups.max()) + 1
     _, place = np.unique(predictions, return_inverse=True)
@@ -124,7 +124,7 @@ def bootstrap(y: NDArray[np.int64], predictions: NDArray[np.float64], groups: ND
 
 
 def weights(real: Sequence[Measured], other: Sequence[Measured]) -> Mapping[str, float]:
-    """Return the logistic classifier's coefficients for standardised features, fitted on all pairs."""
+    """Return the coefficients of a logistic regression on standardised features, fitted to all pairs."""
     from sklearn.linear_model import LogisticRegression
     from sklearn.preprocessing import StandardScaler
 

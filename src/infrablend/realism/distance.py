@@ -1,4 +1,4 @@
-"""Distance of two sets of crops: squared maximum mean discrepancy with KID's kernel, on features that need no net."""
+"""Distance between two sets of crops: squared maximum mean discrepancy (MMD) with the kernel of KID."""
 
 from __future__ import annotations
 
@@ -19,27 +19,29 @@ _SIDE = 8
 
 @dataclass(frozen=True)
 class Distance:
-    """Mean over subsets and its standard deviation."""
+    """Mean and standard deviation of the distance over subsets."""
 
     mean: float
     sd: float
 
 
 def dct_features(crops: Sequence[Measured]) -> NDArray[np.float64]:
-    """(n, 64) lowest frequencies of each 48 px crop's cosine transform."""
+    """Return the (n, 64) lowest frequencies of the cosine transform of each 48 px crop."""
     return np.array(
         [cv2.dct(m.patch.astype(np.float64) / 255.0)[:_SIDE, :_SIDE].ravel() for m in crops], np.float64
     ).reshape(len(crops), _SIDE * _SIDE)
 
 
 def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> Distance:
-    """Unbiased MMD^2 with the kernel (x.y / d + 1)^3, over subsets of 100; features as they come.
+    """Return the unbiased MMD^2 with the kernel (x.y / d + 1)^3 over subsets of 100 crops.
+
+    The features are used without scaling.
 
     Raises:
-        ValueError: Either set is smaller than a subset.
+        ValueError: One of the sets is smaller than a subset.
     """
     if min(len(a), len(b)) < SUBSET:
-        raise ValueError(f"MMD needs {SUBSET} crops on either side, got {len(a)} and {len(b)}")
+        raise ValueError(f"MMD needs {SUBSET} crops on each side, got {len(a)} and {len(b)}")
     rng = stream(0, "mmd")
     found = []
     for _ in range(SUBSETS):
@@ -53,7 +55,7 @@ def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> Distance:
 
 
 def standardised(features: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each feature less the mean of `like`, by its deviation."""
+    """Return features minus the mean of `like`, divided by its standard deviation."""
     deviation = like.std(axis=0)
     return np.asarray((features - like.mean(axis=0)) / np.where(deviation > 0, deviation, 1), np.float64)
 

@@ -1,4 +1,4 @@
-"""What needs torch: a small network on the crops, and KID on Inception's features; each says why it cannot run."""
+"""Comparisons that need torch: a small network trained on the crops, and Inception features for KID."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _MEAN, _SD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def missing(*modules: str) -> str | None:
-    """`torch is not installed`, or None if all of them are."""
-    lost = [m for m in modules if importlib.util.find_spec(m) is None]
-    return f"{' and '.join(lost)} {'is' if len(lost) == 1 else 'are'} not installed" if lost else None
+    """Return a message such as `torch is not installed`, or None if all modules are installed."""
+    absent = [m for m in modules if importlib.util.find_spec(m) is None]
+    return f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed" if absent else None
 
 
 def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int = EPOCHS) -> Score:
-    """AUC of a small convolutional network on the 48 px crops, in the folds of the other classifiers.
+    """Score a small convolutional network on the 48 px crops, in the same folds as the other classifiers.
 
-    Four convolutions, trained anew for each fold on crops that are mirrored at random; on the CPU, so that the same
-    crops give the same figure. Needs torch.
+    Four convolutions, trained from scratch for each fold with random mirroring. Runs on the CPU, so that the same crops
+    give the same score. Needs torch.
     """
     import torch
 
@@ -44,7 +44,7 @@ def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int
     predictions = np.zeros(len(y))
     before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
     torch.use_deterministic_algorithms(True)
-    torch.set_num_threads(1)  # sums depend on how many share them
+    torch.set_num_threads(1)  # rounding of sums depends on the number of threads
     try:
         for fold, (train, test) in enumerate(group_folds(groups)):
             net = _train(crops[train], y[train], epochs, fold)
@@ -72,7 +72,7 @@ def _train(crops: NDArray[np.float32], y: NDArray[np.int64], epochs: int, fold: 
     for _ in range(epochs):
         order = rng.permutation(len(y))
         for part in (order[k : k + BATCH] for k in range(0, len(order) - 1, BATCH)):
-            if len(part) < 2:  # no statistics for the normalisation
+            if len(part) < 2:  # too few for batch normalisation
                 continue
             batch = crops[part]
             if rng.random() < 0.5:
@@ -85,17 +85,17 @@ def _train(crops: NDArray[np.float32], y: NDArray[np.int64], epochs: int, fold: 
 
 
 def no_inception(crops: int) -> str | None:
-    """Why KID cannot be had for so many crops; None if it can."""
+    """Return the reason why KID cannot be computed for this number of crops; None if it can."""
     if crops < LEAST_CROPS:
-        return f"{crops} crops, {LEAST_CROPS} are needed"
+        return f"{crops} crops; {LEAST_CROPS} are needed"
     if reason := missing("torch", "torchvision"):
         return reason
     try:
         importlib.import_module("torchvision.models")
     except (ImportError, RuntimeError) as error:  # built for another torch
-        return f"torchvision does not import here ({error}); install the build made for this torch"
+        return f"torchvision cannot be imported ({error}); install the build for the installed torch"
     if not _weights().is_file():
-        return f"Inception's weights ({WEIGHTS}) are not in torch's cache, and nothing is downloaded"
+        return f"the weights of Inception ({WEIGHTS}) are not in torch's cache; they are not downloaded automatically"
     return None
 
 
@@ -106,9 +106,9 @@ def _weights() -> Path:
 
 
 def inception_features(objects: Sequence[Measured]) -> NDArray[np.float64]:
-    """(n, 2048) pooled features of the crops, enlarged to 299 px, grey on all three channels.
+    """Return the (n, 2048) pooled Inception features of the crops, enlarged to 299 px, grey in all three channels.
 
-    torchvision's ImageNet network, not the one of the published KID figures: numbers compare among themselves.
+    The network is torchvision's, trained on ImageNet, and not that of published KID figures; do not compare with those.
     """
     import torch
     from torchvision.models import inception_v3

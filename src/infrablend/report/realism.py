@@ -1,4 +1,4 @@
-"""The report of a realism test: sheets of crops, plots and a self-contained HTML page."""
+"""Report of a comparison of inserted and real objects: sheets of crops, plots and a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ class CropSheet:
     png: bytes
 
 
-def sheets_of(verdict: ClassComparison) -> list[CropSheet]:
+def sheets_of(comparison: ClassComparison) -> list[CropSheet]:
     """Draw inserted objects, each beside the most similar real one: the most obvious, the least obvious, and random.
 
     Every crop shows 48 px of the image, enlarged four times; larger objects are scaled down first.
     """
-    if verdict.logistic is None:
+    if comparison.logistic is None:
         return []
-    real, inserted = [r for r, _ in verdict.pairs], [i for _, i in verdict.pairs]
-    scores = verdict.logistic.predictions[len(real) :]
+    real, inserted = [r for r, _ in comparison.pairs], [i for _, i in comparison.pairs]
+    scores = comparison.logistic.predictions[len(real) :]
     order = np.argsort(-scores, kind="stable")
-    drawn = stream(0, "sheet", verdict.category).permutation(len(inserted))
+    drawn = stream(0, "sheet", comparison.category).permutation(len(inserted))
     nearest = _nearest(real, inserted)
-    name = verdict.category.lower()
+    name = comparison.category.lower()
     sheets = []
     for what, title, chosen in (
         ("most_obvious", "most obvious", order),
@@ -61,7 +61,7 @@ def sheets_of(verdict: ClassComparison) -> list[CropSheet]:
         ("random", "random", drawn),
     ):
         rows = [(real[nearest[k]], inserted[k], float(scores[k])) for k in chosen[:ON_A_SHEET]]
-        sheets.append(CropSheet(f"{name}_{what}", f"{verdict.category}: {title}", _sheet(rows)))
+        sheets.append(CropSheet(f"{name}_{what}", f"{comparison.category}: {title}", _sheet(rows)))
     return sheets
 
 
@@ -94,7 +94,7 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
 # ---- the page
 
 
-def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
+def html_report(facts: Mapping[str, Any], comparisons: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
     """Return the HTML page; the same facts give the same bytes."""
     return render_page(
         "realism",
@@ -117,7 +117,7 @@ def html_report(facts: Mapping[str, Any], verdicts: Sequence[ClassComparison], s
             for category, f in facts["classes"].items()
         ],
         sections=[
-            _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")]) for v in verdicts
+            _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")]) for v in comparisons
         ],
     )
 
@@ -135,7 +135,7 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
         "crop_rows": _crop_rows(f),
         "cue_rows": [
             [t["feature"], compact(t["auc"]), t["inserted_is"], _three(t["real"]), _three(t["inserted"]), t["weight"]]
-            for t in f["tells"]
+            for t in f["separating_features"]
         ],
         "ablation_rows": [
             [step, a["n"], compact(a["auc_logistic"]), interval(a["ci"]), compact(a["auc_boosting"])]

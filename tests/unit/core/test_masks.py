@@ -31,10 +31,10 @@ def test_long_runs() -> None:
 @pytest.mark.parametrize(
     ("value", "match"),
     [
-        ({"size": [4, 4], "counts": "~~~~"}, "not COCO's"),
+        ({"size": [4, 4], "counts": "~~~~"}, "not valid COCO"),
         ({"size": [4, 4], "counts": "01"}, "do not fill"),
         ({"size": [4, 4], "counts": "ooooooooo0"}, "too large"),
-        ({"size": [4, 4], "counts": "o"}, "not COCO's"),
+        ({"size": [4, 4], "counts": "o"}, "not valid COCO"),
         ({"size": [4, 4], "counts": ""}, "do not fill"),
         ({"size": [4, 4], "counts": [9, 9]}, "do not fill"),
         ({"size": [4, 4], "counts": [-1, 17]}, "at least 0"),

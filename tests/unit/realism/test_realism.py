@@ -17,7 +17,7 @@ from infrablend.realism import classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, unfit
-from infrablend.realism.matching import CALIPER_OCTAVES, pair_by_size
+from infrablend.realism.pairing import CALIPER_OCTAVES, pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 
 BOX = np.array([52.0, 52.0, 76.0, 76.0])
@@ -317,11 +317,11 @@ def test_figures_count_only_with_controls_that_behave():
     ]
 
 
-def test_a_verdict_ranks_what_tells():
+def test_a_comparison_ranks_the_separating_features():
     real, inserted = made_up(120, 0, 1), made_up(120, 1.5, 2)
     v = compare_class("Person", real, inserted, list(zip(real, inserted, strict=True)), {"floor": real})
-    assert v.facts["tells"][0]["feature"] == "std"
-    assert v.facts["tells"][0]["inserted_is"] == "larger"
+    assert v.facts["separating_features"][0]["feature"] == "std"
+    assert v.facts["separating_features"][0]["inserted_is"] == "larger"
     assert v.facts["auc_logistic"] > 0.75
     assert v.facts["floor_logistic"] == 0.5  # the same objects, so nothing to tell
     assert v.facts["hard_paste_logistic"] is None
@@ -444,7 +444,7 @@ def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
     run, data = crowd
     with pytest.raises(DatasetError, match=r"Car: expected classes that are both inserted \(Person\) and annotated"):
         api.realism(run, data, tmp_path, categories=["Car"], execution=api.Execution(in_process=True))
-    with pytest.raises(DatasetError, match="no frame by day has an inserted object"):
+    with pytest.raises(DatasetError, match="no frame taken by day has an inserted object"):
         api.realism(run, data, tmp_path, time_of_day="day", execution=api.Execution(in_process=True))
 
 

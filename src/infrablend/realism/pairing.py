@@ -1,4 +1,4 @@
-"""Pairs of like size: how large an object is must not tell whether it is real."""
+"""Pairs of real and inserted objects of similar size, so that size cannot separate the two populations."""
 
 from __future__ import annotations
 
@@ -13,10 +13,15 @@ CALIPER_OCTAVES = 0.25
 
 
 def pair_by_size(real: Sequence[Measured], inserted: Sequence[Measured], most: int) -> list[tuple[Measured, Measured]]:
-    """(real, inserted) pairs whose box heights differ by at most a quarter of an octave; each object once.
+    """Return (real, inserted) pairs whose box heights differ by at most a quarter of an octave.
 
-    Inserted objects choose in an order drawn at random, each the unused real one nearest in height, so that both
-    sides have the same distribution of sizes. Objects without a partner are left out.
+    In random order, each inserted object is paired with the unused real one nearest in height, so both sides have the
+    same distribution of sizes. Objects without a partner are left out, as are those with a flaw.
+
+    Args:
+        real: Real objects; each is used at most once.
+        inserted: Inserted objects; each is used at most once.
+        most: Largest number of pairs.
     """
     rest = sorted((math.log2(m.height_px), m.key, m) for m in real if not m.flaw)
     usable = sorted((m for m in inserted if not m.flaw), key=lambda m: m.key)
