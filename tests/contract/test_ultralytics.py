@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from infrablend.formats import yolo
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -50,6 +52,17 @@ GOOD_ROWS = {
     "obb": "0 0.4 0.4 0.6 0.4 0.6 0.6 0.4 0.6\n1 0.1 0.1 0.3 0.2 0.2 0.4 0.05 0.3\n",
     "segment": "0 0.4 0.4 0.6 0.4 0.6 0.6 0.5 0.7 0.4 0.6\n1 0.1 0.1 0.3 0.2 0.2 0.4\n",
 }
+
+
+def test_a_split_that_stands_in_is_accepted(ultralytics_check, tmp_path: Path) -> None:
+    """The key `stand_ins`, which Ultralytics does not know, does no harm; the check counts each folder once."""
+    data_yaml = write_dataset(tmp_path, {"train/x": GOOD_ROWS["detect"], "train/y": ""})
+    text, _ = yolo.data_yaml({"car": 0, "drone": 1}, ["train"])
+    assert "stand_ins: [val]" in text
+    data_yaml.write_text(text)
+    code, answer = ultralytics_check(data_yaml, "detect")
+    assert code == 0, answer
+    assert (answer["images"], answer["rows"], answer["dropped"], list(answer["splits"])) == (2, 2, 0, ["train"])
 
 
 @pytest.mark.parametrize("task", sorted(GOOD_ROWS))

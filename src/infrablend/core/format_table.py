@@ -247,6 +247,6 @@ def find_writer(name: str) -> Writer:
     raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {expected}")
 
 
-def writer_for_task(task: LabelTask) -> Writer:
-    """Return the writer of the format on which a detector for `task` is trained."""
+def writer_for_task(task: str) -> Writer:
+    """Return the writer of the format on which a detector for `task` (see `LabelTask`) is trained."""
     return next(w for w in WRITERS if w.trains == task)

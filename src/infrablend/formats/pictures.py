@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from PIL import Image
 
+from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
@@ -152,6 +153,27 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
             where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
         )
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
+
+
+def with_sizes(
+    images: Iterable[ImageRecord], where: Callable[[ImageRecord], str], problems: list[Problem]
+) -> list[ImageRecord]:
+    """Return the images with sizes, read from the pictures' headers where the labels give none.
+
+    Images whose picture cannot be read are left out, each with a problem.
+
+    Args:
+        images: Images of a dataset.
+        where: Name of an image in problems.
+        problems: List to which problems are added.
+    """
+    sized = []
+    for image in images:
+        size_wh, problem = (image.size_wh, None) if image.size_wh else read_size(image.path, where(image))
+        problems += [problem] if problem else []
+        if size_wh is not None:
+            sized.append(image if image.size_wh else replace(image, size_wh=size_wh))
+    return sized
 
 
 def by_folder(root: Path) -> dict[str, dict[str, Path]]:

@@ -21,8 +21,9 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.pictures import by_folder, is_hidden, labels_beside, read_size
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.labels_beside import LabelsBeside
+from infrablend.formats.pictures import by_folder, is_hidden, labels_beside
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset
 from infrablend.formats.values import to_floats
 from infrablend.formats.yolo import parse_labels
 
@@ -105,6 +106,7 @@ def read(
     (of_all,) = check_splits([split])
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
+    beside = LabelsBeside(root, ".txt", unlabelled, _read_label, problems, counts)
     records: list[ImageRecord] = []
     for folder, pictures in _clips(root).items() if of_all in wanted else ():
         clip = _clip_name(root, folder)
@@ -115,34 +117,18 @@ def read(
             continue
         counts["clips"] += 1
         _report_strays(root, folder, pictures, problems)
-        missing = 0
-        for name, path in pictures.items():
-            label = path.with_suffix(".txt")
-            labelled = label.is_file()
-            missing += not labelled
-            if not labelled and unlabelled == "drop":
-                continue
-            where = path.relative_to(root).as_posix()
-            size_wh, problem = read_size(path, where)
-            if size_wh is None:
-                problems += [problem] if problem else []
-                continue
-            instances = _read_label(root, label, size_wh, problems, counts) if labelled else []
-            if instances is None:
-                continue
-            counts["logos"] += len(logos := _logo(clip, region, size_wh, where, problems))
-            frame = _FRAME.search(path.stem)
-            extra: dict[str, Any] = {} if labelled else {"labelled": False}
+        for p in beside.read(clip, pictures):
+            counts["logos"] += len(logos := _logo(clip, region, p.size_wh, p.where, problems))
+            frame = _FRAME.search(p.path.stem)
+            extra: dict[str, Any] = {} if p.labelled else {"labelled": False}
             extra |= {"frame": int(frame[1])} if frame else {}
             extra |= {"modality": "visible"} if kind == "vis" else {}
             records.append(
                 ImageRecord(
-                    "", path, of_all, size_wh, None, None, None, (*instances, *logos), extra=extra,
-                    file_name=f"{clip}/{name}", sequence=clip, captured=_captured(clip),
+                    "", p.path, of_all, p.size_wh, None, None, None, (*p.instances, *logos), extra=extra,
+                    file_name=f"{clip}/{p.name}", sequence=clip, captured=_captured(clip),
                 )
             )  # fmt: skip
-        counts["unlabelled"] += missing
-        problems += unlabelled_problems(clip, missing, unlabelled)
     problems += _summary(root, modality, logo, counts)
     categories = CATEGORIES if counts["logos"] else CATEGORIES[:1]
     keys = ("clips", "labelled", "empty", "unlabelled", "objects", "read", "snapped", "without_area", "logos")

@@ -14,13 +14,14 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import read_text
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.pictures import by_folder, labels_beside, read_size
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.labels_beside import LabelsBeside
+from infrablend.formats.pictures import by_folder, labels_beside
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset
 from infrablend.formats.values import to_floats
 
 NAME = "wit-uas"
@@ -80,6 +81,7 @@ def read(
     wanted = check_splits(splits)
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
+    beside = LabelsBeside(root, ".label", unlabelled, _read_label, problems, counts)
     records: list[ImageRecord] = []
     for folder, frames in _runs(root).items():
         found = _RUN.fullmatch((root / folder).absolute().name)
@@ -91,34 +93,18 @@ def read(
         if camera not in (sensor, "both"):
             counts["other_camera"] += len(frames)
             continue
-        missing = 0
-        for name, path in frames.items():
-            label = path.with_suffix(".label")
-            labelled = label.is_file()
-            missing += not labelled
-            if not labelled and unlabelled == "drop":
-                continue
-            where = path.relative_to(root).as_posix()
-            size_wh, problem = read_size(path, where)
-            if size_wh is None:
-                problems += [problem] if problem else []
-                continue
-            instances = _read_label(root, label, size_wh, problems, counts) if labelled else []
-            if instances is None:
-                continue
-            time = _TIME.fullmatch(path.stem)
+        parts = [part for part in PurePosixPath(folder).parts if part not in SPLITS]
+        date = _DATE.match((root / folder).absolute().parent.name)
+        for p in beside.read(folder, frames):
+            time = _TIME.fullmatch(p.path.stem)
             extra: dict[str, Any] = {"sensor": sensor} | ({"time_s": float(time[1])} if time else {})
-            extra |= {} if labelled else {"labelled": False}
-            parts = [p for p in PurePosixPath(folder).parts if p not in ("train", "val", "test")]
-            date = _DATE.match((root / folder).absolute().parent.name)
+            extra |= {} if p.labelled else {"labelled": False}
             records.append(
                 ImageRecord(
-                    "", path, split, size_wh, None, None, None, tuple(instances), extra=extra,
-                    file_name="/".join([*parts, name]), sequence=run, captured=date[1] if date else None,
+                    "", p.path, split, p.size_wh, None, None, None, p.instances, extra=extra,
+                    file_name="/".join([*parts, p.name]), sequence=run, captured=date[1] if date else None,
                 )
             )  # fmt: skip
-        counts["unlabelled"] += missing
-        problems += unlabelled_problems(folder, missing, unlabelled, "no .label file")
     if counts["other_camera"]:
         text = f"{counts['other_camera']} picture(s) of the other camera left out"
         problems.append(Problem(root.name, "camera-excluded", text, f"camera={camera}", "", "warning"))
@@ -128,8 +114,7 @@ def read(
 
 
 def _split(folder: str) -> Split:
-    splits: dict[str, Split] = {"train": "train", "val": "val", "test": "test"}
-    return next((splits[p] for p in PurePosixPath(folder).parts if p in splits), "train")
+    return next((s for part in PurePosixPath(folder).parts for s in SPLITS if s == part), "train")
 
 
 def _read_label(

@@ -42,6 +42,8 @@ WithoutMask = Literal["omit", "obb"]
 
 # Ten decimals: 640 px times half a unit is 3e-8 px.
 _DECIMALS = 10
+# More classes than any detector has; `nc` alone must not exhaust memory.
+_MOST_UNNAMED = 10_000
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
 
@@ -211,6 +213,21 @@ def write_frame(
     return Written((label, picture), made.losses)
 
 
+class _QuotedForBoth(yaml.SafeDumper):
+    """Quotes class names that YAML 1.1 (Ultralytics) or YAML 1.2 (our reader) would take for another type."""
+
+
+def _represent_name(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    try:
+        plain = isinstance(plain_yaml(text), str)
+    except ValueError:
+        plain = True  # PyYAML quotes what is not a plain scalar
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if plain else "'")
+
+
+_QuotedForBoth.add_representer(str, _represent_name)
+
+
 def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
     """Return the text of a `data.yaml`, and warnings.
 
@@ -240,7 +257,8 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
     if stand_ins:
         lines.append(f"stand_ins: [{', '.join(stand_ins)}]\n")
     names = {number: name for name, number in sorted(classes.items(), key=lambda item: item[1])}
-    lines.append(yaml.safe_dump({"names": names}, sort_keys=True, allow_unicode=True, default_flow_style=False))
+    text = yaml.dump({"names": names}, Dumper=_QuotedForBoth, allow_unicode=True, default_flow_style=False)
+    lines.append(text)
     return "".join(lines), tuple(problems)
 
 
@@ -502,10 +520,37 @@ def read_yaml(path: Path) -> dict[str, Any]:
             problem = Problem(path.name, "annotation-not-yaml", str(error)[:200], "a data.yaml")
     if problem is not None:
         raise DatasetError(f"{path}: no YAML", [problem])
+    if isinstance(value, dict) and value.get("names") is None and str(value.get("nc")).isdecimal():
+        value["names"] = [f"class_{n}" for n in range(min(int(value["nc"]), _MOST_UNNAMED))]  # as Ultralytics does
     if not isinstance(value, dict) or "names" not in value:
         problem = Problem(path.name, "annotation-layout", "no key `names`", "train, val, test and names")
-        raise DatasetError(f"{path}: no data.yaml of YOLO", [problem])
+        raise DatasetError(f"{path}: not a data.yaml for YOLO", [problem])
+    if "val" not in value and "validation" in value:  # as Ultralytics does
+        value["val"] = value.pop("validation")
     return value
+
+
+def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
+    """Return a warning per class that Ultralytics, which reads YAML 1.1, gives another name: an unquoted `no` is False.
+
+    The text must have passed `read_yaml`, which refuses aliases that exhaust memory.
+    """
+    try:
+        theirs = _numbered(yaml.safe_load(read_text(path, path.name, "a data.yaml")[0])["names"])
+    except (yaml.YAMLError, ValueError, KeyError, TypeError):
+        return []
+    return [
+        Problem(
+            f"{path.name}: class {number}",
+            "name-unquoted",
+            f"{name!r} without quotes, which Ultralytics reads as {theirs[number]!r}",
+            "a name that both read alike",
+            f"write '{name}' in quotes",
+            "warning",
+        )
+        for number, name in names.items()
+        if theirs.get(number, name) != name
+    ]
 
 
 def class_names(value: object, where: str) -> dict[int, str]:
@@ -514,14 +559,17 @@ def class_names(value: object, where: str) -> dict[int, str]:
     Raises:
         DatasetError: It is neither.
     """
-    pairs = list(enumerate(value)) if isinstance(value, list) else []
-    if isinstance(value, dict):
-        pairs = [(int(k), v) for k, v in value.items() if str(k).isdigit()]
-    names = {int(k): str(v) for k, v in pairs}
+    names = _numbered(value)
     if not names or len(set(names.values())) != len(names):
         problem = Problem(where, "names", f"names: {value!r}"[:120], "a list, or numbers with one name each")
         raise DatasetError(f"{where}: no class names", [problem])
     return dict(sorted(names.items()))
+
+
+def _numbered(value: object) -> dict[int, str]:
+    if isinstance(value, dict):
+        return {int(k): str(v) for k, v in value.items() if str(k).isdecimal()}
+    return {k: str(v) for k, v in enumerate(value)} if isinstance(value, list) else {}
 
 
 def categories_of(names: Mapping[int, str]) -> tuple[Category, ...]:
@@ -655,6 +703,7 @@ def read(
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
     folders, lists, problems = _split_places(root, top, wanted, path.name)
+    problems += name_warnings(path, names)
     if (said := top.get("nc")) is not None and said != len(names):
         expected = f"{len(names)}, the number of names: Ultralytics stops otherwise"
         problems.append(Problem(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it", "warning"))

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from infrablend.core.format_table import NATIVE, find_writer, written_names
 from infrablend.core.output import OutputFolder, require_apart
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
@@ -133,7 +134,7 @@ def convert_dataset(
         factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
         raise DatasetError(f"{dataset.root}: boxes cannot be made so loose", [factor])
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
-    images = _with_sizes(wanted, problems)
+    images = with_sizes(wanted.images, partial(_where, wanted.root), problems)
     loosened = 0
     if loosen > 1:
         images, loosened = _loosened(images, loosen)
@@ -268,19 +269,8 @@ def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
     return dict(sorted(Counter(i.category for image in images for i in image.instances).items()))
 
 
-def _with_sizes(dataset: Dataset, problems: list[Problem]) -> list[ImageRecord]:
-    """Return the images with sizes, read from the pictures where labels lack them; leave out unreadable ones."""
-    images = []
-    for image in dataset.images:
-        if image.size_wh is not None:
-            images.append(image)
-            continue
-        where = image.path.relative_to(dataset.root).as_posix() if image.path.is_relative_to(dataset.root) else image.id
-        size_wh, problem = read_size(image.path, where)
-        problems += [problem] if problem is not None else []
-        if size_wh is not None:
-            images.append(replace(image, size_wh=size_wh))
-    return images
+def _where(root: Path, image: ImageRecord) -> str:
+    return image.path.relative_to(root).as_posix() if image.path.is_relative_to(root) else image.id
 
 
 def _entries(folder: OutputFolder) -> list[str]:

@@ -29,10 +29,11 @@ from infrablend.evaluation.comparison import (
 )
 from infrablend.evaluation.detections import Predictions, Task, write_predictions
 from infrablend.evaluation.figures import Case, Draws, figures
-from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, truths
+from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
 from infrablend.formats.groups import GROUPINGS
-from infrablend.pipeline.evaluation_images import image_groups, rejected_in, with_sizes
+from infrablend.formats.pictures import with_sizes
+from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.findings import PREDICTIONS, Findings, choose_task
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.training.weights import missing_packages
@@ -213,8 +214,9 @@ def _prepare(dataset: Dataset, findings: Findings, judging: Judging, problems: l
     """
     split = judging.split
     rejected = rejected_in(dataset, split)
-    images = with_sizes([i for i in dataset.images if i.split == split], problems)
-    if not images:
+    listed = [i for i in dataset.images if i.split == split]
+    images = with_sizes(listed, image_key, problems)
+    if not listed:
         problems += shorten(rejected)
         problems.append(_empty_split(dataset, split))
     task = choose_task(judging.task, findings, problems)

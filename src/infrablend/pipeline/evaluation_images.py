@@ -13,7 +13,6 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.groups import GROUPINGS, group_images
-from infrablend.formats.pictures import read_size
 
 _SPLIT_WORDS: Mapping[str, Split] = {
     "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
@@ -38,16 +37,6 @@ def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
         return folders or of_stem.get(path.stem) or {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS} or {split}
 
     return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
-
-
-def with_sizes(images: Sequence[ImageRecord], problems: list[Problem]) -> list[ImageRecord]:
-    """Return images with sizes, read from the pictures' headers where the labels give none."""
-    done = []
-    for image in images:
-        size, problem = (image.size_wh, None) if image.size_wh else read_size(image.path, image_key(image))
-        problems += [] if problem is None else [problem]
-        done.append(replace(image, size_wh=size))
-    return done
 
 
 def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:

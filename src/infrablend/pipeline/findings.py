@@ -58,7 +58,7 @@ class Findings:
         elif self._detector is not None:
             from infrablend.training.predict import check_pictures
 
-            problems += check_pictures([i for i in images if i.size_wh is not None])  # others are reported already
+            problems += check_pictures(images)
 
     def on(
         self,

@@ -19,9 +19,9 @@ from infrablend.core.output import OutputFolder, require_apart
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
-from infrablend.formats.base import sort_images
+from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
-from infrablend.formats.pictures import assign_ids, read_size
+from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.report.card import dataset_card, write_card
 
 SHARES = (0.7, 0.1, 0.2)
@@ -281,7 +281,11 @@ def _write_lists(report: SplitReport, images: Sequence[ImageRecord], root: Path)
 
 
 def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: Dataset, to: str) -> SplitReport:
-    records = sort_images(_renamed([_sized(i) for i in images]))
+    unreadable: list[Problem] = []
+    sized = with_sizes(images, lambda image: image.name, unreadable)
+    if unreadable:
+        raise DatasetError(f"{source.root}: the size of {len(unreadable)} picture(s) is unknown", shorten(unreadable))
+    records = sort_images(_renamed(sized))
     written = writing.write(to, report.out, records, source.categories, source=source)
     done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{RECORD}`."
     card = dataset_card(source, records, source.categories, changes=[done], to=report.format, losses=written.losses)
@@ -292,16 +296,6 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
         files=len(written.files) + 1,
         problems=(*report.problems, *written.problems, *kept),
     )
-
-
-def _sized(image: ImageRecord) -> ImageRecord:
-    """With the picture's size, which writers need."""
-    if image.size_wh is not None:
-        return image
-    size_wh, problem = read_size(image.path, image.name)
-    if size_wh is None:
-        raise DatasetError(f"{image.path}: size unknown", [problem] if problem else ())
-    return replace(image, size_wh=size_wh)
 
 
 def _renamed(images: Sequence[ImageRecord]) -> list[ImageRecord]:

@@ -25,6 +25,7 @@ from infrablend.annotation.classes import drop_classes
 from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import output_error, part_path, write_json
+from infrablend.core.format_table import writer_for_task
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import OutputFolder
 from infrablend.core.tasks import OnProgress, Progress
@@ -299,11 +300,15 @@ def _wanted(
         raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
     for p in problems:
         log.warning("%s", p)
-    return _sized(wanted), dict(sorted(left_out.items()))
+    return _checked(wanted), dict(sorted(left_out.items()))
 
 
-def _sized(dataset: Dataset) -> Dataset:
-    """Train and val, with sizes as the pictures have them; unreadable and 16-bit pictures are refused, all at once."""
+def _checked(dataset: Dataset) -> Dataset:
+    """Return train and val with the sizes in the pictures' headers.
+
+    Raises:
+        DatasetError: Pictures that cannot be read, have 16 bits, or have another size than annotated: all of them.
+    """
     images, problems = [], []
     for image in dataset.images:
         if image.split == "test":
@@ -484,11 +489,12 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
         images += [replace(i, split="val") for i in images[:8]]
         counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
-    written = writing.write(presets.FORMAT[task], out / DATA, images, categories)
+    name = writer_for_task(task).name
+    written = writing.write(name, out / DATA, images, categories)
     shutil.rmtree(out / "tiles", ignore_errors=True)
     fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
     if fatal:
-        problems = [Problem(presets.FORMAT[task], k, f"{n} labels would be lost", "none",
+        problems = [Problem(name, k, f"{n} labels would be lost", "none",
                             "infrablend check says where") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: labels that the trainer would not see", problems)
     labels = {s: sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))

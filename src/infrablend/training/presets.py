@@ -10,7 +10,6 @@ from typing import Any, Literal
 Task = Literal["detect", "obb", "segment"]
 TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
 SUFFIX: Mapping[str, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
-FORMAT: Mapping[str, str] = {"detect": "yolo", "obb": "yolo-obb", "segment": "yolo-seg"}
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from infrablend.core.dataset import Category, Dataset
+from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, yolo
 from infrablend.formats.capture import Capture, Captures, read_table
@@ -172,6 +174,103 @@ def test_a_wrong_number_of_classes_is_said(tmp_path: Path) -> None:
     for nc, found in (("2", ["names"]), ("1", []), ("many", ["names"])):
         (tmp_path / "data.yaml").write_text(f"train: images/train\nnc: {nc}\nnames: [Person]\n")
         assert [c for c in codes(detection.read(tmp_path), "warning") if c == "names"] == found
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("names: [car, drone]", ["car", "drone"]),
+        ("names:\n- car\n- drone\n", ["car", "drone"]),
+        ("names: {0: car, 1: drone,}", ["car", "drone"]),
+        ("names:\n  1: drone  # second\n  0: car\n", ["car", "drone"]),
+        ("names:\n  '0': car\n  '1': drone\n", ["car", "drone"]),
+        ("nc: 2\nnames: ['car', \"drone\"]", ["car", "drone"]),
+        ("names: [car, drone]\ndownload: |\n  import a\n  x = {'b': [1]}\n\n  a.get(x)\n", ["car", "drone"]),
+        ("download: https://a.b/c.zip\nnames: [car, drone]", ["car", "drone"]),
+        ("roboflow:\n  license: CC BY 4.0\n  version: 1\nnames: [car, drone]", ["car", "drone"]),
+        ("# a comment\r\nnames: [car, drone]\r\n", ["car", "drone"]),
+        ("path:\nnames: [car, drone]", ["car", "drone"]),
+        ("path: ../datasets/other # elsewhere\nnames: [car, drone]", ["car", "drone"]),
+        ("nc: 2", ["class_0", "class_1"]),
+        ("names:\nnc: 2", ["class_0", "class_1"]),
+        ("names: ['no', \"off\", 'yes']", ["no", "off", "yes"]),
+        ("names: [été, 😀]", ["été", "😀"]),
+        ("names: [1, 2.5]", ["1", "2.5"]),
+    ],
+)
+def test_data_yaml_is_read_as_ultralytics_reads_it(tmp_path: Path, text: str, names: list[str]) -> None:
+    """The files that Ultralytics, which reads YAML 1.1, accepts give the same class names here."""
+    picture(tmp_path / "a" / "images" / "1.png")
+    picture(tmp_path / "b" / "images" / "2.png")
+    picture(tmp_path / "c" / "images" / "3.png")
+    (tmp_path / "data.yaml").write_text(f"train: [a/images, b/images]\nvalidation: c/images\n{text}\n")
+    d = detection.read(tmp_path)
+    assert d.format == "yolo" and [(i.name, i.split) for i in d.images] == [
+        ("1.png", "train"), ("2.png", "train"), ("3.png", "val"),
+    ]  # fmt: skip
+    assert [c.name for c in d.categories] == names and not d.problems
+    theirs = yaml.safe_load((tmp_path / "data.yaml").read_text()).get("names")
+    if theirs is not None:
+        items = theirs.items() if isinstance(theirs, dict) else enumerate(theirs)
+        assert [str(v) for _, v in sorted((int(k), v) for k, v in items)] == names
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "unlike"),
+    [
+        ("{0: no}", ["no"], ["'no' without quotes, which Ultralytics reads as 'False'"]),
+        ("[off, On, Yes, y]", ["off", "On", "Yes", "y"], ["'False'", "'True'", "'True'"]),
+        ("[true, car]", ["True", "car"], []),
+        ("[1e3, 0o17]", ["1000.0", "15"], ["'1e3'", "'0o17'"]),
+        ("[12:30, 2020-01-01]", ["12:30", "2020-01-01"], ["'750'"]),
+    ],
+)
+def test_class_names_that_ultralytics_reads_otherwise_are_a_warning(
+    tmp_path: Path, text: str, names: list[str], unlike: list[str]
+) -> None:
+    """Unquoted, `no` is False in YAML 1.1 (Ultralytics) and the word in YAML 1.2 (here): weights would not match."""
+    picture(tmp_path / "images" / "1.png")
+    (tmp_path / "data.yaml").write_text(f"train: images\nnames: {text}\n")
+    d = detection.read(tmp_path)
+    assert [c.name for c in d.categories] == names
+    found = [p.found for p in d.problems if p.code == "name-unquoted"]
+    assert len(found) == len(unlike) == len(d.problems) and all(u in f for u, f in zip(unlike, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    "text", ["names: [a]\nnames: [b]", "names:\n\t- a", "names:\n  0: a\n  0: b", "names: !!python/name:os.system [a]"]
+)
+def test_data_yaml_that_is_ambiguous_is_refused(tmp_path: Path, text: str) -> None:
+    picture(tmp_path / "images" / "1.png")
+    (tmp_path / "data.yaml").write_text(f"train: images\n{text}\n")
+    with pytest.raises(DatasetError) as stop:
+        yolo.read(tmp_path)
+    assert [p.code for p in stop.value.problems] == ["annotation-not-yaml"]
+
+
+def test_every_class_name_written_is_the_same_in_yaml_1_1_and_1_2() -> None:
+    names = [
+        "no",
+        "off",
+        "Yes",
+        "true",
+        "null",
+        "~",
+        "1e3",
+        "0o17",
+        "017",
+        "1_000",
+        "12:30",
+        "2020-01-01",
+        "=",
+        "<<",
+        "-",
+    ]
+    names += ["a: b", "# a", "@b", ".nan", "1e-3", "0x1F", "é", "😀", "a b", "person"]
+    text, _ = yolo.data_yaml({name: n for n, name in enumerate(names)}, ["train", "val"])
+    assert list(yaml.safe_load(text)["names"].values()) == names
+    assert list(yolo.class_names(read_yaml(text)["names"], "data.yaml").values()) == names
+    assert "  24: person\n" in text  # quotes only where they are needed
 
 
 def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:

@@ -11,8 +11,10 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.config.loading import load_recipe
 from infrablend.core.tasks import Progress
-from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
+from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
+from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.record import FrameRecord, read_record
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -483,6 +485,17 @@ def test_classes_are_renamed_joined_and_shared_with_new_objects(dataset, tmp_pat
     record = json.loads((run / "run.json").read_text())
     assert [c["name"] for c in record["categories"] if c["new"]] == ["deer", "human"]
     assert record["recipe"]["labels"]["rename"]["Car"] == "vehicle"
+
+
+def test_regions_to_ignore_that_a_recipe_turns_into_objects_are_a_warning(dataset, tmp_path):
+    def warnings(rename: dict[str, str]) -> list[Problem]:
+        recipe = load_recipe("hit-uav-drone", {"labels.rename": rename})
+        found = make_plan(recipe, api.read_dataset(dataset), seed=0).problems
+        return [p for p in found if p.code == "ignore-renamed"]
+
+    (warning,) = warnings({"DontCare": "Car"})
+    assert (warning.where, warning.severity) == ("Car", "warning") and "(DontCare)" in warning.found
+    assert not warnings({"DontCare": "crowd", "Car": "vehicle"})
 
 
 def test_renaming_what_is_not_there_is_refused(dataset, tmp_path):
