@@ -6,8 +6,9 @@
     print(report.counts)
     api.preview("runs/first", "runs/first/preview.png")
 
-Options that belong together are one value, such as `Reading` (how to read a dataset) or `Execution` (how to compute
-frames). Examples below run in the tests on a dataset of four pictures, without Blender.
+Options that belong together are one value, documented in its class: `Reading` (how to read a dataset), `Execution` (how
+to compute frames), `TrainRequest`, `Judging` (how to evaluate), `FetchRequest`, `ExperimentRequest`. Every function
+raises the errors of `infrablend.errors`. The examples run in the tests on a dataset of four pictures, without Blender.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing, require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.fetching import fetch as fetching
-from infrablend.fetching.fetch import FetchReport, OnFetch
+from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch, SourceEntry
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.writing import WriteSettings
@@ -32,22 +33,19 @@ from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport
 from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.generate import describe_run, generate_run
+from infrablend.pipeline.judging import DEFAULT_JUDGING, Judging
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.select import SELECT_ALL, Selection
 from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
-from infrablend.pipeline.train import (
-    TrainPlan,
-    TrainReport,
-    choose_preset,
-    plan_training,
-    train_dataset,
-)
+from infrablend.pipeline.train import TrainPlan, TrainReport, plan_training, train_dataset
+from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 from infrablend.world.dataset import WorldRequest
 
 if TYPE_CHECKING:
+    from infrablend.evaluation.comparison import EvaluationComparison
     from infrablend.pipeline.evaluate import EvaluationReport
     from infrablend.pipeline.experiments.plan import ExperimentPlan
     from infrablend.pipeline.experiments.run import ExperimentReport, OnStage
@@ -58,51 +56,14 @@ if TYPE_CHECKING:
     from infrablend.report.preview import Draw
 
 __all__ = [
-    "ClassChanges",
-    "ConvertReport",
-    "Execution",
-    "ExperimentRequest",
-    "FetchReport",
-    "PlanReport",
-    "Reading",
-    "RealismReport",
-    "RunReport",
-    "Selection",
-    "SplitReport",
-    "SplitRule",
-    "TrainPlan",
-    "TrainReport",
-    "WriteSettings",
-    "check",
-    "compare_evaluations",
-    "convert",
-    "describe_source",
-    "diagnose",
-    "evaluate",
-    "experiment",
-    "fetch",
-    "generate",
-    "inspect",
-    "list_experiments",
-    "list_models",
-    "list_recipes",
-    "list_sources",
-    "make_world",
-    "plan",
-    "plan_experiment",
-    "plan_train",
-    "preview",
-    "preview_ground",
-    "profile",
-    "read_dataset",
-    "realism",
-    "rerender",
-    "show_model",
-    "show_recipe",
-    "split",
-    "train",
-    "write_infrared_effect",
-]
+    "ClassChanges", "ConvertReport", "Execution", "ExperimentRequest", "FetchReport",
+    "FetchRequest", "Judging", "PlanReport", "Reading", "RealismReport", "RunReport", "Selection", "SourceEntry",
+    "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest", "WriteSettings", "check",
+    "compare_evaluations", "convert", "describe_source", "diagnose", "evaluate", "experiment", "fetch", "generate",
+    "inspect", "list_experiments", "list_models", "list_recipes", "list_sources", "make_world", "plan",
+    "plan_experiment", "plan_train", "preview", "preview_ground", "profile", "read_dataset", "realism", "rerender",
+    "show_model", "show_recipe", "split", "train", "write_infrared_effect",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -117,19 +78,13 @@ class PlanReport:
 
 
 def generate(
-    recipe: str | Path,
-    data: str | Path,
-    out: str | Path,
-    *,
-    limit: int | None = None,
-    seed: int = 0,
-    settings: Settings = (),
-    reading: Reading = READ_ALL,
-    execution: Execution = DEFAULT_EXECUTION,
-    existing: Existing = "refuse",
-    on_progress: OnProgress | None = None,
-) -> RunReport:
+    recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None, seed: int = 0,
+    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+) -> RunReport:  # fmt: skip
     """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+
+    The other arguments are described in `infrablend.pipeline.request.RunRequest`.
 
     >>> fake = Execution(renderer="fake", in_process=True)
     >>> report = generate("hit-uav-drone", "hit-uav", "runs/first", limit=2, execution=fake)
@@ -147,25 +102,15 @@ def generate(
         execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
         existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
-
-    Raises:
-        RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
     request = RunRequest(recipe, Path(data), Path(out), limit, seed, settings, reading, execution, existing)
     return generate_run(request, on_progress)
 
 
 def plan(
-    recipe: str | Path,
-    data: str | Path,
-    out: str | Path | None = None,
-    *,
-    limit: int | None = None,
-    seed: int = 0,
-    settings: Settings = (),
-    reading: Reading = READ_ALL,
-    execution: Execution = DEFAULT_EXECUTION,
-) -> PlanReport:
+    recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None, seed: int = 0,
+    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+) -> PlanReport:  # fmt: skip
     """Return what `generate` with the same arguments would write, without writing it.
 
     >>> plan("hit-uav-drone", "hit-uav").facts["frames"]
@@ -176,13 +121,9 @@ def plan(
 
 
 def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
-    """Render one frame of a run again and return the path of the picture; it has the same bytes.
+    """Render the frame `<split>/<background>_c<k>` of a run again, with the same bytes; return the picture's path.
 
-    Args:
-        run: Folder of the run.
-        frame_id: `<split>/<background>_c<k>`.
-        out: File to write; the frame's own file name in the current folder by default.
-        data: Folder of the backgrounds, if it has moved.
+    By default the picture goes to the current folder. `data` is the folder of the backgrounds, if it has moved.
     """
     return rerender_frame(Path(run), frame_id, _path(out), _path(data))
 
@@ -222,11 +163,8 @@ def inspect(
 ) -> Inspection:
     """Return splits, classes, sizes, coverage, sequences, leakage and problems of a dataset.
 
-    Args:
-        data: Folder of the dataset.
-        out: Folder for the charts `inspect.png` and for `inspect.json`; None writes nothing.
-        reading: How to read `data`.
-        decode: Also decode every picture for bit depth, channels, grey levels and broken files.
+    `out` is the folder for `inspect.png` and `inspect.json`; None writes nothing. `decode` also decodes every picture
+    for bit depth, channels, grey levels and broken files.
     """
     from infrablend.pipeline.examine import inspect_folder
 
@@ -236,16 +174,10 @@ def inspect(
 def check(
     data: str | Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
 ) -> CheckReport:
-    """Return every problem of the labels and pictures of a dataset; `report.ok(strict)` is the verdict.
+    """Return every problem of the labels and pictures of a dataset; without `decode`, only picture headers are read.
 
     >>> check("hit-uav").ok(strict=False)
     True
-
-    Args:
-        data: Folder of the dataset.
-        reading: How to read `data`.
-        decode: Decode the pictures; otherwise only their headers are read.
-        on_progress: Called after each picture.
     """
     from infrablend.pipeline.examine import check_folder
 
@@ -253,37 +185,18 @@ def check(
 
 
 def convert(
-    source: str | Path,
-    out: str | Path,
-    to: str,
-    *,
-    reading: Reading = READ_ALL,
-    classes: ClassChanges = KEEP_CLASSES,
-    selection: Selection = SELECT_ALL,
-    loosen: float = 1.0,
-    writing: WriteSettings | None = None,
+    source: str | Path, out: str | Path, to: str, *, reading: Reading = READ_ALL, classes: ClassChanges = KEEP_CLASSES,
+    selection: Selection = SELECT_ALL, loosen: float = 1.0, writing: WriteSettings | None = None,
     overwrite: bool = False,
-) -> ConvertReport:
+) -> ConvertReport:  # fmt: skip
     """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
+
+    `to` is a format such as yolo, yolo-obb, yolo-seg or coco, or `native` for the format of the source. `loosen`
+    enlarges the axis-aligned boxes of inserted objects by a factor from 1 to 2, to match hand-drawn boxes.
 
     >>> people = ClassChanges(only="Person")
     >>> convert("hit-uav", "converted", "coco", classes=people).format
     'coco'
-
-    Args:
-        source: Folder of the dataset.
-        out: Folder to write.
-        to: Format to write: yolo, yolo-obb, yolo-seg, coco, ..., or `native` for the format of the source.
-        reading: How to read `source`.
-        classes: Classes to rename, drop or keep.
-        selection: Pictures to take; all by default.
-        loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, from 1 to 2, to match hand-drawn
-            boxes.
-        writing: How to write ids, regions to ignore and objects without a mask.
-        overwrite: Replace an earlier conversion in `out`.
-
-    Raises:
-        UnknownFormatError, DatasetError, OutputError: See `infrablend.errors`.
     """
     dataset = read_dataset(source, reading)
     return convert_dataset(
@@ -293,58 +206,31 @@ def convert(
 
 
 def split(
-    data: str | Path,
-    out: str | Path,
-    rule: SplitRule,
-    *,
-    to: str = "native",
-    lists: bool = False,
+    data: str | Path, out: str | Path, rule: SplitRule, *, to: str = "native", lists: bool = False,
     reading: Reading = READ_ALL,
-) -> SplitReport:
-    """Write a dataset with new splits that do not share neighbouring frames.
+) -> SplitReport:  # fmt: skip
+    """Write a dataset with new splits that do not share neighbouring frames, e.g. with `SplitRule("sequence")`.
 
-    Args:
-        data: Folder of the dataset.
-        out: Folder to write, new or empty.
-        rule: What stays together, and the share of each split, e.g. `SplitRule("sequence")`.
-        to: Format to write; `native` is the format of the dataset.
-        lists: Write only three lists of pictures and `split.json`.
-        reading: How to read `data`.
-
-    Raises:
-        DatasetError: The dataset cannot be read, or does not contain what `rule` groups by.
-        OutputError: `out` is not empty or cannot be written.
+    `to` is the format to write, as in `convert`. `lists` writes only three lists of pictures and `split.json`.
     """
     return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists)
 
 
 def profile(
-    data: str | Path,
-    out: str | Path,
-    *,
-    count: int = 64,
-    time: str | None = None,
-    name: str | None = None,
-    against: str | None = None,
-    reading: Reading = READ_ALL,
-    on_progress: OnProgress | None = None,
-) -> ProfileReport:
-    """Fit a sensor profile to pictures, and write `profile.json` and `profile.png`.
+    data: str | Path, out: str | Path, *, count: int = 64, time: str | None = None, name: str | None = None,
+    against: str | None = None, reading: Reading = READ_ALL, on_progress: OnProgress | None = None,
+) -> ProfileReport:  # fmt: skip
+    """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
 
     Args:
         data: Folder of pictures or of a dataset. Annotated objects are not measured.
-        out: Folder to write. Recipes take its `profile.json` as `sensor.profile`.
+        out: Folder to write.
         count: Number of pictures to read, evenly spread.
         time: `day` or `night`: use only pictures taken then.
         name: Name of the profile; the name of the folder by default.
         against: Shipped profile to compare with.
         reading: How to read `data`.
         on_progress: Called after each picture.
-
-    Raises:
-        DatasetError: No picture can be used, there is no contrast, or there are too few clean edges.
-        RecipeError: There is no shipped profile `against`.
-        OutputError: `out` cannot be written.
     """
     from infrablend.pipeline.profile import profile_dataset, taken_by
 
@@ -354,17 +240,10 @@ def profile(
 
 
 def realism(
-    run: str | Path,
-    against: str | Path,
-    out: str | Path | None = None,
-    *,
-    categories: Sequence[str] | None = None,
-    time_of_day: Time = "all",
-    pairs: int = 1000,
-    reading: Reading = READ_ALL,
-    execution: Execution = DEFAULT_EXECUTION,
-    on_progress: OnProgress | None = None,
-) -> RealismReport:
+    run: str | Path, against: str | Path, out: str | Path | None = None, *, categories: Sequence[str] | None = None,
+    time_of_day: Time = "all", pairs: int = 1000, reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION, on_progress: OnProgress | None = None,
+) -> RealismReport:  # fmt: skip
     """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
 
     Args:
@@ -377,10 +256,6 @@ def realism(
         reading: How to read `against`.
         execution: Worker processes; `in_process` only for runs made with the fake renderer.
         on_progress: Called after each picture.
-
-    Raises:
-        MissingDependencyError: scikit-learn is not installed.
-        OutputError, DatasetError, RenderError, Interrupted: See `infrablend.errors`.
     """
     folder = Path(run)
     request = ComparisonRequest(categories, time_of_day, pairs, execution.worker_count(), execution.in_process)
@@ -388,219 +263,91 @@ def realism(
 
 
 def train(
-    dataset: str | Path,
-    out: str | Path,
-    *,
-    preset: str = "small",
-    task: str = "detect",
-    weights: str = "auto",
-    device: str = "auto",
-    seed: int = 0,
-    settings: Mapping[str, Any] | None = None,
-    classes: Sequence[str] | None = None,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    on_progress: OnProgress | None = None,
-) -> TrainReport:
-    """Train a detector on a dataset, with Ultralytics (the extra `train`).
+    dataset: str | Path, out: str | Path, request: TrainRequest = DEFAULT_TRAINING, *, reading: Reading = READ_ALL,
+    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+) -> TrainReport:  # fmt: skip
+    """Train a detector with Ultralytics; write `weights.pt` and `train.json`. Needs `infrablend[train]`.
 
-    Args:
-        dataset: Folder of a dataset of any format that can be read; a run of `generate` is one.
-        out: Folder for `weights.pt` and `train.json`.
-        preset: `paper`, `small` or `smoke`, see `training.presets`.
-        task: detect, obb or segment.
-        weights: Where to start: a file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's own published
-            weights if they can be had, else from scratch.
-        device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
-        seed: Of weights, order, augmentation and tiles.
-        settings: Fields of the preset set otherwise (`{"passes": 4000}`), and arguments of Ultralytics.
-        classes: Train on these classes only.
-        format: Format of the dataset; detected by default.
-        options: Of its reader.
-        resume: Go on with an interrupted training.
-        overwrite: Replace an earlier training in `out`.
-        on_progress: Told the images passed.
-
-    Raises:
-        InfraBlendError: Of many kinds, see `pipeline.train.train_dataset`.
+    `dataset` has any readable format; a run of `generate` is one. `existing` decides what happens to an earlier
+    training in `out`: `refuse`, `resume` or `overwrite`.
     """
     require_apart(Path(dataset), Path(out))
-    chosen = choose_preset(preset, settings or {})
-    found = read_dataset(dataset, Reading(format=format, options=options or {}))
-    return train_dataset(
-        found,
-        Path(out),
-        preset=chosen,
-        task=task,
-        start=weights,
-        device=device,
-        seed=seed,
-        classes=classes,
-        resume=resume,
-        overwrite=overwrite,
-        on_progress=on_progress,
-    )
+    found = read_dataset(dataset, reading)
+    return train_dataset(found, Path(out), request, existing=existing, on_progress=on_progress)
 
 
 def plan_train(
-    dataset: str | Path,
-    *,
-    preset: str = "small",
-    task: str = "detect",
-    settings: Mapping[str, Any] | None = None,
-    classes: Sequence[str] | None = None,
-    device: str = "auto",
-    seed: int = 0,
-    format: str | None = None,
-    options: Mapping[str, str] | None = None,
-    weights: str = "auto",
-    out: str | Path | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-) -> TrainPlan:
-    """Return images, epochs, time and disk space of a training without starting it; refuse what `train` would."""
-    chosen = choose_preset(preset, settings or {})
-    found = read_dataset(dataset, Reading(format=format, options=options or {}))
-    return plan_training(
-        found, chosen, task=task, classes=classes, device=device, seed=seed, start=weights,
-        out=None if out is None else Path(out), resume=resume, overwrite=overwrite,
-    )  # fmt: skip
+    dataset: str | Path, request: TrainRequest = DEFAULT_TRAINING, *, reading: Reading = READ_ALL,
+    out: str | Path | None = None, existing: Existing = "refuse",
+) -> TrainPlan:  # fmt: skip
+    """Return images, epochs, time and disk space of `train`; whatever `train` would refuse is refused here too.
+
+    >>> plan_train("hit-uav", TrainRequest(preset="smoke", device="cpu", classes=["Car"])).images
+    2
+    """
+    return plan_training(read_dataset(dataset, reading), request, out=_path(out), existing=existing)
 
 
 def evaluate(
-    weights: str | Path,
-    dataset: str | Path,
-    out: str | Path,
-    *,
-    split: str = "test",
-    task: str | None = None,
-    device: str = "auto",
-    classes: Sequence[str] | None = None,
-    format: str | None = None,
-    form: str | None = None,
-    metadata: str | Path | None = None,
-    options: Mapping[str, str] | None = None,
-    image_size: int | None = None,
-    ignore_regions: bool = True,
-    bootstrap: int = 1000,
-    group: str = "image",
-    seed: int = 0,
-    against: str | Path | None = None,
-    overwrite: bool = False,
+    weights: str | Path, dataset: str | Path, out: str | Path, judging: Judging = DEFAULT_JUDGING, *,
+    device: str = "auto", reading: Reading = READ_ALL, against: str | Path | None = None, overwrite: bool = False,
     on_progress: OnProgress | None = None,
-) -> EvaluationReport:
-    """Judge a detector on a split: tables, strata, intervals, plots; weights need the extra `infrablend[train]`.
-
-    Writes `predictions.json`, `evaluation.json`, `evaluation.html`, `matches.npz` and `plots/`; see
-    docs/how_to/evaluate.md for what each figure means.
+) -> EvaluationReport:  # fmt: skip
+    """Evaluate a detector on a split: tables, strata, intervals and plots; docs/how_to/evaluate.md explains them.
 
     Args:
-        weights: A .pt file of Ultralytics', or the folder of a finished `train`; or the `predictions.json` (or folder)
-            of an earlier evaluation, which needs neither torch nor Ultralytics.
+        weights: Ultralytics weights (.pt) or the folder of a finished `train`, which need `infrablend[train]`; or
+            `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics.
         dataset: Folder of the dataset.
-        out: Folder to write; new or empty, or an earlier evaluation with `overwrite`.
-        split: train, val or test.
-        task: detect, obb, segment; what the detector finds by default. `detect` judges the boxes of any.
-        device: auto, cpu, cuda, cuda:1, mps.
-        classes: Those of the dataset to judge, by name; all by default. A detector has to know all of them.
-        format: As in `read_dataset`, and so are `form`, `metadata`, `options`.
-        form: See `read_dataset`.
-        metadata: See `read_dataset`.
-        options: See `read_dataset`.
-        image_size: The longer side the network sees, px; 0: each picture's own; by default the scale that the detector
-            was trained at.
-        ignore_regions: What is found in regions to ignore (DontCare) counts neither way.
-        bootstrap: Draws for the intervals; 0: none.
-        group: What is drawn: image, sequence, date, gap (runs of frame numbers).
-        seed: Of the draws.
+        out: Folder to write.
+        judging: Split, task, classes, image size, intervals.
+        device: auto, cpu, cuda, cuda:1 or mps.
+        reading: How to read `dataset`.
         against: Folder of another evaluation on the same images and labels, to compare with.
         overwrite: Replace an earlier evaluation in `out`.
-        on_progress: Called after each few pictures.
-
-    Raises:
-        MissingDependencyError: Ultralytics is not installed, or the device is not there.
-        ModelError, DatasetError, OutputError: See `infrablend.errors`; all that is wrong at once.
+        on_progress: Called after every few pictures.
     """
-    from infrablend.pipeline.evaluate import Judging, evaluate_detector
+    from infrablend.pipeline.evaluate import evaluate_detector
 
-    root, target = Path(dataset), Path(out)
-    require_apart(root, target)
-    data = read_dataset(root, Reading(None, format, form, metadata, options or {}))
-    judging = Judging(split, task, image_size, classes, ignore_regions, bootstrap, group, seed)
+    require_apart(Path(dataset), Path(out))
     return evaluate_detector(
-        Path(weights), data, target, judging, device=device, against=None if against is None else Path(against),
+        Path(weights), read_dataset(dataset, reading), Path(out), judging, device=device, against=_path(against),
         overwrite=overwrite, on_image=paced(on_progress),
     )  # fmt: skip
 
 
 def compare_evaluations(
-    ours: str | Path | Sequence[str | Path],
-    theirs: str | Path | Sequence[str | Path],
-    *,
-    classes: Sequence[str] | None = None,
-    bootstrap: int = 1000,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Two evaluations on the same images, by class: the difference of mAP50 and mAP50-95 with its interval.
+    ours: str | Path | Sequence[str | Path], theirs: str | Path | Sequence[str | Path], *,
+    classes: Sequence[str] | None = None, bootstrap: int = 1000, seed: int = 0,
+) -> EvaluationComparison:  # fmt: skip
+    """Return the difference of mAP50 and mAP50-95 of two evaluations on the same images, by class, with its interval.
 
-    Args:
-        ours: Folder that `evaluate` wrote; or several, of detectors trained alike but for the seed: their mean is
-            compared, and the interval holds what another seed would change.
-        theirs: Another one, or several, on the same images and labels.
-        classes: Those to compare; all that both judged by default.
-        bootstrap: Draws of the images (or groups, as `ours` was made with), the same for both.
-        seed: Of the draws.
-
-    Raises:
-        DatasetError: One is no finished evaluation, or images, labels, split, task, groups or treatment of
-            regions differ.
+    Either side may be several folders, of detectors that differ only in their training seed: their means are compared,
+    and the interval includes the variation between seeds. By default all classes are compared that both evaluated.
     """
     from infrablend.evaluation import comparison
 
     first, second = ([Path(s)] if isinstance(s, str | Path) else [Path(p) for p in s] for s in (ours, theirs))
-    return comparison.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
+    facts = comparison.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
+    return comparison.EvaluationComparison(**facts)
 
 
 def fetch(
-    name: str,
-    out: str | Path,
-    *,
-    parts: Sequence[str] | None = None,
-    url: str | None = None,
-    sha256: str | None = None,
-    archive: str | Path | None = None,
-    keep_archive: bool = False,
-    on_progress: OnFetch | None = None,
+    name: str, out: str | Path, request: FetchRequest = FETCH_ALL, *, on_progress: OnFetch | None = None
 ) -> FetchReport:
     """Download a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
 
-    Calling it again continues an interrupted download.
-
-    Args:
-        name: Name of the dataset, see `list_sources`.
-        out: Folder to write: new, empty, or of an earlier download of the same dataset.
-        parts: Parts to fetch; all by default.
-        url: Address to download the file from instead.
-        sha256: SHA-256 that the file must have.
-        archive: File downloaded by hand, to unpack instead.
-        keep_archive: Also keep the archive in `out`.
-        on_progress: Called while bytes arrive and files are unpacked.
-
-    Raises:
-        DatasetError: No program can fetch this dataset (the message says where to get it), or the archive is damaged,
-            hostile, or of another dataset.
-        FetchError, OutputError, Interrupted: See `infrablend.errors`.
+    `list_sources` lists the names. Calling it again continues an interrupted download.
     """
-    return fetching.fetch(
-        name, Path(out), parts=parts, url=url, sha256=sha256, archive=_path(archive), keep_archive=keep_archive,
-        on_progress=on_progress,
-    )  # fmt: skip
+    return fetching.fetch(name, Path(out), request, on_progress=on_progress)
 
 
-def list_sources() -> list[dict[str, Any]]:
-    """Return the datasets that `fetch` knows: name, title, page, licence, parts, whether it can download them."""
+def list_sources() -> list[SourceEntry]:
+    """Return the public datasets that `fetch` knows, with page, licence and parts.
+
+    >>> "hit-uav" in [source.name for source in list_sources()]
+    True
+    """
     return fetching.list_sources()
 
 
@@ -611,17 +358,12 @@ def describe_source(name: str, *, licence_only: bool = False) -> str:
 
 
 def make_world(
-    out: str | Path,
-    count: int,
-    seed: int = 0,
-    *,
-    layout: Literal["hit-uav", "monet"] = "hit-uav",
-    workers: int | None = None,
-    on_progress: OnProgress | None = None,
-) -> Path:
+    out: str | Path, count: int, seed: int = 0, *, layout: Literal["hit-uav", "monet"] = "hit-uav",
+    workers: int | None = None, on_progress: OnProgress | None = None,
+) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
-    `layout` is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
+    The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
     some of it lost). It always renders on the CPU.
     """
     world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
@@ -629,11 +371,7 @@ def make_world(
 
 
 def list_models() -> dict[str, str]:
-    """Return the shipped models and their descriptions.
-
-    >>> "drone" in list_models()
-    True
-    """
+    """Return the shipped models and their descriptions."""
     return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
 
 
@@ -675,20 +413,10 @@ def list_experiments() -> dict[str, str]:
 def experiment(
     request: ExperimentRequest, *, on_stage: OnStage | None = None, on_progress: OnProgress | None = None
 ) -> ExperimentReport:
-    """Run an experiment: make its data, train, evaluate, compare, and write the page.
+    """Run an experiment: generate, train, evaluate, compare, and write the page, as far as the run gets.
 
-    The same request continues an interrupted run. Stages are kept by a digest of everything that decides them, so
-    experiments share equal stages and a finished experiment makes nothing again.
-
-    Args:
-        request: Experiment, datasets, scale and folders.
-        on_stage: Called with a stage's id, what happened (`found`, `started`, `done`, `adopted`), its number, and the
-            number of stages.
-        on_progress: Called by stages that report progress.
-
-    Raises:
-        RecipeError, DatasetError, OutputError, MissingDependencyError, RenderError, Interrupted: See
-            `infrablend.errors`. The page is written as far as the run got.
+    The same request continues an interrupted run, and experiments share equal stages. `on_stage` is called with a
+    stage's id, what happened (`found`, `started`, `done`, `adopted`), its number, and the number of stages.
     """
     from infrablend.pipeline.experiments.prepare import prepare_experiment
     from infrablend.pipeline.experiments.run import run_experiment

@@ -27,6 +27,7 @@ from infrablend.realism import nets
 from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
 from infrablend.training.presets import PRESETS
+from infrablend.training.request import choose_preset
 from infrablend.training.trainer import Turns
 
 
@@ -61,13 +62,21 @@ def zipped() -> bytes:
     return held.getvalue()
 
 
+def train(data: Path, out: Path, *, existing="refuse", on_progress=None, **request):
+    return api.train(data, out, api.TrainRequest(**request), existing=existing, on_progress=on_progress)
+
+
+def plan_train(data: Path, *, out: Path | None = None, existing="refuse", **request):
+    return api.plan_train(data, api.TrainRequest(**request), out=out, existing=existing)
+
+
 SMOKE = {"preset": "smoke", "weights": "scratch", "device": "cpu"}
 
 
 def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
-    report = api.train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
+    report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
     record = json.loads((tmp_path / "out" / "train.json").read_text())
     assert report.weights.stat().st_size > 1_000_000
     assert record["status"] == "complete"
@@ -80,14 +89,14 @@ def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
     assert seen[-1].total == record["prepared"]["images"]
     # No copy of the data stays behind, and nothing outside the folder was written.
     assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "train.log", "weights.pt"]
-    again = api.train(data, tmp_path / "out", settings={"tiles": 0}, resume=True, **SMOKE)
+    again = train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
     assert again.record == record
-    with pytest.raises(OutputError, match="holds a training"):
-        api.train(data, tmp_path / "out", **SMOKE)
+    with pytest.raises(OutputError, match="contains a training"):
+        train(data, tmp_path / "out", **SMOKE)
     with pytest.raises(OutputError, match="begun otherwise"):
-        api.train(data, tmp_path / "out", resume=True, **{**SMOKE, "seed": 4})
+        train(data, tmp_path / "out", existing="resume", **{**SMOKE, "seed": 4})
     with pytest.raises(OutputError, match="begun otherwise") as caught:
-        api.train(data, tmp_path / "out", settings={"batch": 2, "hsv_v": 0.1}, resume=True, **SMOKE)
+        train(data, tmp_path / "out", settings={"batch": 2, "hsv_v": 0.1}, existing="resume", **SMOKE)
     assert {p.where: (p.found, p.expected) for p in caught.value.problems} == {
         "settings.batch": ("2", "4 as begun"),
         "settings.tiles": ("8", "0 as begun"),
@@ -102,7 +111,7 @@ def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
     run = api.generate(
         "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="fake", in_process=True)
     ).out
-    report = api.train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
+    report = train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
     assert report.record["status"] == "complete"
     assert report.record["gate"]["labels"] == report.record["prepared"]["labels"] >= 2
 
@@ -137,7 +146,7 @@ def test_the_gate_stops_where_ultralytics_would_drop_a_label(ultralytics, tmp_pa
     # The same row twice: Ultralytics takes it once.
     data = yolo(tmp_path / "data", {"train": 4}, rows="0 0.5 0.5 0.1 0.1\n0 0.5 0.5 0.1 0.1\n1 0.2 0.2 0.1 0.1\n")
     with pytest.raises(DatasetError, match="drop labels"):
-        api.train(data, tmp_path / "out", settings={"tile": 0}, **SMOKE)
+        train(data, tmp_path / "out", settings={"tile": 0}, **SMOKE)
     assert json.loads((tmp_path / "out" / "train.json").read_text())["status"] == "failed"
 
 
@@ -147,34 +156,34 @@ def test_the_gate_looks_at_val_where_val_decides(ultralytics, tmp_path):
     doubled = data / "labels" / "val" / "0.txt"
     doubled.write_text(doubled.read_text() * 2)
     with pytest.raises(DatasetError, match="2 images and 6 labels of split val"):
-        api.train(data, tmp_path / "out", settings={"tile": 0, "patience": 3}, **SMOKE)
+        train(data, tmp_path / "out", settings={"tile": 0, "patience": 3}, **SMOKE)
 
 
 def test_everything_wrong_with_a_dataset_is_said_at_once_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
     data = yolo(tmp_path / "data", {"val": 2, "test": 1}, names=("car", "drone", "deer"))
     with pytest.raises(DatasetError) as caught:
-        api.train(data, tmp_path / "out", device="cpu", classes=["car", "boat"])
+        train(data, tmp_path / "out", device="cpu", classes=["car", "boat"])
     assert {p.code for p in caught.value.problems} == {"category-unknown", "split-empty"}
     data = yolo(tmp_path / "more", {"train": 2}, names=("car", "drone", "deer"))
     with pytest.raises(DatasetError) as caught:
-        api.train(data, tmp_path / "out", device="cpu")
+        train(data, tmp_path / "out", device="cpu")
     assert [(p.where, p.code) for p in caught.value.problems] == [("class deer", "class-empty")]
     with pytest.raises(DatasetError, match="stops when val"):
-        api.train(data, tmp_path / "out", preset="paper", device="cpu", classes=["car"])
+        train(data, tmp_path / "out", preset="paper", device="cpu", classes=["car"])
     with pytest.raises(DatasetError, match="without oriented box"):
-        api.train(data, tmp_path / "out", task="obb", device="cpu", classes=["car"])
+        train(data, tmp_path / "out", task="obb", device="cpu", classes=["car"])
     with pytest.raises(DatasetError, match="without mask"):
-        api.train(data, tmp_path / "out", task="segment", device="cpu", classes=["car"])
+        train(data, tmp_path / "out", task="segment", device="cpu", classes=["car"])
     Image.fromarray(np.zeros((240, 320), np.uint16)).save(data / "images" / "train" / "1.png")
     with pytest.raises(DatasetError, match="8-bit"):
-        api.train(data, tmp_path / "out", device="cpu", classes=["car"])
+        train(data, tmp_path / "out", device="cpu", classes=["car"])
     assert not (tmp_path / "out").exists()
 
 
 def test_what_does_not_stop_a_training_is_said_too(tmp_path, caplog):
     data = yolo(tmp_path / "data", {"train": 2}, names=("car", "drone", "deer"))
-    api.plan_train(data, preset="smoke", device="cpu")
+    plan_train(data, preset="smoke", device="cpu")
     assert "class deer: no object in split train" in caplog.text
     assert "split val: no pictures" in caplog.text
 
@@ -182,31 +191,31 @@ def test_what_does_not_stop_a_training_is_said_too(tmp_path, caplog):
 def test_a_plan_refuses_what_the_training_would(ultralytics, tmp_path):
     data = yolo(tmp_path / "data", {"train": 2, "val": 1})
     with pytest.raises(OutputError, match="pases"):
-        api.plan_train(data, device="cpu", settings={"pases": 320})
+        plan_train(data, device="cpu", settings={"pases": 320})
     with pytest.raises(FetchError, match="no such file"):
-        api.plan_train(data, device="cpu", weights="no/where.onnx")
+        plan_train(data, device="cpu", weights="no/where.onnx")
     out = tmp_path / "out"
-    assert api.plan_train(data, device="cpu", out=out, weights="yolov8n.pt").images
+    assert plan_train(data, device="cpu", out=out, weights="yolov8n.pt").images
     out.mkdir()
     (out / "train.json").write_text('{"infrablend": "1", "status": "complete"}')
     (out / "weights.pt").write_text("whole")
-    with pytest.raises(OutputError, match="holds a training"):
-        api.plan_train(data, device="cpu", out=out)
-    assert api.plan_train(data, device="cpu", out=out, overwrite=True).images
+    with pytest.raises(OutputError, match="contains a training"):
+        plan_train(data, device="cpu", out=out)
+    assert plan_train(data, device="cpu", out=out, existing="overwrite").images
     assert (out / "weights.pt").read_text() == "whole"  # a plan replaces nothing
     (out / "train.json").unlink()
-    with pytest.raises(OutputError, match="no training"):
-        api.plan_train(data, device="cpu", out=out, overwrite=True)
+    with pytest.raises(OutputError, match="not a training"):
+        plan_train(data, device="cpu", out=out, existing="overwrite")
 
 
 def test_settings_that_cannot_be():
     with pytest.raises(OutputError, match="no such preset"):
-        pipeline.choose_preset("big", {})
+        choose_preset("big", {})
     with pytest.raises(OutputError) as caught:
-        pipeline.choose_preset("small", {"passes": "many", "batch": -1, "lr0": 0.1})
+        choose_preset("small", {"passes": "many", "batch": -1, "lr0": 0.1})
     assert [p.where for p in caught.value.problems] == ["--set passes", "--set batch"]
-    assert pipeline.choose_preset("small", {"lr0": 0.1}).arguments["lr0"] == 0.1
-    chosen = pipeline.choose_preset("small", {"epochs": 3})
+    assert choose_preset("small", {"lr0": 0.1}).arguments["lr0"] == 0.1
+    chosen = choose_preset("small", {"epochs": 3})
     assert chosen.epochs_for(1000) == (3, 1000)
     # However many images: as many epochs, as many shown in each, and all of them at least once.
     assert PRESETS["small"].epochs_for(700) == PRESETS["small"].epochs_for(15_000) == (20, 800)
@@ -219,7 +228,7 @@ def test_settings_that_cannot_be():
         ("smoke", {"epochs": True}, ["--set epochs"]),
     ):  # fmt: skip
         with pytest.raises(OutputError) as caught:
-            pipeline.choose_preset(name, settings)
+            choose_preset(name, settings)
         assert [p.where for p in caught.value.problems] == where
 
 
@@ -228,8 +237,8 @@ def test_arguments_that_ultralytics_would_refuse_are_refused_before_anything_is_
     before = dict(os.environ)
     for settings, said in (({"lr": 0.1}, "not a valid YOLO argument"), ({"lr0": "much"}, "invalid type str")):
         with pytest.raises(OutputError, match=said):
-            api.train(data, tmp_path / "out", settings=settings, **SMOKE)
-    pipeline._require_arguments(pipeline.choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
+            train(data, tmp_path / "out", settings=settings, **SMOKE)
+    pipeline._require_arguments(choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
     assert dict(os.environ) == before
     assert not (tmp_path / "out").exists()
 
@@ -246,7 +255,7 @@ def test_labels_that_could_not_be_read_are_not_left_out_in_silence(tmp_path, mon
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
     bad = "0 0.5 0.5 0.1 0.1\n1 0.5 0.5 0.1 0.2\n0 nan 0.5 0.1 0.1\n"
     data = yolo(tmp_path / "data", {"train": 25}, rows=bad)
-    for call in (lambda: api.train(data, tmp_path / "out", device="cpu"), lambda: api.plan_train(data, device="cpu")):
+    for call in (lambda: train(data, tmp_path / "out", device="cpu"), lambda: plan_train(data, device="cpu")):
         with pytest.raises(DatasetError, match="25 labels or pictures could not be read") as caught:
             call()
         assert "infrablend convert" in caught.value.message
@@ -254,7 +263,7 @@ def test_labels_that_could_not_be_read_are_not_left_out_in_silence(tmp_path, mon
         assert len(caught.value.problems) == 20
         assert all("labels/train" in p.where and p.found and p.expected for p in caught.value.problems)
     api.convert(data, tmp_path / "clean", to="coco")
-    plan = api.plan_train(tmp_path / "clean", device="cpu")
+    plan = plan_train(tmp_path / "clean", device="cpu")
     assert (plan.images, plan.labels) == (25, 50)
 
 
@@ -262,17 +271,17 @@ def test_a_plan_says_what_is_shown_and_where(ultralytics, tmp_path, monkeypatch)
     import torch
 
     data = yolo(tmp_path / "data", {"train": 4})
-    plan = api.plan_train(data, device="cpu")
+    plan = plan_train(data, device="cpu")
     assert (plan.images, plan.shown, plan.epochs, plan.tiled, plan.device) == (4, 800, 20, True, "cpu")
     assert plan.disk_bytes > 4 * 3.2e6 * 6
-    assert api.plan_train(data, device="cpu", settings={"model": "yolov8x"}).disk_bytes > 1.6e9
+    assert plan_train(data, device="cpu", settings={"model": "yolov8x"}).disk_bytes > 1.6e9
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    fast = api.plan_train(data)
+    fast = plan_train(data)
     assert fast.device == "0"
     assert fast.seconds < plan.seconds
     with pytest.raises(OutputError, match="finds 2 GPUs"):
-        api.plan_train(data, device="cuda:2")
+        plan_train(data, device="cuda:2")
 
 
 def test_devices(ultralytics, tmp_path, monkeypatch):
@@ -287,7 +296,7 @@ def test_devices(ultralytics, tmp_path, monkeypatch):
     names = ("auto", "cpu", "cuda", "cuda:0", "cuda:1", "1")
     assert [pipeline._device(n) for n in names] == ["0", "cpu", "0", "0", "1", "1"]
     with pytest.raises(OutputError, match="finds 2 GPUs, numbered from 0"):
-        api.train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="7")
+        train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="7")
     assert not (tmp_path / "out").exists()
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert pipeline._device("auto") == "cpu"
@@ -319,7 +328,7 @@ END = {"event": "end", "epochs": 1, "precision": "float32", "batch": 3, "short_o
 def test_a_stop_when_all_is_done_stops_nothing(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2})
     events(monkeypatch, END, code=-15, stopped=True)
-    report = api.train(data, tmp_path / "out", **SMOKE)
+    report = train(data, tmp_path / "out", **SMOKE)
     assert report.record["status"] == "complete"
     assert report.record["sessions"][0]["end"] == "end"
     assert report.record["batch"] == 3
@@ -332,16 +341,16 @@ def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
     call = {"settings": {"epochs": 9}, **SMOKE}
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="before the first of 9 epochs"):
-        api.train(data, tmp_path / "out", **call)
+        train(data, tmp_path / "out", **call)
     events(monkeypatch, {"event": "epoch", "epoch": 4}, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="after epoch 4 of 9"):
-        api.train(data, tmp_path / "out", resume=True, **call)
+        train(data, tmp_path / "out", existing="resume", **call)
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="after epoch 4 of 9"):
-        api.train(data, tmp_path / "out", resume=True, **call)
+        train(data, tmp_path / "out", existing="resume", **call)
     events(monkeypatch, {"event": "damaged", "message": "bad"}, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="before the first"):
-        api.train(data, tmp_path / "out", resume=True, **call)
+        train(data, tmp_path / "out", existing="resume", **call)
     assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["begun_anew"] == "bad"
 
 
@@ -350,20 +359,20 @@ def test_a_record_that_cannot_be_read_is_begun_anew_when_asked(tmp_path, monkeyp
     events(monkeypatch, END)
     out = tmp_path / "out"
     for option in ("resume", "overwrite"):
-        api.train(data, out, overwrite=out.exists(), **SMOKE)
+        train(data, out, existing="overwrite" if out.exists() else "refuse", **SMOKE)
         (out / "train.json").write_text("")
         (out / "checkpoint.pt").write_bytes(b"old")
         with pytest.raises(OutputError, match="cannot be read"):
-            api.train(data, out, **SMOKE)
+            train(data, out, **SMOKE)
         caplog.clear()
-        assert api.train(data, out, **{option: True}, **SMOKE).record["status"] == "complete"
-        assert "begins anew" in caplog.text
+        assert train(data, out, existing=option, **SMOKE).record["status"] == "complete"
+        assert "starts again" in caplog.text
         assert not (out / "checkpoint.pt").exists()
     # Somebody's own folder stays what it is.
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "train.json").write_text("")
-    with pytest.raises(OutputError, match="no training"):
-        api.train(data, tmp_path / "mine", overwrite=True, **SMOKE)
+    with pytest.raises(OutputError, match="not a training"):
+        train(data, tmp_path / "mine", existing="overwrite", **SMOKE)
 
 
 def test_going_on_asks_for_the_same_data_and_not_the_same_place(tmp_path, monkeypatch):
@@ -371,26 +380,26 @@ def test_going_on_asks_for_the_same_data_and_not_the_same_place(tmp_path, monkey
     out = tmp_path / "out"
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted):
-        api.train(data, out, **SMOKE)
+        train(data, out, **SMOKE)
     data = data.rename(tmp_path / "moved")
     (data / "labels" / "test" / "0.txt").write_text("")  # not trained on
     with pytest.raises(Interrupted):
-        api.train(data, out, resume=True, **SMOKE)
+        train(data, out, existing="resume", **SMOKE)
     labels = data / "labels" / "train" / "0.txt"
     was = labels.read_text()
     labels.write_text(was.replace("1 0.", "0 0."))
     with pytest.raises(OutputError, match="other labels or pictures"):
-        api.train(data, out, resume=True, **SMOKE)
+        train(data, out, existing="resume", **SMOKE)
     labels.write_text(was)
     Image.fromarray(np.full((240, 320), 9, np.uint8)).save(data / "images" / "train" / "1.png")
     with pytest.raises(OutputError, match="other labels or pictures"):
-        api.train(data, out, resume=True, **SMOKE)
+        train(data, out, existing="resume", **SMOKE)
     # Records of earlier versions know the place alone.
     record = json.loads((out / "train.json").read_text())
     del record["content"]
     (out / "train.json").write_text(json.dumps(record))
     with pytest.raises(OutputError, match="data: "):
-        api.train(data, out, resume=True, **SMOKE)
+        train(data, out, existing="resume", **SMOKE)
 
 
 def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
@@ -458,7 +467,7 @@ def test_no_gpu_when_one_was_asked_for(ultralytics, tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU here")
     with pytest.raises(OutputError, match="finds no GPU"):
-        api.train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="cuda")
+        train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="cuda")
 
 
 def test_without_ultralytics_it_is_said_what_to_install(tmp_path):
@@ -477,7 +486,7 @@ def test_an_ultralytics_that_is_too_old_is_said(ultralytics, tmp_path, monkeypat
     for version in ("8.3.0", "8.4.189"):
         monkeypatch.setattr(metadata, "version", lambda name, v=version: v)
         with pytest.raises(MissingDependencyError, match=rf"{version} is installed; expected 8\.4\.190 or later"):
-            api.train(data, tmp_path / "out", **SMOKE)
+            train(data, tmp_path / "out", **SMOKE)
     assert not (tmp_path / "out").exists()
     for version in ("8.4.190", "8.10", "9.0.0rc1"):
         monkeypatch.setattr(metadata, "version", lambda name, v=version: v)

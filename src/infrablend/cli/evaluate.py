@@ -1,4 +1,4 @@
-"""`infrablend evaluate`: what a detector finds of a split, and how well."""
+"""`infrablend evaluate`: evaluate a detector on a split."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from infrablend.cli.options import (
     MetadataOption,
     ReadingOption,
     comma_list,
-    key_values,
+    make_reading,
 )
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class DetectorTask(StrEnum):
-    """What is compared."""
+    """Geometry that is compared with the labels."""
 
     DETECT = "detect"
     OBB = "obb"
@@ -33,7 +33,7 @@ class DetectorTask(StrEnum):
 
 
 class DrawnBy(StrEnum):
-    """What the bootstrap draws."""
+    """Unit that the bootstrap draws."""
 
     IMAGE = "image"
     SEQUENCE = "sequence"
@@ -50,31 +50,33 @@ def evaluate(
         ),
     ],
     dataset: DatasetArgument,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where to write; new or empty.")] = Path("evaluation"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write, new or empty.")] = Path("evaluation"),
     split: Annotated[str, typer.Option(help="train, val or test.")] = "test",
     task: Annotated[
-        DetectorTask | None, typer.Option(help="What is compared [default: what the detector finds].")
+        DetectorTask | None, typer.Option(help="Geometry to compare [default: that of the detector].")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1, mps.")] = "auto",
     classes: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Judge these classes alone [default: all of the dataset].")
+        str | None, typer.Option(metavar="A,B", help="Classes to judge [default: all of the dataset].")
     ] = None,
     image_size: Annotated[
         int | None,
         typer.Option(
             min=0,
             metavar="PX",
-            help="The longer side the network sees; 0: each picture's own [default: as in the detector's training].",
+            help="Longer side of the pictures that the network sees; 0: native size [default: as in training].",
         ),
     ] = None,
     ignore_regions: Annotated[
-        bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Nothing found in DontCare regions counts.")
+        bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Ignore findings in DontCare regions.")
     ] = True,
-    bootstrap: Annotated[int, typer.Option(min=0, metavar="N", help="Draws for the intervals; 0: none.")] = 1000,
+    bootstrap: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Bootstrap draws for the intervals; 0: none.")
+    ] = 1000,
     group: Annotated[
-        DrawnBy, typer.Option(help="What is drawn: images, sequences, days, runs of frames.")
+        DrawnBy, typer.Option(help="Unit to draw: images, sequences, days, or runs of frame numbers.")
     ] = DrawnBy.IMAGE,
-    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     against: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Another evaluation on the same images, to compare with.")
     ] = None,
@@ -94,24 +96,25 @@ def evaluate(
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_json, print_problems, print_result
 
+    judging = api.Judging(
+        split=split,
+        task=None if task is None else task.value,
+        image_size=image_size,
+        classes=chosen,
+        ignore_regions=ignore_regions,
+        bootstrap=bootstrap,
+        group=group.value,
+        seed=seed,
+    )
+    source = make_reading(format=format, form=form, metadata=metadata, options=reading)
     with shown_progress(session, "detecting") as on_progress:
         report = api.evaluate(
             weights,
             dataset,
             out,
-            split=split,
-            task=None if task is None else task.value,
+            judging,
             device=device,
-            classes=chosen,
-            format=format,
-            form=form,
-            metadata=metadata,
-            options=key_values(reading, "--read"),
-            image_size=image_size,
-            ignore_regions=ignore_regions,
-            bootstrap=bootstrap,
-            group=group.value,
-            seed=seed,
+            reading=source,
             against=against,
             overwrite=overwrite,
             on_progress=on_progress,

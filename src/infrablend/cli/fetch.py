@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from infrablend.cli.options import JsonOption, comma_list
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
+    from infrablend.fetching.fetch import SourceEntry
 
 
 def fetch(
@@ -47,9 +49,9 @@ def fetch(
     if listing:
         sources = api.list_sources()
         if as_json:
-            print_json(sources)
+            print_json([asdict(s) for s in sources])
         else:
-            print_result(table({s["name"]: _line(s) for s in sources}))
+            print_result(table({s.name: _line(s) for s in sources}))
         return
     if name is None:
         raise typer.BadParameter("give the NAME of a dataset, or --list", param_hint="NAME")
@@ -57,17 +59,9 @@ def fetch(
         print_result(api.describe_source(name))
         return
     typer.echo(api.describe_source(name, licence_only=True), err=True)
+    request = api.FetchRequest(parts, url, sha256, archive, keep_archive)
     with shown_fetch(session) as on_progress:
-        report = api.fetch(
-            name,
-            out,
-            parts=parts,
-            url=url,
-            sha256=sha256,
-            archive=archive,
-            keep_archive=keep_archive,
-            on_progress=on_progress,
-        )
+        report = api.fetch(name, out, request, on_progress=on_progress)
     if report.problems:
         lines = problem_lines(report.problems, session.log_path)
         typer.echo("\n".join([f"{len(report.problems)} warning(s):", *lines]), err=True)
@@ -79,9 +73,7 @@ def fetch(
         print_result(str(report.out))
 
 
-def _line(source: dict[str, object]) -> str:
-    parts = source["parts"]
-    assert isinstance(parts, list)
-    how = "fetched" if source["fetched"] else "by hand"
-    several = f", parts {','.join(parts)}" if len(parts) > 1 else ""
-    return f"{how}, licence {source['licence']}{several}  {source['page']}"
+def _line(source: SourceEntry) -> str:
+    how = "fetched" if source.fetched else "by hand"
+    several = f", parts {','.join(source.parts)}" if len(source.parts) > 1 else ""
+    return f"{how}, licence {source.licence}{several}  {source.page}"

@@ -18,6 +18,7 @@ from infrablend.cli.options import (
     SplitsOption,
     WorkersOption,
     comma_list,
+    earlier_output,
     make_reading,
 )
 
@@ -63,8 +64,7 @@ def generate(
     """Insert rendered objects into a dataset and write merged labels in every format."""
     session: Session = ctx.obj
     session.json = as_json
-    if resume and overwrite:
-        raise typer.BadParameter("--resume and --overwrite exclude each other; give one of them")
+    existing = earlier_output(resume, overwrite)
     reading = make_reading(split, form=form, metadata=metadata, options=options)
     names = comma_list(formats, "--format")
     fields = [*(settings or []), *([] if names is None else [f"output.formats=[{', '.join(names)}]"])]
@@ -94,7 +94,7 @@ def generate(
             settings=fields,
             reading=reading,
             execution=execution,
-            existing="resume" if resume else "overwrite" if overwrite else "refuse",
+            existing=existing,
             on_progress=on_progress,
         )
     _show(report, session)

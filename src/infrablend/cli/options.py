@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from infrablend.core.output import Existing
     from infrablend.formats.reading import Reading
 
 
@@ -88,6 +89,17 @@ def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
             raise typer.BadParameter(f"{pair!r}: write KEY=VALUE, each key once", param_hint=option)
         found[key] = value
     return found
+
+
+def earlier_output(resume: bool, overwrite: bool) -> Existing:
+    """Return what `--resume` and `--overwrite` ask to do with earlier output.
+
+    Raises:
+        typer.BadParameter: Both are given.
+    """
+    if resume and overwrite:
+        raise typer.BadParameter("--resume and --overwrite exclude each other; give one of them")
+    return "resume" if resume else "overwrite" if overwrite else "refuse"
 
 
 def make_reading(

@@ -1,4 +1,4 @@
-"""`infrablend train`: a detector from a dataset."""
+"""`infrablend train`: train a detector on a dataset."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from infrablend.cli.options import DatasetArgument, FormatOption, JsonOption, ReadingOption, comma_list, key_values
+from infrablend.cli.options import (
+    DatasetArgument,
+    FormatOption,
+    JsonOption,
+    ReadingOption,
+    comma_list,
+    earlier_output,
+    key_values,
+    make_reading,
+)
 from infrablend.core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
@@ -17,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class PresetName(StrEnum):
-    """How to train."""
+    """Training preset."""
 
     PAPER = "paper"
     SMALL = "small"
@@ -25,7 +34,7 @@ class PresetName(StrEnum):
 
 
 class TaskName(StrEnum):
-    """What is predicted."""
+    """Task of the detector."""
 
     DETECT = "detect"
     OBB = "obb"
@@ -45,26 +54,28 @@ def train(
         str,
         typer.Option(
             metavar="FILE|NAME|scratch|auto",
-            help="Where to start; auto: the preset's published weights if they can be had, else from scratch.",
+            help="Starting point; auto: the preset's published weights, or scratch if they cannot be downloaded.",
         ),
     ] = "auto",
     classes: Annotated[str | None, typer.Option(metavar="A,B", help="Only these classes [default: all].")] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, mps, cuda, or one GPU: cuda:1 or 1.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Of weights, order, augmentation and tiles.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of weights, order, augmentation and tiles.")] = 0,
     setting: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="Field of the preset (passes, epochs, batch ...) or Ultralytics' own."
+            "--set",
+            metavar="KEY=VALUE",
+            help="Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.",
         ),
     ] = None,
     format_in: FormatOption = None,
-    reading: ReadingOption = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Say images, epochs, time and disk; do nothing.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in DIR.")] = False,
+    options: ReadingOption = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Show images, epochs, time and disk without training.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the training in DIR.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the training in DIR.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Train a detector (Ultralytics; the extra `train`); stops cleanly, and goes on with --resume."""
+    """Train a detector with Ultralytics (extra `train`); Ctrl-C stops it, and --resume continues."""
     session: Session = ctx.obj
     session.json = as_json
 
@@ -72,19 +83,19 @@ def train(
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import human_bytes, human_seconds, print_json, print_result, table
 
-    settings = {k: _value(k, v) for k, v in key_values(setting, "--set").items()}
-    chosen: dict[str, Any] = {
-        "preset": preset.value,
-        "task": task.value,
-        "settings": settings,
-        "classes": comma_list(classes, "--classes"),
-        "format": format_in,
-        "options": key_values(reading, "--read"),
-    }
+    request = api.TrainRequest(
+        preset=preset.value,
+        settings={k: _value(k, v) for k, v in key_values(setting, "--set").items()},
+        task=task.value,
+        weights=weights,
+        device=device,
+        seed=seed,
+        classes=comma_list(classes, "--classes"),
+    )
+    reading = make_reading(format=format_in, options=options)
+    existing = earlier_output(resume, overwrite)
     if plan:
-        p = api.plan_train(
-            dataset, device=device, seed=seed, weights=weights, out=out, resume=resume, overwrite=overwrite, **chosen
-        )
+        p = api.plan_train(dataset, request, reading=reading, out=out, existing=existing)
         rows = {
             "tiles" if p.tiled else "images": str(p.images),
             "labels of the split": str(p.labels),
@@ -99,17 +110,7 @@ def train(
             print_result(table(rows))
         return
     with shown_progress(session, "training") as on_progress:
-        report = api.train(
-            dataset,
-            out,
-            weights=weights,
-            device=device,
-            seed=seed,
-            resume=resume,
-            overwrite=overwrite,
-            on_progress=on_progress,
-            **chosen,
-        )
+        report = api.train(dataset, out, request, reading=reading, existing=existing, on_progress=on_progress)
     if as_json:
         print_json(report.to_json())
         return
@@ -129,7 +130,7 @@ def train(
 
 
 def _used(prepared: dict[str, Any]) -> dict[str, str]:
-    """Return what the trainer has seen; an object counts once per tile that shows it."""
+    """Return the images and labels that the trainer used; an object counts once per tile that contains it."""
     both = f"{prepared['images']}, {prepared['labels']}: all used"
     tiles = prepared.get("tiles")
     if not tiles:

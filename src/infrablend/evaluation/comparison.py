@@ -37,6 +37,29 @@ class StoredMatches:
     groups: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class EvaluationComparison:
+    """Difference of two evaluations on the same images.
+
+    Attributes:
+        against: Name and detector of the second evaluation.
+        draws: Number of bootstrap draws.
+        detectors: Number of detectors on each side.
+        classes: Per class and metric (`map50`, `map50_95`): both values, their difference and its interval.
+        left_out: Classes that only one side evaluated.
+    """
+
+    against: Mapping[str, Any]
+    draws: int
+    detectors: Sequence[int]
+    classes: Mapping[str, Any]
+    left_out: Sequence[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return dict(vars(self))
+
+
 def compare_evaluations(
     ours: Sequence[Path],
     theirs: Sequence[Path],

@@ -136,15 +136,34 @@ def licence_lines(source: Source) -> list[str]:
     return lines + ([source.licence_note] if source.licence_note else [])
 
 
+@dataclass(frozen=True)
+class FetchRequest:
+    """What to fetch of a dataset, and from where.
+
+    Attributes:
+        parts: Parts to fetch; None for all.
+        url: Address to download the file from instead of the published one.
+        sha256: SHA-256 that the file must have.
+        archive: File downloaded by hand, to unpack instead of downloading one.
+        keep_archive: Whether to keep the archive in the output folder.
+    """
+
+    parts: Sequence[str] | None = None
+    url: str | None = None
+    sha256: str | None = None
+    archive: Path | None = None
+    keep_archive: bool = False
+
+
+FETCH_ALL = FetchRequest()
+"""The default: every part, from its published address."""
+
+
 def fetch(
     name: str,
     out: Path,
+    request: FetchRequest = FETCH_ALL,
     *,
-    parts: Sequence[str] | None = None,
-    url: str | None = None,
-    sha256: str | None = None,
-    archive: Path | None = None,
-    keep_archive: bool = False,
     limits: Limits | None = None,
     patience: Patience | None = None,
     on_progress: OnFetch | None = None,
@@ -152,14 +171,15 @@ def fetch(
     """Fetch a dataset into `out`; see `infrablend.api.fetch`.
 
     Raises:
-        DatasetError: No such dataset or part, one that no program can fetch, or an archive that is damaged, hostile,
-            or not the dataset.
-        FetchError: The network.
+        DatasetError: The dataset or a part does not exist or cannot be downloaded by a program, or the archive is
+            damaged, hostile, or of another dataset.
+        FetchError: The network failed.
         OutputError: The folder cannot be used, or the disk is full.
-        Interrupted: Ctrl-C; the same call goes on.
+        Interrupted: The user pressed Ctrl-C; the same call continues the download.
     """
+    url, sha256, archive = request.url, request.sha256, request.archive
     source = require_source(name)
-    wanted = _wanted(source, parts, single=bool(url or sha256 or archive))
+    wanted = _wanted(source, request.parts, single=bool(url or sha256 or archive))
     if url is not None and archive is not None:
         raise DatasetError("--url and --archive exclude each other: give one of them")
     if url is not None:
@@ -169,7 +189,7 @@ def fetch(
     if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
         raise DatasetError(f"--sha256 {sha256}: expected 64 hexadecimal digits")
     show = on_progress or (lambda progress: None)
-    order = _Order(source, out, url, sha256, archive, keep_archive, limits, patience, show)
+    order = _Order(source, out, url, sha256, archive, request.keep_archive, limits, patience, show)
     if not order.own_file and any(not a.url for a in wanted):
         raise DatasetError(f"{name}: nothing was fetched\n{how_to_get(source)}")
     new = not out.exists()
@@ -442,17 +462,35 @@ def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:
     )
 
 
-def list_sources() -> list[dict[str, Any]]:
-    """All datasets: name, title, page, licence, parts, and whether a program can fetch them."""
+@dataclass(frozen=True)
+class SourceEntry:
+    """A public dataset that InfraBlend knows.
+
+    Attributes:
+        name: Name to give to `fetch`.
+        title: Full title.
+        page: Address of its page.
+        licence: Name of its licence.
+        licence_note: Remark on the licence.
+        parts: Parts that can be fetched separately.
+        fetched: Whether `fetch` can download it; otherwise it has to be downloaded by hand.
+    """
+
+    name: str
+    title: str
+    page: str
+    licence: str
+    licence_note: str
+    parts: tuple[str, ...]
+    fetched: bool
+
+
+def list_sources() -> list[SourceEntry]:
+    """Return all known public datasets."""
     return [
-        {
-            "name": s.name,
-            "title": s.title,
-            "page": s.page,
-            "licence": s.licence.name,
-            "licence_note": s.licence_note,
-            "parts": [a.part for a in s.archives],
-            "fetched": all(a.url for a in s.archives),
-        }
+        SourceEntry(
+            s.name, s.title, s.page, s.licence.name, s.licence_note, tuple(a.part for a in s.archives),
+            all(a.url for a in s.archives),
+        )
         for s in SOURCES
-    ]
+    ]  # fmt: skip

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
@@ -31,59 +31,19 @@ from infrablend.evaluation.detections import Predictions, Task, write_prediction
 from infrablend.evaluation.figures import Case, Draws, figures
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
-from infrablend.formats.groups import GROUPINGS
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.findings import PREDICTIONS, Findings, choose_task
+from infrablend.pipeline.judging import DEFAULT_JUDGING, Judging
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
-Group = Literal["image", "sequence", "date", "gap"]
-GROUPS: tuple[Group, ...] = ("image", *GROUPINGS)
-
 PAGE, PLOTS = "evaluation.html", "plots"
 _OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
 _SHOWN = 5
 _LEAST_AP = 0.001
-
-
-@dataclass(frozen=True)
-class Judging:
-    """How a detector is judged.
-
-    Attributes:
-        split: train, val or test.
-        task: detect, obb or segment; None for what the detector finds.
-        image_size: Longer side of the pictures that the network sees, px; 0 for each picture's own; None for the scale
-            that the detector was trained at.
-        classes: Classes of the dataset to judge; None for all.
-        ignore_regions: Whether findings in regions to ignore (DontCare) count neither way.
-        bootstrap: Number of draws for the intervals; 0 for none.
-        group: What is drawn: image, sequence, date or gap.
-        seed: Seed of the draws.
-
-    Raises:
-        DatasetError: A value that does not exist.
-    """
-
-    split: str = "test"
-    task: str | None = None
-    image_size: int | None = None
-    classes: Sequence[str] | None = None
-    ignore_regions: bool = True
-    bootstrap: int = 1000
-    group: str = "image"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.split not in SPLITS:
-            raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
-        if self.group not in GROUPS:
-            raise DatasetError(f"group: found {self.group!r}, expected one of {', '.join(GROUPS)}")
-        if self.bootstrap < 0 or (self.image_size or 0) < 0:
-            raise DatasetError("bootstrap and image_size: expected numbers of at least 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +76,7 @@ def evaluate_detector(
     weights: Path,
     dataset: Dataset,
     out: Path,
-    judging: Judging | None = None,
+    judging: Judging = DEFAULT_JUDGING,
     *,
     device: str = "auto",
     against: Path | None = None,
@@ -125,7 +85,6 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Judge weights, or findings saved before, on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
-    judging = judging or Judging()
     entries = _check_out(out, overwrite)
     other = None if against is None else read_evaluation(against)
     problems: list[Problem] = []

@@ -27,7 +27,7 @@ from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import output_error, part_path, write_json
 from infrablend.core.format_table import writer_for_task
 from infrablend.core.machine import describe_machine
-from infrablend.core.output import OutputFolder
+from infrablend.core.output import Existing, OutputFolder
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, OutputError, Problem, RenderError
 from infrablend.execution.interrupt import Interruption
@@ -36,6 +36,7 @@ from infrablend.formats.pictures import read_size
 from infrablend.pipeline.content import content_digest
 from infrablend.training import environment, presets, tiles, trainer, weights
 from infrablend.training.presets import PRESETS, Preset
+from infrablend.training.request import PRESET_FIELDS, TrainRequest
 
 RECORD = "train.json"
 LOG = "train.log"
@@ -44,8 +45,6 @@ DATA = "data"
 _NEW = Path(trainer.CHECKPOINT).with_suffix(".new").name
 # Labels that would be missing in what is trained on: nobody who trains wants that.
 _FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
-_PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
-_LEAST = {"image_size": 1, "batch": 1}
 # Rejected labels and pictures that an error names; it says how many there are.
 _REJECTED_SHOWN = 20
 
@@ -96,64 +95,22 @@ class TrainPlan:
     disk_bytes: int
 
 
-def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
-    """Return the preset with single fields and Ultralytics' arguments set otherwise.
-
-    Raises:
-        OutputError: No such preset, or a field with a value of the wrong kind.
-    """
-    if name not in PRESETS:
-        raise OutputError(f"--preset {name}: no such preset; expected one of {', '.join(PRESETS)}")
-    preset = PRESETS[name]
-    fields = {k: v for k, v in settings.items() if k in _PRESET_FIELDS}
-    arguments = {k: v for k, v in settings.items() if k not in _PRESET_FIELDS}
-    problems = [
-        Problem(
-            f"--set {k}", "setting-malformed", repr(v),
-            "a name" if k == "model" else f"a whole number from {_LEAST.get(k, 0)} up",
-        )
-        for k, v in fields.items()
-        if not (isinstance(v, str) and v if k == "model" else type(v) is int and v >= _LEAST.get(k, 0))
-    ]  # fmt: skip
-    if problems:
-        raise OutputError("settings of the training", problems)
-    if fields.get("epochs"):
-        fields.setdefault("passes", 0)
-    elif fields.get("passes"):
-        fields.setdefault("epochs", 0)
-    chosen = replace(preset, **fields, arguments={**preset.arguments, **arguments})
-    if not (chosen.epochs or chosen.passes):
-        where = " ".join(f"--set {k}" for k in ("epochs", "passes") if k in settings)
-        problem = Problem(where, "setting-malformed", "neither epochs nor passes", "one of them from 1 up")
-        raise OutputError("settings of the training", [problem])
-    return chosen
-
-
 def plan_training(
-    dataset: Dataset,
-    preset: Preset,
-    *,
-    task: str,
-    classes: Sequence[str] | None,
-    device: str = "auto",
-    seed: int = 0,
-    start: str = weights.AUTO,
-    out: Path | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
+    dataset: Dataset, request: TrainRequest, *, out: Path | None = None, existing: Existing = "refuse"
 ) -> TrainPlan:
-    """Return the plan of a training without starting it.
+    """Return what `train_dataset` would do, without doing it; whatever it would refuse is refused here too.
 
-    What it would refuse is refused here too, but for Ultralytics' arguments where that is not installed, and for
-    published weights, which are not asked for.
+    Two checks are left to the training: arguments of Ultralytics where that is not installed, and whether published
+    weights can be downloaded.
     """
-    chosen = _device(device, planning=True)
+    preset = request.chosen_preset()
+    device = _device(request.device, planning=True)
     require_settings(preset)
-    weights.require_known(start)
+    weights.require_known(request.weights)
     if out is not None and out.is_dir():
-        _earlier(out, resume, overwrite)
-    wanted, _ = _wanted(dataset, preset, task, classes)
-    return _plan(wanted, preset, chosen, seed)
+        _earlier(out, existing)
+    wanted, _ = _wanted(dataset, preset, request.task, request.classes)
+    return _plan(wanted, preset, device, request.seed)
 
 
 def _plan(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPlan:
@@ -180,66 +137,55 @@ def _most(preset: Preset, split: str) -> int:
 def train_dataset(
     dataset: Dataset,
     out: Path,
+    request: TrainRequest,
     *,
-    preset: Preset,
-    task: str = "detect",
-    start: str = weights.AUTO,
-    device: str = "auto",
-    seed: int = 0,
-    classes: Sequence[str] | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
+    existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> TrainReport:
-    """Train a detector and leave `weights.pt` and `train.json` in `out`.
+    """Train a detector, and leave `weights.pt` and `train.json` in `out`.
 
     Args:
-        dataset: With a train split; with a val split too where the preset stops early.
-        out: New or empty, or of an earlier call with `resume` or `overwrite`.
-        preset: How, see `choose_preset`.
-        task: detect, obb or segment.
-        start: See `weights.find_start`.
-        device: `auto`, `cpu`, `mps`, `cuda`, or one GPU as `cuda:1` or `1`.
-        seed: Of weights, order, augmentation and tiles.
-        classes: Only these; others are left out and counted.
-        resume: Go on from the last checkpoint; a finished training is left as it is. Refused if labels or pictures
-            are others than when it was begun; where they lie does not matter.
-        overwrite: Delete an earlier training in `out` first.
-        on_progress: Told the images passed.
+        dataset: Dataset with a train split, and with a val split where the preset stops early.
+        out: Folder to write.
+        request: How to train.
+        existing: What to do if `out` already contains a training: `refuse`; `resume` from the last checkpoint, which
+            leaves a finished training as it is and refuses other labels or pictures; or `overwrite`.
+        on_progress: Called with the number of images shown so far.
 
     Raises:
         MissingDependencyError: Ultralytics or torch is not installed, or too old.
-        DatasetError: The dataset cannot be trained on: splits, classes, labels that would be lost or that its reader
-            rejected.
-        OutputError: The folder, the disk, or a setting.
-        RenderError: The trainer failed; its log says why.
-        Interrupted: Stopped; `resume` goes on.
+        DatasetError: The dataset is not fit for training: splits, classes, or labels that would be lost.
+        OutputError: The folder, the disk or a setting is not fit for use.
+        RenderError: The trainer failed; its log gives the reason.
+        Interrupted: The user stopped the training; `resume` continues it.
     """
+    preset, task = request.chosen_preset(), request.task
     weights.require_ultralytics()
-    chosen = _device(device)
+    device = _device(request.device)
     _require_arguments(preset)
-    wanted, left_out = _wanted(dataset, preset, task, classes)
+    wanted, left_out = _wanted(dataset, preset, task, request.classes)
     with _output(out).claimed():
-        record = _begin(out, resume, overwrite)
+        record = _begin(out, existing)
         asked = {
-            "preset": preset.name, "task": task, "seed": seed, "settings": dataclasses.asdict(preset),
-            "classes": [c.name for c in wanted.categories], "data": str(dataset.root.resolve()), "start_asked": start,
-            "content": _content(wanted, task),
+            "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
+            "classes": [c.name for c in wanted.categories], "data": str(dataset.root.resolve()),
+            "start_asked": request.weights, "content": _content(wanted, task),
         }  # fmt: skip
         if record is not None:
             _require_same(out, record, asked)
             if record["status"] == "complete" and (out / trainer.WEIGHTS).is_file():
                 return TrainReport(out, out / trainer.WEIGHTS, record)
         if record is None or record.get("prepared") is None:
-            _require_space(out, _plan(wanted, preset, chosen, seed))
+            _require_space(out, _plan(wanted, preset, device, request.seed))
+            start = weights.find_start(request.weights, preset, task)
             record = {
                 "infrablend": __version__, "status": "running", **asked, "left_out": left_out, "sessions": [],
-                "machine": _machine(chosen), "start": dataclasses.asdict(weights.find_start(start, preset, task)),
+                "machine": _machine(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
             write_json(out / RECORD, record, durable=True)
-            record["prepared"] = _prepare(wanted, out, preset, task, seed)
+            record["prepared"] = _prepare(wanted, out, preset, task, request.seed)
             write_json(out / RECORD, record, durable=True)
-        return _run(out, record, preset, task, chosen, seed, on_progress)
+        return _run(out, record, preset, task, device, request.seed, on_progress)
 
 
 def _wanted(
@@ -375,7 +321,7 @@ def _require_arguments(preset: Preset) -> None:
         where = " ".join(f"--set {k}" for k in given)
         raise OutputError(
             "settings of the training",
-            [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(_PRESET_FIELDS)}) or Ultralytics' own")],
+            [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(PRESET_FIELDS)}) or Ultralytics' own")],
         )
 
 
@@ -388,13 +334,13 @@ def _content(wanted: Dataset, task: str) -> str:
     return hashlib.sha256(json.dumps([found, masks], sort_keys=True).encode()).hexdigest()
 
 
-def _begin(out: Path, resume: bool, overwrite: bool) -> dict[str, Any] | None:
-    """Return the record of an earlier call to go on with, or None for a folder that is empty, or now is."""
-    record, damaged = _earlier(out, resume, overwrite)
-    if record is not None and resume:
+def _begin(out: Path, existing: Existing) -> dict[str, Any] | None:
+    """The record of an earlier call to go on with, or None for a folder that is empty, or now is."""
+    record, damaged = _earlier(out, existing)
+    if record is not None and existing == "resume":
         return record
     if damaged:
-        log.warning("%s: cannot be read; the training begins anew", out / RECORD)
+        log.warning("%s: cannot be read; the training starts again", out / RECORD)
     if record is not None or damaged:
         _output(out).remove(
             [DATA, "tiles", "run", "ultralytics", trainer.CHECKPOINT, trainer.DAMAGED, _NEW, trainer.WEIGHTS, JOB, LOG,
@@ -407,10 +353,10 @@ def _output(out: Path) -> OutputFolder:
     return OutputFolder(out, "training", RECORD, can_resume=True, can_overwrite=True)
 
 
-def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] | None, bool]:
-    """Return an earlier call's record and whether it is damaged; refuse it without `resume` or `overwrite`."""
+def _earlier(out: Path, existing: Existing) -> tuple[dict[str, Any] | None, bool]:
+    """The record of an earlier call, and whether it is there but damaged; refused if nobody said what to do with it."""
     path = out / RECORD
-    entries = sorted(p.name for p in out.iterdir() if p != part_path(path))
+    entries = _output(out).entries(ignore=[part_path(path).name])
     if not entries:
         return None, False
     try:
@@ -421,12 +367,11 @@ def _earlier(out: Path, resume: bool, overwrite: bool) -> tuple[dict[str, Any] |
     damaged = not ours and RECORD in entries and JOB in entries
     if not ours and not damaged:
         raise _output(out).refuse_not_ours()
-    if not (resume or overwrite):
+    if existing == "refuse":
         what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
         raise OutputError(
-            f"{out}: holds a training ({what}). "
-            f"--resume {'begins it anew' if damaged else 'goes on with it'}, --overwrite replaces it, "
-            "or give another folder."
+            f"{out}: contains a training ({what}). Use --resume to {'start it again' if damaged else 'continue it'}, "
+            "--overwrite to replace it, or give another folder."
         )
     return (None, True) if damaged else (record, False)
 

@@ -745,7 +745,9 @@ def tiny(server, monkeypatch) -> Source:
 
 
 def fetch(name: str, out: Path, **options):
-    return fetching.fetch(name, out, patience=Patience(failures=2, timeout_s=5, sleep=lambda s: None), **options)
+    of_call = {k: options.pop(k) for k in ("limits", "patience", "on_progress") if k in options}
+    patience = Patience(failures=2, timeout_s=5, sleep=lambda s: None)
+    return fetching.fetch(name, out, fetching.FetchRequest(**options), **{"patience": patience, **of_call})
 
 
 def test_fetch_from_end_to_end(tiny, server, tmp_path):
@@ -1026,10 +1028,10 @@ def test_hit_uav_as_it_is_known(server, tmp_path):
     assert sum(n.endswith(".jpg") for n in entries) == 4 * 2898
     file = tmp_path / "a.zip"
     file.write_bytes(archive_of(entries, "HIT-UAV-Infrared-Thermal-Dataset-x/", known.commit))
-    report = api.fetch("hit-uav", tmp_path / "out", archive=file)
+    report = api.fetch("hit-uav", tmp_path / "out", api.FetchRequest(archive=file))
     assert report.problems == ()
     assert report.files == len(entries)
     del entries["normal_json/train/00007.jpg"]
     file.write_bytes(archive_of(entries, "HIT-UAV-Infrared-Thermal-Dataset-x/", known.commit))
-    (problem,) = api.fetch("hit-uav", tmp_path / "less", archive=file).problems
+    (problem,) = api.fetch("hit-uav", tmp_path / "less", api.FetchRequest(archive=file)).problems
     assert (problem.where, problem.found, problem.expected) == ("normal_json/train/*.jpg", "2028 file(s)", "2029")

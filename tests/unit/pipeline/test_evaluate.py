@@ -19,8 +19,9 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
 from infrablend.pipeline import evaluate as pipeline
-from infrablend.pipeline.evaluate import Judging, evaluate_detector
+from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
+from infrablend.pipeline.judging import Judging
 
 CLASSES = ("Person", "Car", "OtherVehicle")
 CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "DontCare", ignore=True))
@@ -311,10 +312,10 @@ def test_two_detectors_on_the_same_images(saved: Path, tmp_path: Path) -> None:
     assert gain["same_sign"] == 1
     assert pair["classes"]["OtherVehicle"]["map50"] is None
     compared = api.compare_evaluations(tmp_path / "better", tmp_path / "worse", bootstrap=50)
-    assert compared == pair
+    assert compared.to_json() == pair
     only = api.compare_evaluations(tmp_path / "worse", tmp_path / "better", classes=["car"], bootstrap=50)
-    assert set(only["classes"]) == {"all", "Car"}
-    assert only["classes"]["Car"]["map50"]["difference"] == -pair["classes"]["Car"]["map50"]["difference"]
+    assert set(only.classes) == {"all", "Car"}
+    assert only.classes["Car"]["map50"]["difference"] == -pair["classes"]["Car"]["map50"]["difference"]
     assert "Against worse" in (tmp_path / "better" / "evaluation.html").read_text()
     run(saved, tmp_path / "itself", against=tmp_path / "better")
     page = (tmp_path / "itself" / "evaluation.html").read_text()

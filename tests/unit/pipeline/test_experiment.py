@@ -21,16 +21,17 @@ from infrablend.config.experiment import Check, list_experiments, load_experimen
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
-from infrablend.pipeline.evaluate import Judging
 from infrablend.pipeline.experiments import makers, training_setup
 from infrablend.pipeline.experiments.conclusions import judge_claim
 from infrablend.pipeline.experiments.dataset_facts import spread_images
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
+from infrablend.pipeline.judging import Judging
 from infrablend.pipeline.request import Execution
 from infrablend.report.results.differences import list_differences
 from infrablend.report.results.page import page_text
 from infrablend.report.results.write import write_page
+from infrablend.training.request import TrainRequest
 
 RUN = {"scale": "smoke", "renderer": "fake", "workers": 1}
 
@@ -50,7 +51,7 @@ class Bench:
         self.compared: list[tuple[int, int]] = []
         self.stop: Callable[[str], None] = lambda what: None
 
-    def train(self, dataset: Dataset, out: Path, **options: Any) -> Any:
+    def train(self, dataset: Dataset, out: Path, request: TrainRequest, **options: Any) -> Any:
         self.stop("train")
         self.trained.append(out)
         images = [i for i in dataset.images if i.split == "train"]
@@ -60,12 +61,12 @@ class Bench:
         record = {
             "infrablend": "x",
             "status": "complete",
-            "preset": options["preset"].name,
-            "task": options["task"],
-            "seed": options["seed"],
+            "preset": request.preset,
+            "task": request.task,
+            "seed": request.seed,
             "classes": names,
-            "settings": json.loads(json.dumps(training_setup.preset_inputs(options["preset"]))),
-            "start_asked": options["start"],
+            "settings": json.loads(json.dumps(training_setup.preset_inputs(request.chosen_preset()))),
+            "start_asked": request.weights,
             "prepared": {
                 "images": 8,
                 "pictures": {"train": len(images)},

@@ -17,17 +17,19 @@ from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import ClassChanges, convert_dataset
-from infrablend.pipeline.evaluate import Judging, evaluate_detector
+from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
-from infrablend.pipeline.experiments.training_setup import training_preset
+from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.generate import generate_run
+from infrablend.pipeline.judging import Judging
 from infrablend.pipeline.request import Execution, RunRequest
 from infrablend.pipeline.select import Selection, select
 from infrablend.pipeline.split import SplitRule, split_dataset
 from infrablend.pipeline.train import train_dataset
 from infrablend.pipeline.world import make_world
+from infrablend.training.request import TrainRequest
 from infrablend.world.dataset import WorldRequest
 
 
@@ -187,16 +189,20 @@ def _make_training(job: StageJob) -> dict[str, Any]:
     """Train a detector."""
     spec: Training = job.stage.spec
     data, out = job.needs["data"], job.out
-    report = train_dataset(
-        read_dataset(data.dataset, options=data.reader_options),
-        out,
-        preset=training_preset(spec, job.request),
+    request = TrainRequest(
+        preset=job.request.scale,
+        settings=preset_settings(spec, job.request),
         task=spec.task,
-        start=spec.weights,
+        weights=spec.weights,
         device=job.request.device,
         seed=job.stage.inputs["seed"],
         classes=spec.classes,
-        resume=out.is_dir() and any(out.iterdir()),
+    )
+    report = train_dataset(
+        read_dataset(data.dataset, options=data.reader_options),
+        out,
+        request,
+        existing="resume" if out.is_dir() and any(out.iterdir()) else "refuse",
         on_progress=job.on_progress,
     )
     weights = job.relative(report.weights)

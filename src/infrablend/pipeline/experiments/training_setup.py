@@ -1,4 +1,4 @@
-"""What a training stage asks of the trainer: its preset, how long it takes, and whether it can run at all."""
+"""Preset and time of a training stage, and whether it can run on this machine."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ from infrablend.core.cores import available_cores
 from infrablend.errors import InfraBlendError
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage
-from infrablend.pipeline.train import choose_preset, require_settings
+from infrablend.pipeline.train import require_settings
 from infrablend.training.predict import pick_device
 from infrablend.training.presets import Preset, estimate_seconds, tiles_expected
+from infrablend.training.request import choose_preset
 from infrablend.training.weights import require_ultralytics
 
 
 def training_preset(spec: Training, request: ExperimentRequest) -> Preset:
     """Return the preset of a training: the scale's, with the experiment's settings, then the user's."""
-    return choose_preset(request.scale, {**spec.settings, **request.training})
+    return choose_preset(request.scale, preset_settings(spec, request))
+
+
+def preset_settings(spec: Training, request: ExperimentRequest) -> dict[str, Any]:
+    """Return the settings of a training: the experiment's, then the user's."""
+    return {**spec.settings, **request.training}
 
 
 def preset_inputs(preset: Preset) -> dict[str, Any]:

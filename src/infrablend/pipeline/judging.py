@@ -1,0 +1,54 @@
+"""How a detector is judged: one value that the command line or the caller makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from infrablend.core.dataset import SPLITS
+from infrablend.errors import DatasetError
+from infrablend.formats.groups import GROUPINGS
+
+Group = Literal["image", "sequence", "date", "gap"]
+GROUPS: tuple[Group, ...] = ("image", *GROUPINGS)
+
+
+@dataclass(frozen=True)
+class Judging:
+    """How a detector is judged.
+
+    Attributes:
+        split: train, val or test.
+        task: detect, obb or segment; None for what the detector finds.
+        image_size: Longer side of the pictures that the network sees, px; 0 for each picture's own; None for the scale
+            that the detector was trained at.
+        classes: Classes of the dataset to judge; None for all.
+        ignore_regions: Whether findings in regions to ignore (DontCare) count neither way.
+        bootstrap: Number of draws for the intervals; 0 for none.
+        group: What is drawn: image, sequence, date or gap.
+        seed: Seed of the draws.
+
+    Raises:
+        DatasetError: A value is not one of these.
+    """
+
+    split: str = "test"
+    task: str | None = None
+    image_size: int | None = None
+    classes: Sequence[str] | None = None
+    ignore_regions: bool = True
+    bootstrap: int = 1000
+    group: str = "image"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
+        if self.group not in GROUPS:
+            raise DatasetError(f"group: found {self.group!r}, expected one of {', '.join(GROUPS)}")
+        if self.bootstrap < 0 or (self.image_size or 0) < 0:
+            raise DatasetError("bootstrap and image_size: expected numbers of at least 0")
+
+
+DEFAULT_JUDGING = Judging()

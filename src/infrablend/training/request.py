@@ -1,0 +1,78 @@
+"""What a training is asked to do, and the preset that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from infrablend.errors import OutputError, Problem
+from infrablend.training import weights
+from infrablend.training.presets import PRESETS, Preset
+
+PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
+_LEAST = {"image_size": 1, "batch": 1}
+
+
+@dataclass(frozen=True)
+class TrainRequest:
+    """How to train a detector.
+
+    Attributes:
+        preset: Name of the preset: `paper`, `small` or `smoke` (docs/how_to/train.md).
+        settings: Fields of the preset to change, e.g. `{"passes": 4000}`, and arguments of Ultralytics.
+        task: Task of the detector: detect, obb or segment.
+        weights: Starting point: a file, a name such as `yolov8s.pt`, `scratch`, or `auto` for the published weights of
+            the preset's network, falling back to `scratch` if they cannot be downloaded.
+        device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
+        seed: Seed of weights, order, augmentation and tiles.
+        classes: Classes to train on; None for all. The labels of other classes are left out and counted.
+    """
+
+    preset: str = "small"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    task: str = "detect"
+    weights: str = weights.AUTO
+    device: str = "auto"
+    seed: int = 0
+    classes: Sequence[str] | None = None
+
+    def chosen_preset(self) -> Preset:
+        """Return the preset with `settings` applied; see `choose_preset`."""
+        return choose_preset(self.preset, self.settings)
+
+
+DEFAULT_TRAINING = TrainRequest()
+
+
+def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
+    """Return the preset with these fields and arguments of Ultralytics changed.
+
+    Raises:
+        OutputError: There is no such preset, or a value is of the wrong kind.
+    """
+    if name not in PRESETS:
+        raise OutputError(f"--preset {name}: no such preset; expected one of {', '.join(PRESETS)}")
+    preset = PRESETS[name]
+    fields = {k: v for k, v in settings.items() if k in PRESET_FIELDS}
+    arguments = {k: v for k, v in settings.items() if k not in PRESET_FIELDS}
+    problems = [
+        Problem(
+            f"--set {k}", "setting-malformed", repr(v),
+            "a name" if k == "model" else f"a whole number from {_LEAST.get(k, 0)} up",
+        )
+        for k, v in fields.items()
+        if not (isinstance(v, str) and v if k == "model" else type(v) is int and v >= _LEAST.get(k, 0))
+    ]  # fmt: skip
+    if problems:
+        raise OutputError("settings of the training", problems)
+    if fields.get("epochs"):
+        fields.setdefault("passes", 0)
+    elif fields.get("passes"):
+        fields.setdefault("epochs", 0)
+    chosen = replace(preset, **fields, arguments={**preset.arguments, **arguments})
+    if not (chosen.epochs or chosen.passes):
+        where = " ".join(f"--set {k}" for k in ("epochs", "passes") if k in settings)
+        problem = Problem(where, "setting-malformed", "neither epochs nor passes", "one of them from 1 up")
+        raise OutputError("settings of the training", [problem])
+    return chosen
