@@ -335,7 +335,7 @@ def _content(wanted: Dataset, task: str) -> str:
 
 
 def _begin(out: Path, existing: Existing) -> dict[str, Any] | None:
-    """The record of an earlier call to go on with, or None for a folder that is empty, or now is."""
+    """Return the record of the earlier call to continue, or None after emptying the folder."""
     record, damaged = _earlier(out, existing)
     if record is not None and existing == "resume":
         return record
@@ -354,7 +354,7 @@ def _output(out: Path) -> OutputFolder:
 
 
 def _earlier(out: Path, existing: Existing) -> tuple[dict[str, Any] | None, bool]:
-    """The record of an earlier call, and whether it is there but damaged; refused if nobody said what to do with it."""
+    """Return an earlier call's record and whether it is damaged; refuse both without `resume` or `overwrite`."""
     path = out / RECORD
     entries = _output(out).entries(ignore=[part_path(path).name])
     if not entries:
@@ -457,7 +457,7 @@ def _prepare(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) 
 def _run(
     out: Path, record: dict[str, Any], preset: Preset, task: str, device: str, seed: int, on_progress: OnProgress | None
 ) -> TrainReport:
-    """Return the process that trains, from here or from its last checkpoint."""
+    """Run the process that trains, from the start or from its last checkpoint."""
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
@@ -571,7 +571,7 @@ def _watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]
 
 
 def _failure(out: Path, code: int, said: Mapping[str, Any] | None, preset: Preset) -> InfraBlendError:
-    """Return the error as a readable text."""
+    """Return the error of a failed training."""
     if said is not None and said["code"] == "labels-dropped":
         return DatasetError(f"{out}: the trainer would drop labels: {said['message']}")
     if code == -9 or (said is not None and said["code"] == "out-of-memory"):
