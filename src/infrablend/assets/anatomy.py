@@ -1,4 +1,4 @@
-"""Geometry of bodies grown from a skeleton: unit vectors, soft steps, and the joint between two bones."""
+"""Geometry shared by the deer and the person: unit vectors, smooth steps, and the joint between two bones."""
 
 from __future__ import annotations
 

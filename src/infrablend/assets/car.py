@@ -1,12 +1,12 @@
-"""A car: cold roof and glass under a clear night sky, hot nose and tyres after a drive, paint by its colour in the sun.
+"""Car model: cold roof and glass under a clear night sky, hot nose after a drive, paint heated by the sun.
 
-`sample_params` draws what varies between cars, `build_car` makes the mesh of one, `parts_for` gives its temperatures,
-which depend on its state and colour. Lengths are metres, +X is the nose, +Y left, Z up; the origin lies on the ground
-below the middle of the car.
+`sample_params` draws what varies between cars, `build_car` builds the mesh of one, and `parts_for` returns its
+temperatures, which depend on its state and colour. Lengths are in metres, +X points to the nose, +Y to the left and +Z
+up; the origin is on the ground below the middle of the car.
 
-Temperatures are surface minus air. Their sources are named in each part's `what`: tables of emissivity of Ideal
-Industries (HeatSeeker manual) and testo, measured body temperatures in summer sun (autotimesnews.com), tyres after a
-drive (mistersustainable.blogspot.com), and the grey levels of HIT-UAV's cars by night and day. "Est." marks estimates.
+Temperatures are surface minus air. Each part's `what` names its source: the emissivity tables of Ideal Industries
+(HeatSeeker manual) and testo, body temperatures measured in summer sun (autotimesnews.com), tyres after a drive
+(mistersustainable.blogspot.com), and the grey levels of cars in HIT-UAV by night and day. "Est." marks estimates.
 """
 
 from __future__ import annotations
@@ -31,42 +31,45 @@ _CHECKS = Checks("car")
 
 # --- temperatures --------------------------------------------------------------------------------------------
 
-# part -> material, what it is.
+# part -> (material, description and source).
 _SURFACES: Mapping[str, tuple[str, str]] = {
     "roof": ("car_paint", "roof: faces the whole sky; HIT-UAV's night cars -46 DN against the ground, some -8 K"),
     "bonnet": ("car_paint", "bonnet: +20..+50 K just after a drive, decays over 1-2 h; the brightest part in HIT-UAV"),
-    "cowl": ("car_paint", "bonnet's rear third, behind the engine; runs into the bonnet (est.)"),
+    "cowl": ("car_paint", "rear third of the bonnet, behind the engine; blends into the bonnet (est.)"),
     "wing": ("car_paint", "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
     "boot": ("car_paint", "boot lid of a saloon, horizontal like the roof"),
-    "side": ("car_paint", "doors, rear wings: upright, so half of what they face is ground (est. from the roof)"),
-    "pillar": ("car_paint", "window frames: lean inwards, between roof and doors; hardly seen in HIT-UAV (est.)"),
+    "side": (
+        "car_paint",
+        "doors, rear wings: upright, so half of their view is ground (est. from the roof)",
+    ),
+    "pillar": ("car_paint", "window frames: lean inwards, between roof and doors; hardly visible in HIT-UAV (est.)"),
     "front": ("car_paint", "bumper and nose, ahead of the radiator (est.)"),
     "rear": ("car_paint", "bumper and tailgate (est.)"),
     "trim": ("plastic", "mirrors and rails"),
-    "windscreen": ("glass", "-4 K by night, the darkest part; +5..+20 K heated"),
-    "rear_window": ("glass", "rear screen, as the windscreen"),
+    "windscreen": ("glass", "windscreen: -4 K by night, the darkest part; +5..+20 K when heated"),
+    "rear_window": ("glass", "rear window, like the windscreen"),
     "window": ("glass", "side windows: steeper, so they face less of the sky (est.)"),
-    "sunroof": ("glass", "glass in the roof, as the windscreen"),
-    "tyre": ("rubber", "+8..+11 K after a drive of 14 miles"),
-    "rim": ("lacquered_metal", "lacquered alloy or steel"),
+    "sunroof": ("glass", "glass in the roof, like the windscreen"),
+    "tyre": ("rubber", "tyre: +8..+11 K after a drive of 14 miles"),
+    "rim": ("lacquered_metal", "rim: lacquered alloy or steel"),
     "brake": ("oxidised_steel", "brake and hub behind the rim: hotter than the tyre after a drive (rotors +17 K)"),
     "underbody": ("painted", "floor and wheel wells: shielded from the sky (est.)"),
     "grille": ("cavity", "grille and intake: plastic over cavities"),
-    "exhaust": ("oxidised_steel", "tail pipe: +50..+250 K running (est.)"),
+    "exhaust": ("oxidised_steel", "tail pipe: +50..+250 K with the engine running (est.)"),
     "headlamp": ("plastic", "covers of the front lamps, polycarbonate"),
-    "tail_lamp": ("plastic", "covers of the rear lamps, as the front ones"),
+    "tail_lamp": ("plastic", "covers of the rear lamps, like the front ones"),
 }
 
-# Ground that a parked car keeps from the cold sky is warmer, by some 6 K for the whole sky: a glow
-# around the car that fades within a metre. Rings of a translucent sheet: how far out they reach, m, and their opacity.
+# A parked car shields the ground from the cold sky; ground shielded from all of it is some 6 K warmer. The result is a
+# glow around the car that fades within a metre. Rings of a translucent sheet: their outer distance in m, and opacity.
 GROUND_RINGS: Mapping[str, tuple[float, float]] = {
     "ground_near": (0.15, 0.42), "ground_mid": (0.35, 0.28), "ground_far": (0.6, 0.15), "ground_edge": (0.95, 0.06),
 }  # fmt: skip
 _GROUND_K = (5.0, 9.0)
 
-# Clear night, parked for hours: what faces the sky is below air temperature, a roof by 8.5 K without wind and by 4 K at
-# 3 m/s (energy balance). The middle of that range is drawn: HIT-UAV's median car is 46 +- 12 levels darker than
-# the ground at its middle, which is 7.7 K at 6 levels per kelvin, and mirroring the sky makes some 4 K of it.
+# Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
+# by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
+# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky.
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-6.0, -4.0),
     "wing": (-3.5, -1.0), "side": (-3.0, -0.5), "pillar": (-5.0, -2.5), "front": (-3.0, -0.5),
@@ -132,7 +135,7 @@ _LID = [_PART_NAMES.index(part) for part in ("bonnet", "cowl")]
 
 
 class _Body(NamedTuple):
-    """What makes a kind of car; heights are in parts of `height_m`, `*_at` in parts of the length behind the nose."""
+    """Dimensions of a body type; heights are fractions of `height_m`, `*_at` of the length, from the nose."""
 
     lengths_m: Range
     length_m: float
@@ -145,7 +148,7 @@ class _Body(NamedTuple):
     top: tuple[tuple[float, float], ...]  # (behind the nose, height) of bonnet, waist and boot along the middle
     screen_at: Range  # foot and head of the windscreen
     rear_at: Range  # head and foot of the rear screen
-    roof_width: float  # at the rain channel, in parts of the body's width
+    roof_width: float  # at the rain channel, as a fraction of the body's width
     rear_drop_m: float
     quarter_window: bool
     rear_pillar_m: Range  # thickness at waist and roof
@@ -204,7 +207,7 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
     "exhausts": (0.2, 0.55, 0.25),
     "spokes": (0.5, 0.2, 0.3),
 }
-# What is parked and what has been driven in the last minutes (est.).
+# Shares of cars that are parked and that have been driven within the last minutes (est.).
 _STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.85, 0.15, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),
@@ -216,9 +219,9 @@ DRAWN: Mapping[str, Range] = {
     "nose_taper": (0.7, 1.2),
     "tail_taper": (0.7, 1.2),
 }
-"""What is drawn; `length_m` within the body's own part of it."""
+"""Ranges that numbers are drawn from; `length_m` within the narrower range of the body type."""
 ALLOWED: Mapping[str, Range] = {**DRAWN, "length_m": (3.0, 6.5)}
-"""What `build_car` takes."""
+"""Ranges that `build_car` accepts."""
 
 NOMINAL: Mapping[str, Any] = {
     "sheltered": False,
@@ -239,14 +242,14 @@ NOMINAL: Mapping[str, Any] = {
     "nose_taper": 1.0,
     "tail_taper": 1.0,
 }
-"""A saloon; `{**NOMINAL, ...}` is handy for tests and pictures."""
+"""Parameters of a saloon; `{**NOMINAL, ...}` is handy for tests and pictures."""
 
 
 def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """Draw the parameters of one car, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the others
-    as they would have been (save `length_m`, whose range follows the body).
+    as they would have been (except `length_m`, whose range depends on the body).
 
     Args:
         rng: Random stream to draw from.
@@ -272,7 +275,7 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         if name in options:
             low, high = _CHECKS.number_range(f"option {name}", options[name], *ALLOWED[name])
         params[name] = low + (high - low) * dials[name]
-    # Said only of bodies that may have them, so that equal cars have equal parameters.
+    # Set only for bodies that may have them, so that equal cars have equal parameters.
     if "rails" not in options:
         params["rails"] = params["rails"] and params["body"] in ("suv", "estate")
     if "panelled" not in options:
@@ -295,11 +298,11 @@ def _require_params(params: Params) -> None:
             _CHECKS.number(where, value, *ALLOWED[name])
 
 
-# --- plan: the curves the pieces share -----------------------------------------------------------------------
+# --- plan: the curves that pieces share -----------------------------------------------------------------------
 
 
 def _curve(points: ArrayLike, x: ArrayLike) -> FloatArray:
-    """Evaluate a smooth curve through (P, 2) points of rising abscissa, without overshoot, at x."""
+    """Return the value at x of a smooth curve through (P, 2) points of rising abscissa, without overshoot."""
     p = np.asarray(points, np.float64)
     px, py = p[:, 0], p[:, 1]
     step = np.diff(px)
@@ -319,7 +322,7 @@ def _curve(points: ArrayLike, x: ArrayLike) -> FloatArray:
     )
 
 
-# Half width over height between sill (0) and waist (1), in parts of the half width.
+# Half width against height from sill (0) to waist (1), as a fraction of the largest half width.
 _FLANK = ((0.0, 0.945), (0.16, 0.975), (0.40, 1.0), (0.72, 0.985), (1.0, 0.945), (1.3, 0.90))
 _NOSE_M, _TAIL_M = 0.55, 0.42
 _CROWN_M = 0.065
@@ -337,7 +340,7 @@ class _Plan:
 
     @cached_property
     def grown(self) -> float:
-        """Length over that of the nominal car of this body."""
+        """Length divided by that of the nominal car of this body."""
         return float(self.p["length_m"]) / self.body.length_m
 
     @cached_property
@@ -346,7 +349,7 @@ class _Plan:
 
     @cached_property
     def half(self) -> float:
-        """Half the width; grows less than the length."""
+        """Half width, which grows less than the length."""
         return float(0.5 * self.body.width_m * self.p["width"] * self.grown**0.45)
 
     @cached_property
@@ -363,53 +366,53 @@ class _Plan:
 
     @cached_property
     def axles_x(self) -> tuple[float, float]:
-        """Front and rear."""
+        """Return x of the front and of the rear axle."""
         front = self.length / 2 - self.body.front_overhang_m * self.grown
         return front, front - self.body.wheelbase_m * self.grown * float(self.p["wheelbase"])
 
     def at(self, share: ArrayLike) -> FloatArray:
-        """x of a point this share of the length behind the nose."""
+        """Return x of a point at a share of the length behind the nose."""
         return np.asarray(self.length * (0.5 - np.asarray(share, np.float64)))
 
     def to_nose(self, x: ArrayLike) -> FloatArray:
-        """0 behind the nose's curve, 1 at its tip."""
+        """Return 0 behind the curve of the nose, rising to 1 at its tip."""
         return np.asarray(np.clip((np.asarray(x) - self.length / 2) / _NOSE_M + 1, 0, 1))
 
     def to_tail(self, x: ArrayLike) -> FloatArray:
-        """0 ahead of the tail's curve, 1 at its end."""
+        """Return 0 ahead of the curve of the tail, rising to 1 at its end."""
         return np.asarray(np.clip((-np.asarray(x) - self.length / 2) / _TAIL_M + 1, 0, 1))
 
     def taper(self, x: ArrayLike) -> FloatArray:
-        """Half width at x over the largest, seen from above."""
+        """Return the half width at x as a fraction of the largest, seen from above."""
         nose = 0.27 * float(self.p["nose_taper"]) * self.to_nose(x) ** 3
         tail = 0.20 * float(self.p["tail_taper"]) * self.to_tail(x) ** 3
         return np.asarray(1 - 0.03 * (2 * np.asarray(x) / self.length) ** 2 - nose - tail)
 
     def bow(self, x: ArrayLike) -> FloatArray:
-        """How far a section at x bends back (forward at the tail) at full half width."""
+        """Return how far a section at x bends back (forward at the tail) at full half width."""
         nose = 0.17 * float(self.p["nose_taper"]) * self.to_nose(x) ** 2
         return np.asarray(nose - 0.09 * float(self.p["tail_taper"]) * self.to_tail(x) ** 2)
 
     def top(self, x: ArrayLike) -> FloatArray:
-        """Height of bonnet, waist and boot along the middle."""
+        """Return the height of bonnet, waist and boot along the middle."""
         return self.height * _curve(self.body.top, 0.5 - np.asarray(x) / self.length)
 
     def sill(self, x: ArrayLike) -> FloatArray:
         return np.asarray(self.body.clearance_m + 0.05 * self.to_nose(x) ** 2 + 0.12 * self.to_tail(x) ** 2)
 
     def flank(self, x: ArrayLike, z: ArrayLike) -> FloatArray:
-        """y of the side at x and height z."""
+        """Return y of the side at x and height z."""
         waist = 0.66 * self.height
         v = (np.asarray(z) - self.body.clearance_m) / (waist - self.body.clearance_m)
         return np.asarray(self.half * self.taper(x) * _curve(_FLANK, v))
 
     def roof(self, x: ArrayLike) -> FloatArray:
-        """Height of the roof's edge."""
+        """Return the height of the edge of the roof."""
         behind = np.clip(self.at(0.45) - np.asarray(x), 0, None) / (0.45 * self.length)
         return np.asarray(self.height - _CROWN_M - self.body.rear_drop_m * behind**2)
 
     def end_x(self, y: ArrayLike, z: float, end: int) -> FloatArray:
-        """x of the nose (`end` 1) or tail (-1) at y and height z, where the bumper's face reaches that height."""
+        """Return x of the nose (`end` 1) or tail (-1) at y and z, assuming that the bumper reaches this height."""
         y = np.asarray(y, np.float64)
         x = end * np.linspace(self.length / 2 - 0.6, self.length / 2, 25)
         wide = self.flank(x, np.full_like(x, z))
@@ -421,7 +424,7 @@ class _Plan:
 # --- pieces --------------------------------------------------------------------------------------------------
 
 Piece = tuple[IntArray, FloatArray, IntArray, bool]
-"""Index into the part names for each triangle, vertices, triangles, smooth."""
+"""Part of each triangle (index into the part names), vertices, triangles, whether shading is smooth."""
 
 
 class _Pieces:
@@ -439,27 +442,34 @@ class _Pieces:
 
 
 def _ring(half: FloatArray) -> FloatArray:
-    """(R, N, 3) rings from their halves (R, K, 3) with y >= 0, the first and last column in the middle plane."""
+    """Complete (R, K, 3) half rings with y >= 0, which start and end in the middle plane, to (R, N, 3) rings."""
     other = half[:, -2:0:-1] * (1.0, -1.0, 1.0)
     return np.concatenate([half, other], axis=1)
 
 
 def _skin(rings: FloatArray, parts: NDArray[np.intp], start: int, end: int) -> tuple[NDArray[np.intp], Solid]:
-    """Loft over `_ring`s closed by poles, creased; `parts` (R - 1, K - 1) of half the faces, `start`, `end` of caps."""
+    """Loft rings into a creased skin with closed ends.
+
+    Args:
+        rings: Rings as `_ring` returns them.
+        parts: (R - 1, K - 1) parts of the faces of one half.
+        start: Part of the cap on the first ring.
+        end: Part of the cap on the last ring.
+    """
     n = rings.shape[1]
     whole = np.concatenate([parts, parts[:, ::-1]], axis=1)
     of_triangle = np.concatenate([np.concatenate([row, row]) for row in whole])
     of_triangle = np.concatenate([of_triangle, np.full(n, start), np.full(n, end)])
-    # Poles in the plane of the ring's middle points: the caps go on with the bow of the ends.
+    # The poles are between the middle points of their rings, so that the caps continue the curve of the ends.
     first, last = ((ring[0] + ring[n // 2]) / 2 for ring in (rings[0], rings[-1]))
-    # Painted panels run into one another; glass, lids and floor end where they end.
+    # Shading runs on across painted panels; glass, lids and floor have creased edges.
     panels = np.where(np.isin(of_triangle, _PANELS), -1, of_triangle)
     panels[np.isin(panels, _LID)] = -2
     return of_triangle, shapes.creased(shapes.loft(rings, start=first, end=last), math.radians(38), panels)
 
 
 def _stations(plan: _Plan) -> FloatArray:
-    """x of the lower body's sections, rising: dense where ends round off and along the wheel arches."""
+    """Return rising x of the sections of the lower body, dense at the rounded ends and along the wheel arches."""
     front, rear = plan.axles_x
     turn = plan.arch_radius * np.cos(np.linspace(math.pi, 0, 15))
     arch = np.concatenate([[-plan.arch_radius - 0.012], turn, [plan.arch_radius + 0.012]])
@@ -471,14 +481,14 @@ def _stations(plan: _Plan) -> FloatArray:
     other = np.concatenate([tail, nose, between])
     kept = arches.tolist()
     for x in other.tolist():
-        # The first few at the very ends stand closer to one another than this.
+        # Sections at the very ends are closer together than this.
         if abs(x) > plan.length / 2 - 0.05 or min(abs(x - k) for k in kept) > 0.02:
             kept.append(x)
     return np.sort(np.array(kept))
 
 
 def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
-    """Floor, wheel wells, flanks, bonnet and boot as one skin along x."""
+    """Add floor, wheel wells, flanks, bonnet and boot as one skin along x."""
     x = _stations(plan)
     low = plan.sill(x)
     edge = low.copy()
@@ -528,12 +538,12 @@ _ROOF_RINGS = (0.96, 0.88, 0.76, 0.60, 0.42, 0.22)
 
 
 def _add_cabin(out: _Pieces, plan: _Plan) -> None:
-    """Screens, windows, pillars and roof as one skin upwards."""
+    """Add windscreen, windows, pillars and roof as one skin from bottom to top."""
     body = plan.body
     rake = float(plan.p["screen_rake"])
-    # Columns along half an outline: windscreen, pillar, windows of the side, pillar, rear screen.
+    # Columns along half an outline: windscreen, pillar, side windows, pillar, rear window.
     levels: list[FloatArray] = []
-    # Where pillars stand at the roof fixes the middle one, which is upright.
+    # Start at the roof: its pillars fix the position of the middle one, which is upright.
     for t in (1.0, *_LEVELS):
         wide = plan.half * (0.905 + (body.roof_width - 0.905) * (max(t, 0.0) ** 1.15 if t > 0 else t))
         bulge = 0.10 * t * (1 - t)
@@ -605,7 +615,7 @@ def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, 
 
 
 def _add_ends(out: _Pieces, plan: _Plan) -> None:
-    """Lamps, grille, intake, exhaust."""
+    """Add lamps, grille, intake and exhaust."""
     lead = float(plan.top(plan.length / 2))
     tall = plan.p["body"] in ("suv", "van")
     deep = np.linspace(0.035, 0.065, 9) * (1.2 if tall else 1.0)
@@ -681,7 +691,7 @@ def build_car(params: Params) -> Mesh:
 
 
 def _build_pieces(params: Params) -> list[Piece]:
-    """Return closed solids of one car."""
+    """Return the closed solids of one car."""
     plan = _Plan(params)
     out = _Pieces()
     _add_lower_body(out, plan)
@@ -692,7 +702,7 @@ def _build_pieces(params: Params) -> list[Piece]:
 
 
 def _ground_rings(half_x_m: float, half_y_m: float) -> list[Piece]:
-    """Flat rings around the car, just above the ground, the innermost begun well below the car."""
+    """Return flat rings around the car just above the ground; the innermost starts well under the car."""
     pieces, inner = [], shapes.rounded_rectangle(half_x_m - 0.5, half_y_m - 0.3, 0.3, 5)
     for part, (out_m, _) in GROUND_RINGS.items():
         outer = shapes.rounded_rectangle(half_x_m + out_m, half_y_m + out_m, 0.3 + out_m, 5)
@@ -709,11 +719,13 @@ def _ground_rings(half_x_m: float, half_y_m: float) -> list[Piece]:
 
 def _option_text(name: str) -> str:
     if name == "sheltered":
-        return "true or false: whether the ground around glows, kept from the sky; by default of cars parked by night"
+        return (
+            "true or false: warm rim of ground that the car shields from the sky; by default for cars parked at night"
+        )
     if name in CHOICES:
-        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
+        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of several"
     low, high = DRAWN[name]
-    return f"a value or [low, high]; drawn from [{low:g}, {high:g}]"
+    return f"a number or [low, high]; by default [{low:g}, {high:g}]"
 
 
 MODEL = ObjectModel(
@@ -727,7 +739,7 @@ MODEL = ObjectModel(
     build=build_car,
     options={
         **{name: _option_text(name) for name in NOMINAL},
-        "time_of_day": "day or night: which states come up; by default that of the background",
+        "time_of_day": "day or night: selects the states that can be drawn; by default that of the background",
     },
     parts_for=parts_for,
 )

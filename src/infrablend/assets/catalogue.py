@@ -1,4 +1,4 @@
-"""Loads object models: those that come with InfraBlend by name, a user's own by path."""
+"""Loads object models: built-in ones by name, a user's own by the path of its YAML."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from infrablend.assets.user_model import SUFFIXES, load_user_model
 from infrablend.core.registry import resolve
 from infrablend.errors import ModelError
 
-# name -> where its ObjectModel lives; one file per model.
+# name -> module and name of its ObjectModel; one file per model.
 MODELS = {
     "car": "infrablend.assets.car:MODEL",
     "deer": "infrablend.assets.deer:MODEL",

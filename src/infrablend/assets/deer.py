@@ -1,16 +1,16 @@
-"""A deer, grown from a skeleton: four poses, with and without antlers, sizes from roe to red deer.
+"""Deer model, grown from a skeleton: four poses, with and without antlers, sizes from roe to red deer.
 
-The body is an implicit surface (`assets.implicit`): trunk, neck, head and upper legs in one skin, the slender lower
-legs on a finer grid, ears and antlers as lofts. All lengths below are in units of the height at the withers (the
-shoulder height), +X towards the nose, +Y left, Z up; `build` scales to metres at the end.
+The body is an implicit surface (`assets.implicit`): trunk, neck, head and upper legs form one skin; the slender
+lower legs are on a finer grid; ears and antlers are lofts. All lengths are in units of the height at the withers (the
+shoulder height), +X towards the nose, +Y left, +Z up; `build` scales them to metres at the end.
 
-Only pose, pose variant and body build decide the implicit surface, so there are few distinct ones
-(9 pose variants x 2 builds) and they are cached; size, proportions, turn of neck and head, and side come afterwards
-as a deformation of the vertices. Measured on one core: 0.15-0.20 s of CPU time for a shape not yet cached, 3-4 ms for
-one that is; 23,000 to 26,000 triangles.
+The implicit surface depends only on pose, pose variant and body build, so there are few distinct ones (9 pose variants
+x 2 builds), which are cached; size, proportions, the turn of neck and head, and mirroring are applied to the vertices
+afterwards. Measured on one core: 0.15-0.20 s of CPU time for a new shape, 3-4 ms for a cached one; 23,000 to 26,000
+triangles.
 
-Proportions follow photographs of roe, red and white-tailed deer: chest deeper than the legs' half, belly tucked up
-towards the flank, hocks behind the buttocks, head a third of the trunk, ears half a head.
+Proportions follow photographs of roe, red and white-tailed deer: the chest is deeper than half the legs' length, the
+belly tucked up towards the flank, the hocks behind the buttocks, the head a third of the trunk, the ears half a head.
 
 Temperatures: see `PARTS`. Ranges of neighbouring parts overlap, so a body drawn with the same quantile for all parts
 is smooth.
@@ -49,10 +49,10 @@ SHOULDER_HEIGHT_M = (0.4, 1.6)
 TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6}
 HEAD_TURN_RAD = 0.35
 
-# Surface minus air. Levels: measured trunk in winter +6..+8 K and the map there
-# T = Ta + dT_core * m(part). The issue asks for a "nearly uniform warm body with cooler legs, ears and antlers": so
-# legs and ears lie below the trunk here although published skin values of lower legs and inner ears are above it,
-# and the spread over the trunk is 1-2 K. Fur is rough: no Fresnel rim, ior 1.
+# Surface minus air. The level is that of trunks measured in winter, +6..+8 K. A deer should be a nearly uniform warm
+# body with cooler legs, ears and antlers: legs and ears are therefore colder than the trunk here, although published
+# skin temperatures of lower legs and inner ears are higher, and the trunk varies by 1-2 K only.
+# Fur is rough: no Fresnel rim, ior 1.
 PARTS: Mapping[str, PartRange] = {
     "back": made_of("fur", (5.0, 8.0), "top of the trunk, thickest coat"),
     "upper_flank": made_of("fur", (5.5, 8.5), "between back and flank"),
@@ -60,25 +60,25 @@ PARTS: Mapping[str, PartRange] = {
     "belly": made_of("fur", (6.5, 10.0), "underside and groin, thin coat"),
     "neck_base": made_of("fur", (5.6, 8.8), "between trunk and neck"),
     "neck": made_of("fur", (6.0, 9.5), "trunk to head"),
-    "head": made_of("fur", (7.0, 11.0), "head, lowered towards a uniform body"),
-    "muzzle": made_of("fur", (8.0, 12.5), "bare muzzle, lowered towards a uniform body"),
+    "head": made_of("fur", (7.0, 11.0), "head, reduced towards a uniform body"),
+    "muzzle": made_of("fur", (8.0, 12.5), "bare muzzle, reduced towards a uniform body"),
     "nose": made_of("skin", (9.0, 14.5), "bare skin", emissivity=(0.97, 0.98)),
     "eye": made_of("eye", (11.0, 18.0), "hottest spot"),
-    "ear": made_of("fur", (2.5, 5.5), "cooler than the body, as the issue says"),
+    "ear": made_of("fur", (2.5, 5.5), "cooler than the body"),
     "haunch": made_of("fur", (5.6, 8.6), "thigh, between flank and leg"),
     "shoulder": made_of("fur", (5.6, 8.6), "shoulder to elbow, between flank and leg"),
     "upper_leg": made_of("fur", (5.0, 8.0), "forearm and gaskin, cooler than the trunk"),
     "mid_leg": made_of("fur", (3.8, 6.5), "above knee and hock, between its neighbours"),
-    "lower_leg": made_of("fur", (2.5, 5.0), "below knee and hock; issue: cooler legs"),
+    "lower_leg": made_of("fur", (2.5, 5.0), "below knee and hock, cooler than the trunk"),
     "hoof": made_of("antler", (0.5, 2.5), "horn, touches the ground"),
     "tail": made_of("fur", (4.0, 7.0), "thin, mostly fur"),
     "antler": made_of("antler", (0.0, 0.5), "bone at air temperature"),
-    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler, fed with blood"),
+    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler with blood supply"),
 }
 PART_NAMES = tuple(PARTS)
 TIMES = ("night", "day")
-# Dark fur in direct sun is 15..25 K warmer than air and loses 18 K in two minutes of shade; the weaker part of it, and
-# the share of it that parts facing less of the sky reach (est.).
+# Dark fur in direct sun is 15..25 K warmer than air and loses 18 K within two minutes of shade. Rise of the back (lower
+# values for weak sun), and the share of it that parts reach that face less of the sky (est.).
 SUN_K = (5.0, 20.0)
 _SUN_SHARE: Mapping[str, float] = {
     "back": 1.0, "upper_flank": 0.9, "flank": 0.7, "belly": 0.1, "neck_base": 0.9, "neck": 0.8, "head": 0.7,
@@ -103,7 +103,7 @@ BODY_CELL = 0.019
 HEAD_CELL = 0.0105
 LEG_CELL = 0.0115
 
-# Rows of the trunk: x, top, bottom, half width (standing).
+# Sections of the trunk of a standing deer: x, top, bottom, half width.
 _TRUNK = np.array(
     [
         [-0.535, 0.880, 0.740, 0.055],
@@ -125,7 +125,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class _Leg:
-    """Where a leg's hoof is relative to its place in standing, and how far it hangs (0 on the ground, 1 swinging)."""
+    """Position of a hoof relative to a standing deer's, and how far the foot hangs (0 on the ground, 1 swinging)."""
 
     dx: float = 0.0
     dz: float = 0.0
@@ -134,14 +134,14 @@ class _Leg:
 
 @dataclass(frozen=True)
 class _Pose:
-    """A skeleton's free numbers: legs in the order left fore, right fore, left hind, right hind.
+    """Free parameters of the skeleton in one pose.
 
     Attributes:
-        legs: One per leg.
+        legs: Left fore, right fore, left hind and right hind leg.
         neck: Control points of the neck, from inside the chest to the poll.
         head: Direction of the head from poll to nose.
-        drop: How far the trunk is lowered.
-        tilt: How much lower the withers are than the croup, beyond that.
+        drop: Distance by which the trunk is lowered.
+        tilt: Further distance by which the withers are lowered.
     """
 
     legs: tuple[_Leg, _Leg, _Leg, _Leg]
@@ -198,18 +198,18 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """A deer of withers height 1 before deformation, with the weights the deformation needs.
+    """Undeformed deer of withers height 1, with the weights that deformation needs.
 
     Attributes:
-        vertices: (V, 3).
-        triangles: (T, 3).
+        vertices: (V, 3) positions.
+        triangles: (T, 3) indices of vertices.
         parts: (T,) indices into `PART_NAMES`.
-        neck_weight: (V,) share of the neck's turn each vertex takes part in.
-        head_weight: (V,) the same for the head's turn.
-        neck_pivot: (3,) where the neck turns.
-        poll: (3,) where the head turns.
-        forward: (3,) from poll to nose.
-        side: (3,) to the head's left.
+        neck_weight: (V,) share of the neck's turn that applies to each vertex.
+        head_weight: (V,) share of the head's turn that applies to each vertex.
+        neck_pivot: (3,) pivot of the neck.
+        poll: (3,) pivot of the head.
+        forward: (3,) direction from poll to nose.
+        side: (3,) direction to the left of the head.
     """
 
     vertices: FloatArray
@@ -231,7 +231,7 @@ def _leg_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: f
 
 
 def _foot(fetlock: FloatArray, hang: float, lying: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coronet, heel and toe of a foot: pastern forward and down on the ground, folded back when it swings."""
+    """Return coronet, heel and toe of a foot; the pastern points forward on the ground and folds back in the air."""
     angle = np.deg2rad(-62.0 - 75.0 * hang) if not lying else np.deg2rad(-150.0)
     direction = np.array([np.cos(angle), 0.0, np.sin(angle)])
     coronet = fetlock + 0.068 * direction
@@ -245,7 +245,7 @@ def _trunk(pose: _Pose, lying: bool, width: float) -> Tube:
     half = half * width
     if lying:
         top = top - pose.drop
-        # The belly gives way on the ground and bulges sideways.
+        # The belly is compressed by the ground and bulges sideways.
         bottom = np.maximum(bottom - pose.drop - 0.05, -0.02)
         half = half * 1.04
     else:
@@ -256,14 +256,14 @@ def _trunk(pose: _Pose, lying: bool, width: float) -> Tube:
 
 
 def _head_frame(pose: _Pose) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Forward, side (left) and up of the head."""
+    """Return the directions forward, left and up of the head."""
     forward = unit(pose.head)
     side = unit(np.cross([0.0, 0.0, 1.0], forward))
     return forward, side, np.cross(forward, side)
 
 
 def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...], sturdy: bool) -> list[Primitive]:
-    """Head and the end of the neck that it sits on, on the finer grid; `neck_end` is the neck's direction there."""
+    """Return head and upper end of the neck, on the finer grid; `neck_end` is the direction of the neck there."""
     f, s, u = frame
     thick = 1.12 if sturdy else 1.0
 
@@ -271,7 +271,7 @@ def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...],
         return np.asarray(poll + forward * f + up * u + left * s)
 
     big = 1.06 if sturdy else 1.0
-    # The last of the neck: it leaves the body's neck from inside, so that both skins meet without a crease.
+    # The upper end starts inside the neck of the body, so that both skins meet without a crease.
     throat = tube(
         "neck",
         [poll - 0.13 * neck_end, poll - 0.05 * neck_end, poll],
@@ -316,7 +316,7 @@ def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...],
 
 
 def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
-    """Upper part (in the body's skin) and lower part (on the finer grid) of a foreleg."""
+    """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a foreleg."""
     y = 0.092 * sign
     fall = pose.drop + pose.tilt
     elbow = np.array([0.265 + 0.4 * leg.dx, 0.098 * sign, 0.615 - fall])
@@ -360,7 +360,7 @@ def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
 
 
 def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
-    """Upper part (in the body's skin) and lower part (on the finer grid) of a hind leg."""
+    """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a hind leg."""
     y = 0.092 * sign
     hip = np.array([-0.385, 0.078 * sign, 0.835 - pose.drop])
     stifle = np.array([-0.285 + 0.45 * leg.dx, 0.112 * sign, 0.615 - 0.9 * pose.drop + 0.3 * leg.dz])
@@ -374,7 +374,7 @@ def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
         hock = _leg_joint(stifle, fetlock, 0.325, 0.268, -1.0)
         hock[1] = y
     blend = 0.12 if lying else 0.07
-    # Folded up, the thigh lies in the flank's coat.
+    # When folded, the thigh is buried in the coat of the flank.
     low_thigh = [] if lying else [(0.75, "upper_leg")]
     low_ham = [] if lying else [(0.55, "upper_leg")]
     ham = np.array([-0.468, 0.072 * sign, 0.79 - pose.drop])
@@ -433,7 +433,7 @@ def _hoof(fetlock: FloatArray, hang: float, lying: bool, size: float) -> list[Pr
 
 
 def _trunk_parts(part: IntArray, trunk: Tube, points: FloatArray) -> None:
-    """Divide the trunk by height of its section: flank into back, upper flank, flank and belly, in place."""
+    """Divide the flank by height into back, upper flank, flank and belly, in place."""
     own = np.flatnonzero(part == PART_NAMES.index("flank"))
     above = trunk.coordinates(points[own])[2]
     for mask, name in ((above > 0.35, "upper_flank"), (above > 0.75, "back"), (above < -0.80, "belly")):
@@ -441,7 +441,7 @@ def _trunk_parts(part: IntArray, trunk: Tube, points: FloatArray) -> None:
 
 
 def _ear(poll: FloatArray, frame: tuple[FloatArray, ...], sign: int) -> tuple[FloatArray, IntArray]:
-    """Return a leaf-shaped ear, set at the side of the skull, its hollow forward and outward."""
+    """Return a leaf-shaped ear at the side of the skull, its hollow side forward and outward."""
     f, s, u = frame
     root = poll + 0.012 * f + 0.030 * sign * s + 0.030 * u
     axis = unit(-0.30 * f + 0.78 * sign * s + 0.56 * u)
@@ -460,7 +460,7 @@ def _ear(poll: FloatArray, frame: tuple[FloatArray, ...], sign: int) -> tuple[Fl
     return solid.vertices, solid.triangles
 
 
-# Beam of one antler in the head's frame (back-front, left, up), then tines: (share of the beam, tip relative to it).
+# Beam of one antler in the frame of the head (forward, left, up), then its tines: (share of the beam, relative tip).
 _ANTLER_SHAPES: Mapping[str, tuple[list[Point], list[tuple[float, Point]]]] = {
     "spike": ([(0, 0, 0), (-0.01, 0.025, 0.07), (-0.01, 0.045, 0.15)], [(0.45, (0.055, 0.005, 0.035))]),
     "roe": (
@@ -507,7 +507,7 @@ def _antler(
     poll: FloatArray, frame: tuple[FloatArray, ...], sign: int, form: str, velvet: bool
 ) -> tuple[FloatArray, IntArray]:
     f, s, u = frame
-    # Antlers rise from the skull leaning back against the line of the face.
+    # Antlers lean back from the line of the face.
     lean = np.deg2rad(28.0)
     up = np.cos(lean) * u - np.sin(lean) * f
     front = np.cos(lean) * f + np.sin(lean) * u
@@ -535,7 +535,7 @@ def _antler(
 
 @lru_cache(maxsize=32)
 def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
-    """Body and legs, all that the implicit surface decides."""
+    """Return body and legs: everything that is part of the implicit surface."""
     pose = _POSES[pose_name, variant]
     lying, sturdy = pose_name == "lying", build_name == "sturdy"
     lift = np.array([0.0, 0.0, -pose.drop if lying else -pose.drop - pose.tilt])
@@ -592,7 +592,7 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
     else:
         soles = vertices[np.unique(triangles[label == PART_NAMES.index("hoof")])]
         origin = np.array([_feet_centre(soles), 0.0, 0.0])
-    # Withers at height 1: what blending, drop of the trunk and build changed is scaled away.
+    # Scale the withers back to height 1: blending, the lowered trunk and the build change it.
     size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)])
     along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
     first_leg = len(pieces[0][0]) + len(pieces[1][0])
@@ -620,18 +620,18 @@ _BACK = tuple(PART_NAMES.index(n) for n in ("back", "upper_flank", "flank"))
 
 
 def withers_height(vertices: FloatArray, triangles: IntArray) -> float:
-    """Highest point of the trunk's triangles over the forelegs: the shoulder height of a standing deer.
+    """Return the shoulder height of a standing deer: the highest point of its trunk over the forelegs.
 
     Args:
-        vertices: (V, 3), the trunk about as long as `_TRUNK` and not yet moved along x.
-        triangles: (T, 3) those of the trunk.
+        vertices: (V, 3) positions, with the trunk about as long as `_TRUNK` and not yet moved along x.
+        triangles: (T, 3) triangles of the trunk.
     """
     v = vertices[np.unique(triangles)]
     return float(v[np.abs(v[:, 0] - _WITHERS_X) < 0.03, 2].max())
 
 
 def _on_ground(vertices: FloatArray, cell: float) -> FloatArray:
-    """Stretch the two lowest cells so that vertices close to the ground touch it."""
+    """Stretch the two lowest cells to the ground, so that whatever nearly touches it does touch it."""
     lowest, top = float(vertices[:, 2].min()), 2.0 * cell
     if lowest > cell:
         return vertices
@@ -641,13 +641,13 @@ def _on_ground(vertices: FloatArray, cell: float) -> FloatArray:
 
 
 def _feet_centre(hooves: FloatArray) -> float:
-    """Mean of the fore and the hind hooves' middle along x."""
+    """Return the mean x of the middle of the fore hooves and that of the hind hooves."""
     fore = hooves[:, 0] > 0
     return float(0.5 * (hooves[fore, 0].mean() + hooves[~fore, 0].mean()))
 
 
 def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
-    """Return the shape with ears, and antlers if any; these turn with the head."""
+    """Add the ears and any antlers, which turn with the head."""
     frame = (shape.forward, shape.side, np.cross(shape.forward, shape.side))
     pieces, parts = [(shape.vertices, shape.triangles)], [shape.parts]
     for sign in (1, -1):
@@ -674,7 +674,7 @@ def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
 
 
 def _turned(points: FloatArray, pivot: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Points (N, 3), each turned about the vertical through `pivot` by its own angle (N,)."""
+    """Turn each of (N, 3) points about the vertical through `pivot` by its own angle (N,)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[:, 0] - pivot[0], points[:, 1] - pivot[1]
     return np.column_stack([pivot[0] + c * x - s * y, pivot[1] + s * x + c * y, points[:, 2]])
@@ -721,15 +721,15 @@ def build(params: Params) -> Mesh:
     """Build the mesh of a deer in metres.
 
     Args:
-        params: As `sample` draws them; what is missing takes the value in `DEFAULTS`.
+        params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant: See `VARIANTS`.
             build: `slender` or `sturdy` (wider trunk, thicker neck).
             antlers, antler_form: See `ANTLERS` and `ANTLER_FORMS`; the form is ignored without antlers.
-            shoulder_height_m: Ground to withers when standing; a lying deer of that size is lower.
+            shoulder_height_m: Height of the withers when standing; a lying deer of that size is lower.
             length_factor, width_factor: Extra factors along x and y.
             neck_turn_rad, head_turn_rad: Turn about the vertical, positive to the deer's left, before mirroring.
-            mirror: Left and right exchanged.
+            mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
 
     Raises:
@@ -793,7 +793,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "shoulder_height_m": height,
         "length_factor": 0.94 + 0.12 * u[6],
         "width_factor": 0.93 + 0.16 * u[7],
-        # The mean of two draws: mostly ahead, seldom far to the side.
+        # The mean of two draws: usually straight ahead, seldom far to the side.
         "neck_turn_rad": turn * (u[8] + u[9] - 1.0),
         "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0),
         "mirror": u[11] < 0.5,
@@ -806,12 +806,12 @@ DRAWN_HEIGHT_M = (0.7, 1.2)
 _POSE_ODDS = {"standing": 0.30, "walking": 0.25, "grazing": 0.30, "lying": 0.15}
 _ANTLER_ODDS = {"none": 0.5, "hard": 0.38, "velvet": 0.12}
 OPTIONS: Mapping[str, str] = {
-    "pose": "one of " + ", ".join(POSES) + ", or a list of them",
+    "pose": "one of " + ", ".join(POSES) + ", or a list of several",
     "antlers": "true, false, none, hard or velvet; by default half of the deer have antlers",
-    "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of them",
-    "build": "one of " + ", ".join(BUILDS) + ", or a list of them",
+    "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of several",
+    "build": "one of " + ", ".join(BUILDS) + ", or a list of several",
     "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]",
-    "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, else night",
+    "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, or night",
 }
 
 
@@ -828,8 +828,8 @@ def _antler_option(value: object, share: float) -> str:
 MODEL = ObjectModel(
     name="deer",
     category="deer",
-    description="A deer, standing, walking, grazing or lying, with or without antlers; roe to red deer in size.",
-    origin="on the ground between the feet; of a lying deer on the ground below the middle of its trunk",
+    description="A deer from roe to red deer in size: standing, walking, grazing or lying, with or without antlers.",
+    origin="on the ground between the feet; for a lying deer, below the middle of its trunk",
     stands=True,
     parts=PARTS,
     sample=sample,

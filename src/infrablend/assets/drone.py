@@ -1,10 +1,10 @@
-"""A quadrotor: hot motors and batteries, warm electronics and shell, cold carbon, propellers and legs.
+"""Drone model, a quadrotor: hot motors and batteries, warm electronics and shell, cold carbon, propellers and legs.
 
-`sample_params` draws what varies between quadrotors, `build_drone` makes the mesh of one. Everything is built for
-a motor-to-motor diagonal of 1 and scaled at the end. +X is the heading, +Y left, +Z up.
+`sample_params` draws what varies between quadrotors, `build_drone` builds the mesh of one. All lengths are for a
+motor-to-motor diagonal of 1 and are scaled at the end. +X is the heading, +Y points left, +Z up.
 
-Temperatures are surface minus air in steady flight; where they come from is said in each part's `what`. Between
-the sources' light hover and heavy load the ranges take the part that a hovering or cruising aircraft shows.
+Temperatures are surface minus air in steady flight; each part's `what` describes their basis. The sources range from
+a light hover to heavy load; the ranges here cover a hovering or cruising aircraft.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ PARTS: Mapping[str, PartRange] = {
         "plastic", (8.0, 20.0), "battery pack: +8..+20 K, rising with flight time", emissivity=(0.92, 0.95)
     ),
     "motor": made_of(
-        "black_anodised", (10.0, 40.0), "motor bell: +10..+25 K in hover, more loaded", emissivity=(0.92, 0.96)
+        "black_anodised", (10.0, 40.0), "motor bell: +10..+25 K in hover, more under load", emissivity=(0.92, 0.96)
     ),
-    "winding": made_of("circuit_board", (18.0, 55.0), "stator, seen between bell and base: hotter than the bell"),
+    "winding": made_of("circuit_board", (18.0, 55.0), "stator, visible between bell and base: hotter than the bell"),
     "motor_mount": made_of(
         "cfrp", (5.0, 10.0), "last 2-4 cm of the arm, heated by the motor: +5..+10 K", emissivity=(0.84, 0.94)
     ),
-    "esc": made_of("circuit_board", (15.0, 40.0), "speed controller and power boards in the open: +15..+40 K"),
+    "esc": made_of("circuit_board", (15.0, 40.0), "uncovered speed controllers and power boards: +15..+40 K"),
     "vent": made_of(
         "plastic", (8.0, 25.0), "air outlets over the electronics; cavities: high emissivity", emissivity=(0.92, 0.96)
     ),
@@ -49,10 +49,11 @@ PARTS: Mapping[str, PartRange] = {
     "gimbal": made_of("plastic", (2.0, 10.0), "gimbal arms and their small motors", emissivity=(0.90, 0.95)),
     "frame": made_of("cfrp", (0.0, 3.0), "carbon plates, spacers, clamps: 0..+3 K"),
     "arm": made_of("cfrp", (0.0, 3.0), "arms, carbon tube or plate, or moulded: 0..+3 K", emissivity=(0.80, 0.94)),
-    "propeller": made_of("plastic", (0.0, 4.0), "blades, still: 0..+4 K of recovery heating", emissivity=(0.85, 0.94)),
+    "propeller": made_of("plastic", (0.0, 4.0), "blades at rest: 0..+4 K of recovery heating", emissivity=(0.85, 0.94)),
     "leg": made_of("plastic", (0.0, 0.8), "landing gear, at air temperature", emissivity=(0.85, 0.94)),
     "antenna": made_of("plastic", (0.0, 3.0), "antennas, satellite receiver and mast", emissivity=(0.90, 0.95)),
-    # A propeller in flight passes within the detector's memory (10 ms) 0.5 to 1.5 times: a translucent disc, in rings.
+    # A spinning propeller makes 0.5 to 1.5 turns within the time constant of the detector (10 ms), so it appears as a
+    # translucent disc, which is modelled in rings.
     "prop_disc_root": made_of("plastic", (0.0, 1.0), "spinning blades", **_DISC),
     "prop_disc_inner": made_of("plastic", (0.0, 2.0), "spinning blades", **_DISC),
     "prop_disc_outer": made_of("plastic", (0.5, 3.0), "spinning blades", **_DISC),
@@ -60,7 +61,7 @@ PARTS: Mapping[str, PartRange] = {
         "plastic", (1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K", **_DISC
     ),
 }
-# Ring -> its inner and outer radius, in parts of the propeller's.
+# Ring -> inner and outer radius as fractions of the propeller's radius.
 DISC_RINGS: Mapping[str, tuple[float, float]] = {
     "prop_disc_root": (0.14, 0.3),
     "prop_disc_inner": (0.3, 0.5),
@@ -68,8 +69,8 @@ DISC_RINGS: Mapping[str, tuple[float, float]] = {
     "prop_disc_tip": (0.75, 1.0),
 }
 
-# What does not count when the origin is put at the centre of the bounding box: thin things that stick out, and
-# propellers, whose extent changes with the angle at which they stand.
+# Parts left out of the bounding box whose centre is the origin: thin parts that stick out, and propellers, whose extent
+# changes with their angle.
 OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 CHOICES: Mapping[str, tuple[Any, ...]] = {
@@ -85,7 +86,7 @@ CHOICES: Mapping[str, tuple[Any, ...]] = {
 }
 PROPELLERS = ("still", "spinning")
 _STATES: Mapping[str, tuple[Any, ...]] = {**CHOICES, "propellers": PROPELLERS}
-"""What is chosen, drawn or not: propellers stand still unless a recipe says otherwise."""
+"""Parameters with a fixed set of values. `propellers` is not drawn: still unless a recipe sets it."""
 DRAWN: Mapping[str, tuple[float, float]] = {
     "size_m": (0.3, 0.9),
     "propeller_angle_deg": (0.0, 360.0),
@@ -106,7 +107,7 @@ ALLOWED: Mapping[str, tuple[float, float]] = {
     "propeller_angle_deg": (-3600.0, 3600.0),
     "gimbal_pitch_deg": (-30.0, 90.0),
 }
-"""What `build_drone` takes, wider than what is drawn where a recipe may want more."""
+"""Ranges that `build_drone` accepts, in part wider than the ranges that are drawn."""
 
 NOMINAL: Mapping[str, Any] = {
     "size_m": 0.38,
@@ -132,9 +133,9 @@ NOMINAL: Mapping[str, Any] = {
     "gimbal_pitch_deg": 15.0,
     "propellers": "still",
 }
-"""A consumer camera drone; `{**NOMINAL, ...}` is handy for tests and pictures."""
+"""Parameters of a consumer camera drone; `{**NOMINAL, ...}` is handy for tests and pictures."""
 
-# How often each choice comes up, by body; small aircraft are more often shells, large ones industrial.
+# Odds of each choice, by body; small aircraft are more often shells, large ones industrial.
 _ODDS: Mapping[str, dict[str, tuple[float, ...]]] = {
     "shell": {
         "layout": (0.55, 0.2, 0.05, 0.2), "arm": (0.85, 0.15, 0.0), "legs": (0.6, 0.15, 0.25), "blades": (0.85, 0.15),
@@ -160,13 +161,13 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """Draw the parameters of one drone, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the
-    others as they would have been (save `body` and what follows from it, whose odds depend on the size). A list of
-    `propellers` takes one more, at the end.
+    others as they would have been (except `body` and what depends on it, because its odds depend on the size). A list
+    of `propellers` takes one more, at the end.
 
     Args:
         rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a
-            list to choose from with equal odds. `propeller_angle_deg` takes four angles too.
+            list to choose from with equal odds. `propeller_angle_deg` also accepts four angles.
 
     Raises:
         ModelError: An option is unknown or its value is invalid.
@@ -235,12 +236,12 @@ def _require_params(params: Params) -> None:
             _CHECKS.number(where, value, *ALLOWED[name])
 
 
-# --- plan: where things go, for a diagonal of 1 --------------------------------------------------------------
+# --- plan: positions and sizes for a diagonal of 1 --------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """Dimensions shared by the pieces; the motor diagonal is 1, z 0 is the middle of the body."""
+    """Dimensions that the pieces share, for a motor diagonal of 1; z = 0 is the middle of the body."""
 
     p: Mapping[str, Any]
     motors_xy: FloatArray  # (4, 2) counter-clockwise from the front left (plus: from the front)
@@ -289,7 +290,7 @@ def _plan(p: Params) -> _Plan:
     length, width, height = _BODY_SIZE[p["body"]]
     length, width, height = length * p["body_length"], width * p["body_width"], height * p["body_height"]
     if p["layout"] == "h":
-        # The arms leave the body square: it must reach to them.
+        # The arms leave the body at right angles, so it must reach them.
         length = max(length, 1.12 * abs(float(motors[0, 0])))
         width *= 0.88
     elif p["layout"] == "plus":
@@ -336,7 +337,7 @@ class _Pieces:
         self.items.append((part, solid.vertices, solid.triangles, smooth))
 
     def add_both_sides(self, part: str, solid: Solid, *, smooth: bool = True) -> None:
-        """Return the solid and its mirror image across the plane y = 0."""
+        """Add a solid and its mirror image across the plane y = 0."""
         self.add(part, solid, smooth=smooth)
         self.add(part, shapes.mirrored(solid, 1), smooth=smooth)
 
@@ -345,7 +346,7 @@ class _Pieces:
 
 
 def _motor_height(plan: _Plan) -> float:
-    """From the seat to the top of the bell."""
+    """Return the height of a motor from its seat to the top of the bell."""
     r = plan.motor_radius
     return r * (0.62 if plan.p["body"] == "industrial" else 0.8) + 0.10 * r
 
@@ -358,7 +359,7 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
     r = plan.motor_radius
     gap = 0.10 * r
     top = _motor_height(plan)
-    # Outrunner: a fixed base with the stator on it, and a bell that turns round the stator, its top spoked.
+    # Outrunner: a fixed base with the stator on it, and a bell that turns around the stator, with a spoked top.
     base = shapes.lathe([(0.55 * r, -0.03 * r), (0.98 * r, 0.0), (0.98 * r, 0.08 * r), (0.5 * r, 0.12 * r)], 16)
     stator = shapes.cylinder(0.78 * r, 0.05 * r, top - 0.22 * r, 12)
     wall = shapes.lathe(
@@ -390,7 +391,7 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
         out.add("motor", cap, at=at)
         turn = float(np.radians(plan.p["propeller_angle_deg"][i]))
         for k in range(6):
-            # The bell stands as the propeller does: they are screwed together.
+            # The bell has the angle of the propeller: they are screwed together.
             a = turn + k * math.pi / 3
             offset = (x + 0.52 * r * math.cos(a), y + 0.52 * r * math.sin(a), seat + top - 0.08 * r)
             out.add("motor", shapes.placed(spoke, shapes.turn_z(a), offset), smooth=False)
@@ -408,7 +409,7 @@ def _spinning(params: Params) -> bool:
 
 
 def _chord(t: FloatArray, params: Params) -> FloatArray:
-    """Width of a blade at `t` of its radius, in radii: widest at a third, tapering to a rounded tip."""
+    """Return the width of a blade at fractions `t` of its radius, in radii: widest at a third, rounded at the tip."""
     wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
     wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
     wide *= {2: 1.0, 3: 0.92}[params["blades"]] * (0.85 if params["body"] == "industrial" else 1.0)
@@ -416,7 +417,7 @@ def _chord(t: FloatArray, params: Params) -> FloatArray:
 
 
 def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part of this drone: without discs if its propellers stand still.
+    """Return the thermal role of every part of this drone, without discs if its propellers are still.
 
     A ring's opacity is the share of its circle that the blades cover: blades * chord / (2 pi r).
     """
@@ -431,14 +432,14 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
 
 def _with_discs(mesh: Mesh, params: Params, plan: _Plan, centre: FloatArray, size: float) -> Mesh:
-    """Add a disc over each motor: rings that share vertices, so that they blend into each other."""
+    """Add a disc over each motor: a sheet of rings that share vertices, so that shading runs on across them."""
     n, rings = 48, list(DISC_RINGS)
     edges = np.array([DISC_RINGS[rings[0]][0], *(DISC_RINGS[name][1] for name in rings)])
     turn = np.arange(n) * (2 * math.pi / n)
     R, r = plan.propeller_radius, plan.motor_radius
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     flat = R * edges[:, None, None] * around
-    # As the blades: above the hub, and bent up a little.
+    # Like the blades: above the hub and bent up slightly.
     z = _motor_top(plan) + 0.18 * r + 0.03 * R * edges**2
     i, j = (g.ravel() for g in np.meshgrid(np.arange(len(rings)), np.arange(n), indexing="ij"))
     a, b = i * n + j, i * n + (j + 1) % n
@@ -460,14 +461,14 @@ def _with_discs(mesh: Mesh, params: Params, plan: _Plan, centre: FloatArray, siz
 
 
 def _propeller(plan: _Plan, clockwise: bool) -> Solid:
-    """One blade: narrow at the hub, tapering to a rounded tip, its pitch falling outwards."""
+    """Return one blade: narrow at the hub, tapering to a rounded tip, with pitch that falls outwards."""
     R = plan.propeller_radius
     t = np.array([0.05, 0.12, 0.2, 0.3, 0.45, 0.65, 0.82, 0.92, 0.97, 1.0])
     wide = _chord(t, plan.p)
     lead = 0.5 * wide + 0.012 - 0.03 * t**2
     pitch = np.arctan2(0.22, 2.4 * np.maximum(t, 0.16)) + np.radians(1.5)
     thick = np.interp(t, [0.0, 0.2, 1.0], [0.035, 0.022, 0.006])
-    # Blades bend up a little under load.
+    # Blades bend up slightly under load.
     solid = shapes.blade(R * t, R * wide, R * lead, pitch, R * thick, camber=0.06, clockwise=clockwise)
     solid.vertices[:, 2] += 0.03 * solid.vertices[:, 0] ** 2 / R
     return solid
@@ -481,7 +482,7 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
     r = plan.motor_radius
     for (mx, my), (rx, ry) in zip(plan.motors_xy.tolist(), plan.roots_xy.tolist(), strict=True):
         root, tip = np.array([rx, ry, plan.root_z]), np.array([mx, my, plan.tip_z])
-        # The last stretch before the motor is warm: a part of its own.
+        # The end near the motor is warm and therefore a separate part.
         reach = float(np.linalg.norm(tip - root))
         t_warm = 1 - max(0.07, 1.6 * r) / reach
         if p["arm"] == "moulded":
@@ -521,12 +522,12 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
             ]
             out.add("motor_mount", shapes.lathe(cup, 18, sharp_deg=50.0), at=(mx, my, 0.0))
         if p["body"] == "plate" and p["layout"] != "h":
-            # A speed controller lies on each arm of an open frame.
+            # An open frame has a speed controller on each arm.
             out.add("esc", _along(root, tip, 0.52, (0.075, 1.5 * w, 0.011), h + 0.004), smooth=False)
 
 
 def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: float) -> Solid:
-    """Return a small box lying on an arm at fraction `t` of it."""
+    """Return a small box on top of an arm at fraction `t` of its length."""
     x, y, _ = (tip - root).tolist()
     at = root + t * (tip - root) + (0.0, 0.0, lift)
     return shapes.placed(shapes.box(size, 0.15 * min(size)), shapes.turn_z(math.atan2(y, x)), at)
@@ -536,7 +537,7 @@ def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: floa
 
 
 def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
-    """Return a sleek moulded body, its battery let into the back, eyes at the nose, outlets at the flanks."""
+    """Add a smooth moulded body with its battery set into the back, sensors at the nose and outlets at the sides."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     t = np.sin(np.linspace(-1, 1, 21) * math.pi / 2 * 0.955)
     closing = (1 - np.abs(t) ** 6) ** 0.4
@@ -579,7 +580,7 @@ def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
         one = shapes.box((pack_l, 0.47 * pack_w, pack_h), 0.16 * H, corner=0.2 * W, steps=3)
         out.add_both_sides("battery", shapes.moved(one, (x, 0.26 * pack_w, z)))
 
-    # Outlets: slats along both flanks and across the tail.
+    # Outlets: slats along both sides and across the tail.
     for k in range(5):
         x = L * (-0.30 + 0.095 * k)
         slat = shapes.box((0.035 * L, 0.05 * W, 0.55 * H), 0.01 * H)
@@ -588,7 +589,7 @@ def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
         slat = shapes.box((0.05 * L, 0.9 * W, 0.09 * H), 0.02 * H)
         out.add("vent", slat, at=(-0.985 * L, 0, (0.1 + 0.22 * k) * H), smooth=False)
 
-    # Eyes: obstacle sensors at the nose and the tail, looking along X.
+    # Obstacle sensors at the nose and the tail, facing along X.
     eye = shapes.placed(shapes.cylinder(0.11 * W, -0.10 * L, 0.0, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
     out.add_both_sides("lens", shapes.moved(eye, (0.945 * L, 0.40 * W, 0.05 * H)))
     out.add_both_sides("lens", shapes.moved(shapes.mirrored(eye, 0), (-0.93 * L, 0.55 * W, 0.28 * H)))
@@ -604,7 +605,7 @@ def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
 
 
 def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
-    """Return an elongated plate with a waist, 32 points, counter-clockwise."""
+    """Return the outline of a long plate with a waist: 32 points, counter-clockwise."""
     unit = shapes.circle(32, 5.0)
     x, y = L * unit[:, 0], W * unit[:, 1]
     y = y * (1 - waist * np.exp(-((x / (0.38 * L)) ** 2)))
@@ -612,7 +613,7 @@ def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
 
 
 def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
-    """Two carbon plates on spacers, boards between them, the battery strapped on top."""
+    """Add two carbon plates on spacers with boards between them and the battery strapped on top."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     thick = 0.009
     low, high = -H, H * 0.62
@@ -634,7 +635,7 @@ def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
     for x in (-0.9, -0.45, 0.45, 0.9):
         out.add_both_sides("frame", shapes.moved(post, (x * L, 0.52 * W, 0.0)))
 
-    # Boards: power stage below, flight controller above, each on corner posts, with a row of hot chips.
+    # Boards: power stage with a row of hot chips below, flight controller above.
     board = (0.62 * L, 0.95 * W, 0.006)
     out.add("esc", shapes.box(board, 0.001), at=(0.02 * L, 0, low + 0.38 * (high - low)), smooth=False)
     chip = shapes.box((0.10 * L, 0.16 * W, 0.012), 0.002)
@@ -645,7 +646,7 @@ def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
     out.add(
         "esc", shapes.box((0.40 * L, 0.8 * W, 0.005), 0.001), at=(0.02 * L, 0, low + 0.68 * (high - low)), smooth=False
     )
-    # Video transmitter and receiver at the tail, a warm block seen through the frame's opening.
+    # Video transmitter and receiver at the tail, a warm block visible through the opening of the frame.
     out.add("camera", shapes.box((0.26 * L, 0.5 * W, 0.02), 0.003), at=(-0.66 * L, 0, low + 0.055), smooth=False)
     out.add("shell", shapes.box((0.18 * L, 0.4 * W, 0.016), 0.003), at=(0.66 * L, 0, low + 0.05), smooth=False)
 
@@ -678,7 +679,7 @@ def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
 
 
 def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
-    """Return a faceted hull: hot-swap batteries at the back, sensor block in front, cooling slots."""
+    """Add a faceted hull with hot-swap batteries at the back, a sensor block in front and cooling slots."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     x0 = 0.05 * L
     levels = []
@@ -708,7 +709,7 @@ def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
         out.add("battery", one, at=(x, 0, z))
         handles = [0.0]
     for y in handles:
-        # Handle at the pack's back end.
+        # Handle at the rear end of the pack.
         grip = np.array([(-0.53, -0.22), (-0.60, -0.16), (-0.60, 0.16), (-0.53, 0.22)])
         grip = np.column_stack([x + grip[:, 0] * pack_l, (y + grip[:, 1]) * W, np.full(4, z + 0.1 * H)])
         out.add("shell", shapes.sweep(grip, 0.10 * H, 0.16 * H, n=8))
@@ -734,11 +735,11 @@ def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
         out.add("shell", shapes.sweep(root + t * (tip - root), (1.3 * w, 1.1 * w, 0.85 * w), w, n=12, exponent=4.0))
 
 
-# --- what hangs below and sticks out -------------------------------------------------------------------------
+# --- gimbal, landing gear, antennas -------------------------------------------------------------------------
 
 
 def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
-    """Return a three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
+    """Add a three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
     body = plan.p["body"]
     if body == "shell":
         s, at = 0.042, np.array([0.90 * plan.half_length, 0.0, -1.05 * plan.half_height])
@@ -759,7 +760,7 @@ def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
     out.add("gimbal", tilt, at=tuple(at.tolist()))
     down = shapes.turn_y(math.radians(float(plan.p["gimbal_pitch_deg"])))
     if body == "industrial":
-        # A payload with two eyes, one of them a thermal camera.
+        # A payload with several lenses, one of them of a thermal camera.
         head = shapes.box((1.7 * s, 1.85 * s, 1.75 * s), 0.3 * s, corner=0.5 * s, steps=3)
         eyes = [(0.42, 0.34, 0.40), (-0.42, 0.34, 0.32), (-0.05, -0.45, 0.26)]
     else:
@@ -806,7 +807,7 @@ def _add_legs(out: _Pieces, plan: _Plan) -> None:
             sleeve = [((x - 0.1) * reach, spread, ground), ((x + 0.1) * reach, spread, ground)]
             out.add_both_sides("leg", shapes.sweep(sleeve, 1.5 * thin, n=12))
         return
-    # Curved: one bow on each side, down from the front flaring outwards, along the ground and up again.
+    # Curved: one bow per side, from the front down and outwards, along the ground and up again.
     hip = np.array([0.55 * reach, 0.0, -0.6 * H])
     half = np.concatenate([hip[None], _bow(0.75 * reach, ground, 0.07)])
     half[:, 1] = 0.6 * W + (spread - 0.6 * W) * np.clip((hip[2] - half[:, 2]) / (hip[2] - ground), 0, 1)
@@ -815,7 +816,7 @@ def _add_legs(out: _Pieces, plan: _Plan) -> None:
 
 
 def _bow(x: float, ground: float, bend: float) -> FloatArray:
-    """Five points of a quarter bend from upright at `x` to level at the ground."""
+    """Return five points of a quarter bend from vertical at `x` to horizontal on the ground."""
     a = np.linspace(0, math.pi / 2, 5)
     return np.stack([x - bend + bend * np.cos(a), np.zeros(5), ground + bend - bend * np.sin(a)], axis=1)
 
@@ -866,7 +867,7 @@ def build_drone(params: Params) -> Mesh:
 
 
 def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
-    """Return closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
+    """Return the closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
     plan = _plan(params)
     out = _Pieces()
     add_body = {"shell": _add_shell_body, "plate": _add_plate_body, "industrial": _add_industrial_body}
@@ -882,19 +883,19 @@ def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]
 
 def _option_text(name: str) -> str:
     if name == "propellers":
-        return "still (by default) or spinning, or a list of both; spinning: translucent discs that labels do not count"
+        return "still (default), spinning, or a list of both; spinning ones are translucent discs that labels ignore"
     if name in CHOICES:
-        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of some of them"
+        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of several"
     low, high = DRAWN[name]
-    text = f"a value or [low, high]; drawn from [{low:g}, {high:g}]"
-    return text + ("; or four values" if name == "propeller_angle_deg" else "")
+    text = f"a number or [low, high]; by default [{low:g}, {high:g}]"
+    return text + ("; or four numbers" if name == "propeller_angle_deg" else "")
 
 
 MODEL = ObjectModel(
     name="drone",
     category="drone",
-    description="A quadrotor, propellers still or spinning: hot motors and batteries, cold carbon, blades and legs.",
-    origin="the drone's centre: the middle of its bounding box without propellers and antennas",
+    description="A quadrotor, propellers still or spinning: hot motors and batteries; cold carbon, blades and legs.",
+    origin="the centre of its bounding box without propellers and antennas",
     stands=False,
     parts=PARTS,
     sample=sample_params,

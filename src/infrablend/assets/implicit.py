@@ -1,10 +1,9 @@
-"""Bodies grown from signed distances: elliptic tubes along a skeleton, smoothly joined, and their surface.
+"""Implicit surfaces: organic bodies from signed distances of tubes and ellipsoids, smoothly joined and triangulated.
 
-An organic body is described by primitives whose (approximate) signed distances are joined by a smooth minimum; the
-surface is then taken out by surface nets (one vertex per sheet in a crossed cell, one quad per crossed grid edge;
-after Gibson, "Constrained elastic surface nets", 1998). Distances are evaluated on a coarse grid first and refined
-only in blocks the surface may cross, and in each block only for the primitives that reach it. All lengths share one
-unit.
+A body consists of primitives whose approximate signed distances are joined by a smooth minimum. Surface nets extract
+its surface: one vertex per sheet in each crossed cell and one quad per crossed grid edge (after Gibson, "Constrained
+elastic surface nets", 1998). Distances are evaluated on a coarse grid first and refined only in blocks that the surface
+may cross, and within a block only for the primitives that reach it. All lengths share one unit.
 """
 
 from __future__ import annotations
@@ -23,21 +22,21 @@ FAR = 1e3
 
 
 class Primitive(Protocol):
-    """A solid by its signed distance: negative inside, close to true distance near the surface."""
+    """A solid given by its signed distance: negative inside, close to the true distance near the surface."""
 
     @property
     def part(self) -> str:
-        """Name of the part its surface belongs to."""
+        """Name of the part that its surface belongs to."""
 
     @property
     def blend(self) -> float:
-        """Width of the smooth joint with what came before it; 0 joins sharply."""
+        """Width of the smooth joint with the primitives before it; 0 for a sharp one."""
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(N,) signed distance of (N, 3) points."""
+        """Return the (N,) signed distances of (N, 3) points."""
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner (3,) of a box around the solid."""
+        """Return the lowest and highest corner (3,) of a box around the solid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +46,13 @@ class Tube:
     Attributes:
         part: Name of the part.
         path: (P, 3) points.
-        half_width: (P,) half extent of the section along `side`.
-        half_height: (P,) half extent across it.
-        side: (3,) direction of the width, made perpendicular to the path.
+        half_width: (P,) half extent of the sections along `side`.
+        half_height: (P,) half extent perpendicular to `side`.
+        side: (3,) direction of the width; only its component perpendicular to the path counts.
         blend: Width of the smooth joint.
-        caps: Length of the dome at the start and at the end.
-        beyond: (position, part) in rising order: from that position along the path on, in [0, P - 1], the surface
-            belongs to that part instead.
+        caps: Lengths of the domes at the start and at the end.
+        beyond: (position, part) pairs in rising order: from this position along the path, in [0, P - 1], the surface
+            belongs to another part.
     """
 
     part: str
@@ -66,7 +65,7 @@ class Tube:
     beyond: tuple[tuple[float, str], ...] = ()
 
     def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Position of (N, 3) points relative to the tube, and the distance, each (N,).
+        """Return the position of (N, 3) points relative to the tube, and their distance, each (N,).
 
         Returns:
             `along` in [0, P - 1] (index on the path), `across` along the side and `above` along (direction of the
@@ -75,7 +74,7 @@ class Tube:
         count = len(self.path) - 1
         start, step = self.path[:-1], np.diff(self.path, axis=0)
         length2 = np.einsum("ij,ij->i", step, step)
-        # Squared distance to every segment, up to |point|^2 which is the same for all: three products of matrices.
+        # Squared distance to every segment, less |point|^2, which is the same for all: three matrix products.
         run = points @ step.T - np.einsum("ij,ij->i", start, step)
         t = np.clip(run / length2, 0.0, 1.0)
         d2 = t * (t * length2 - 2.0 * run) - 2.0 * (points @ start.T) + np.einsum("ij,ij->i", start, start)
@@ -89,7 +88,7 @@ class Tube:
         a = np.einsum("ij,ij->i", rel, tangents[index])
         v = np.einsum("ij,ij->i", rel, sides[index])
         u = np.einsum("ij,ij->i", rel, heights[index])
-        # Off the ends the overrun counts against the dome's length; between them it is what the kinks leave over.
+        # Beyond the ends, the overrun is relative to the length of the dome; between them, kinks of the path cause it.
         cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
         across, above, over = v / w, u / h, a / cap
         k0 = np.sqrt(across**2 + above**2 + over**2)
@@ -99,17 +98,17 @@ class Tube:
         return along, across, above, distance
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(N,) signed distance of (N, 3) points."""
+        """Return the (N,) signed distances of (N, 3) points."""
         return self.coordinates(points)[3]
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner (3,) of a box around the solid."""
+        """Return the lowest and highest corner (3,) of a box around the solid."""
         reach = np.maximum(self.half_width, self.half_height)
         reach[0], reach[-1] = max(reach[0], self.caps[0]), max(reach[-1], self.caps[1])
         return (self.path - reach[:, None]).min(axis=0), (self.path + reach[:, None]).max(axis=0)
 
     def _frames(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(P - 1, 3) each: direction, side and height of every segment."""
+        """Return direction, side and height of every segment, (P - 1, 3) each."""
         step = np.diff(self.path, axis=0)
         tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
         sides = self.side - (tangents @ self.side)[:, None] * tangents
@@ -133,14 +132,14 @@ def tube(
 
     Args:
         part: Name of the part.
-        path: (P, 3) points it passes.
-        half_width: Of the section along `side`, one value or (P,).
-        half_height: Of the section across it; by default the width.
+        path: (P, 3) points on the axis of the tube.
+        half_width: Half extent of the sections along `side`, one value or (P,).
+        half_height: Half extent perpendicular to `side`; by default the half width.
         side: Direction of the width.
         blend: Width of the smooth joint.
         caps: Lengths of the domes at the ends; by default the smaller half extent there.
-        steps: Segments between two control points; more than 1 draws a Catmull-Rom curve through them.
-        beyond: (control point index, part): see `Tube`.
+        steps: Segments between two control points; more than 1 gives a Catmull-Rom curve.
+        beyond: (index of a control point, part) pairs: see `Tube`.
     """
     points = np.asarray(path, np.float64)
     w = np.broadcast_to(np.asarray(half_width, np.float64), len(points))
@@ -163,7 +162,7 @@ def tube(
 
 
 def catmull_rom(rows: FloatArray, steps: int) -> FloatArray:
-    """((P - 1) * steps + 1, C) rows on the uniform Catmull-Rom curve through (P, C) rows."""
+    """Return ((P - 1) * steps + 1, C) rows on the uniform Catmull-Rom curve through (P, C) rows."""
     ahead = 2 * rows[-1] - rows[-2]
     behind = 2 * rows[0] - rows[1]
     p = np.concatenate([behind[None], rows, ahead[None]])
@@ -175,7 +174,7 @@ def catmull_rom(rows: FloatArray, steps: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """An ellipsoid: centre (3,), half axes (3,), and its axes as the rows of a rotation (3, 3)."""
+    """An ellipsoid with a centre (3,), half axes (3,) and axes that are the rows of a rotation (3, 3)."""
 
     part: str
     centre: FloatArray
@@ -184,7 +183,7 @@ class Ellipsoid:
     blend: float
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(N,) signed distance of (N, 3) points."""
+        """Return the (N,) signed distances of (N, 3) points."""
         q = ((points - self.centre) @ self.axes.T) / self.half
         k0 = np.sqrt(np.einsum("ij,ij->i", q, q))
         q /= self.half
@@ -192,7 +191,7 @@ class Ellipsoid:
         return np.asarray(np.where(k1 > 1e-6, k0 * (k0 - 1.0) / np.maximum(k1, 1e-6), -self.half.min()))
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner (3,) of a box around the solid."""
+        """Return the lowest and highest corner (3,) of a box around the solid."""
         reach = np.sqrt(((self.axes * self.half[:, None]) ** 2).sum(axis=0))
         return self.centre - reach, self.centre + reach
 
@@ -200,7 +199,7 @@ class Ellipsoid:
 def ellipsoid(
     part: str, centre: ArrayLike, half: ArrayLike, *, axes: ArrayLike | None = None, blend: float = 0.0
 ) -> Ellipsoid:
-    """Return an ellipsoid; `axes` (3, 3) holds its axes as rows, by default the coordinate axes."""
+    """Return an ellipsoid; `axes` (3, 3) contains its axes as rows, by default the coordinate axes."""
     return Ellipsoid(
         part,
         np.asarray(centre, np.float64),
@@ -211,7 +210,7 @@ def ellipsoid(
 
 
 def smooth_minimum(a: FloatArray, b: FloatArray, width: float) -> FloatArray:
-    """min(a, b), rounded by a parabola where both differ by less than `width`."""
+    """Return min(a, b), rounded by a parabola where the two differ by less than `width`."""
     low = np.asarray(np.minimum(a, b), np.float64)
     if width <= 0:
         return low
@@ -221,20 +220,20 @@ def smooth_minimum(a: FloatArray, b: FloatArray, width: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Primitives joined in order, each with its own blend; `floor` cuts off what lies below z = 0."""
+    """Primitives joined in order, each with its own blend; `floor` cuts the body off at z = 0."""
 
     primitives: tuple[Primitive, ...]
     floor: bool = False
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """(N,) signed distance of (N, 3) points."""
+        """Return the (N,) signed distances of (N, 3) points."""
         d = np.full(len(points), FAR)
         for p in self.primitives:
             d = smooth_minimum(d, p.distance(points), p.blend)
         return np.maximum(d, -points[:, 2]) if self.floor else d
 
     def parts(self, points: FloatArray, names: Sequence[str]) -> IntArray:
-        """(N,) part of each point near the surface, as an index into `names`: that of the nearest primitive."""
+        """Return the (N,) parts of points near the surface, of the nearest primitive each, as indices into `names`."""
         nearest = self.nearest(points)
         part = np.array([names.index(p.part) for p in self.primitives], np.int32)[nearest]
         for i, p in enumerate(self.primitives):
@@ -246,7 +245,7 @@ class Body:
         return part
 
     def nearest(self, points: FloatArray) -> NDArray[np.intp]:
-        """(N,) index of the primitive whose own surface is nearest to (or farthest outside of) each point."""
+        """Return the (N,) indices of the primitives with the lowest signed distance at each point."""
         best = np.full(len(points), np.inf)
         index = np.zeros(len(points), np.intp)
         for i, p in enumerate(self.primitives):
@@ -260,9 +259,9 @@ class Body:
         return index
 
     def sample_grid(self, cell: float, shift: float) -> tuple[FloatArray, FloatArray]:
-        """Signed distances on a grid around the body: (X, Y, Z) values, and its first node (3,).
+        """Return signed distances (X, Y, Z) on a grid around the body, and its first node (3,).
 
-        Exact in all blocks that the surface may cross; elsewhere one value per block, of the right sign.
+        Values are exact in all blocks that the surface may cross; others have one value of the right sign.
         """
         corners = [p.bounds() for p in self.primitives]
         widest = max(p.blend for p in self.primitives)
@@ -276,7 +275,7 @@ class Body:
         index = np.stack(np.meshgrid(*(np.arange(n) for n in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
         centres = low + (index + 0.5 * (BLOCK - 1) / BLOCK) * side
         radius = 0.5 * np.sqrt(3.0) * (BLOCK - 1) * cell
-        # The distances are approximate, off by the sections' aspect ratio at worst: leave slack.
+        # The distances are approximate, at worst wrong by the aspect ratio of the sections: leave slack.
         slack = 1.6 * radius + 2.0 * cell
         own = [p.distance(centres) for p in self.primitives]
         coarse = np.full(len(centres), FAR)
@@ -303,20 +302,20 @@ class Body:
 
 
 def surface(body: Body, cell: float, attempts: int = 8) -> tuple[FloatArray, IntArray]:
-    """Return the body's closed surface: (V, 3) vertices, (T, 3) triangles, counter-clockwise from outside.
+    """Return the closed surface of a body: (V, 3) vertices and (T, 3) triangles, counter-clockwise seen from outside.
 
-    Where a cell holds a thin handle or gap an edge can still get four triangles; the grid is then moved by a fraction
-    of a cell and the surface taken again, at most `attempts` times.
+    Where a cell contains a thin handle or gap, an edge can get four triangles; the grid is then shifted by a fraction
+    of a cell and the surface extracted again, at most `attempts` times.
 
     Raises:
-        ValueError: If no grid position gives a closed surface, so that `cell` is too coarse for the body.
+        ValueError: No grid position gives a closed surface: `cell` is too coarse for the body.
     """
     for attempt in range(attempts):
         grid, low = body.sample_grid(cell, 0.381966 * attempt % 1.0)
         vertices, triangles = surface_nets(grid, cell, low)
         if is_closed(triangles):
             return vertices, triangles
-    raise ValueError(f"no closed surface at a cell of {cell:g}: the body has details thinner than that")
+    raise ValueError(f"no closed surface with cells of {cell:g}: the body has thinner details")
 
 
 # Corners of a cell in the order of their bits, and its twelve edges as pairs of corners, by (axis, lower corner).
@@ -326,10 +325,10 @@ _EDGE_NUMBER = {pair: i for i, pair in enumerate(_EDGES)}
 
 
 def _sheets_table() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """Which sheet of the surface crosses each edge, per pattern of inside corners: (256, 12), and sheets (256,).
+    """Return the sheet that crosses each edge per pattern of inside corners (256, 12), and the number of sheets (256,).
 
-    Crossed edges of a face belong together; where all four are crossed, those around the same inside corner do. Both
-    cells at a face decide alike, so that two sheets that share a cell get a vertex each and do not pinch.
+    The two crossed edges of a face belong to the same sheet; where all four are crossed, the two at the same inside
+    corner do. Both cells of a face follow this rule, so two sheets within a cell get separate vertices.
     """
     sheet = np.full((256, 12), -1, np.int8)
     sheets = np.zeros(256, np.int8)
@@ -358,11 +357,11 @@ _SHEET, _SHEETS = _sheets_table()
 
 
 def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Surface of (X, Y, Z) signed distances: (V, 3) vertices and (T, 3) triangles seen from outside.
+    """Return the surface of (X, Y, Z) signed distances: (V, 3) vertices and (T, 3) triangles, facing outwards.
 
     Args:
         grid: Signed distances, positive on all outer faces.
-        cell: Distance of the grid's nodes.
+        cell: Distance between nodes of the grid.
         low: (3,) position of node (0, 0, 0).
     """
     inside = grid < 0
@@ -381,7 +380,7 @@ def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatA
         which = np.flatnonzero(_SHEET[pattern, e] >= 0)
         vertex = first[which] + _SHEET[pattern[which], e]
         da, db = corner[which, a], corner[which, b]
-        # Keep clear of the nodes, where vertices of neighbouring cells would fall together.
+        # Stay away from the nodes, where vertices of neighbouring cells would coincide.
         t = np.clip(da / (da - db), 0.02, 0.98)
         total[vertex] += cells[which] + _CORNERS[a] + t[:, None] * (_CORNERS[b] - _CORNERS[a])
         crossings[vertex] += 1
@@ -416,7 +415,7 @@ def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatA
 
 
 def is_closed(triangles: IntArray) -> bool:
-    """Whether every edge belongs to exactly two triangles, which run along it in opposite directions."""
+    """Return whether every edge belongs to exactly two triangles, which use it in opposite directions."""
     size = int(triangles.max(initial=0)) + 1
     a = triangles.ravel().astype(np.int64)
     b = np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
@@ -429,7 +428,7 @@ def is_closed(triangles: IntArray) -> bool:
 def concatenate(
     pieces: Sequence[tuple[FloatArray, IntArray]],
 ) -> tuple[FloatArray, IntArray]:
-    """Several surfaces as one list of vertices and triangles."""
+    """Join several surfaces into one list of vertices and one of triangles."""
     offsets = np.cumsum([0, *(len(v) for v, _ in pieces)])
     return (
         np.concatenate([v for v, _ in pieces]),

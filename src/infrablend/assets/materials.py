@@ -1,8 +1,8 @@
-"""What surfaces are made of: emissivity in the band, and how they mirror.
+"""Surface materials: emissivity in the thermal band and reflection.
 
-Emissivities are for 8-14 um, looked at straight on. Sources: the emissivity tables of FLIR (T505002), testo and
-ired.co.uk, and of Ideal Industries' HeatSeeker manual; a study of horses' coats for fur; "computed" from the refractive
-index; "est." an estimate. `docs/how_to/infrared_effect.md` shows this table.
+Emissivities are for 8-14 um at normal incidence. Sources: the emissivity tables of FLIR (T505002), testo,
+ired.co.uk and Ideal Industries (HeatSeeker manual), and a study of horses' coats for fur. "Computed" values follow from
+the refractive index; "est." marks estimates. `docs/how_to/infrared_effect.md` shows this table.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """One kind of surface.
+    """Optical properties of one kind of surface.
 
     Attributes:
         emissivity: (low, high) at normal incidence.
-        source: Where the numbers come from.
-        ior: Refractive index near 10 um of a smooth surface, which mirrors more towards its rim; 1 for rough ones and
-            for metals, whose emissivity is the same at all angles.
-        roughness: Of the mirror image, in [0, 1]; means nothing on rough surfaces.
-        metal: Mirrors at all angles, however rough.
+        source: Source of the numbers.
+        ior: Refractive index near 10 um of a smooth surface, which reflects more towards its rim; 1 for rough surfaces
+            and metals, whose emissivity is the same at all angles.
+        roughness: Roughness of reflections in [0, 1]; without effect on rough surfaces.
+        metal: Whether the surface reflects at all angles, however rough it is.
     """
 
     emissivity: Range
@@ -33,13 +33,13 @@ class Material:
     metal: bool = False
 
 
-# Glass and carbon composites absorb: 1.7 + 0.8i and 2.0 + 0.6i. The real indices here give their angle dependence to
-# 3 % of the emissivity up to 75 degrees.
+# Glass and carbon composites absorb: 1.7 + 0.8i and 2.0 + 0.6i. The real indices here reproduce their dependence on the
+# angle within 3 % of the emissivity up to 75 degrees.
 MATERIALS: Mapping[str, Material] = {
     "plastic": Material((0.94, 0.95), "PE, PP, PVC, ABS, PC; testo, ired.co.uk", 1.5, 0.15),
     "painted": Material((0.92, 0.96), "oil paint of any colour; testo", 1.5, 0.2),
     "car_paint": Material((0.92, 0.94), "any colour; HeatSeeker", 1.5, 0.05),
-    "glass": Material((0.84, 0.88), "window glass, computed for the band: 0.86; testo says 0.86-0.94", 1.7, 0.02),
+    "glass": Material((0.84, 0.88), "window glass, computed for the band: 0.86; testo: 0.86-0.94", 1.7, 0.02),
     "lens": Material((0.84, 0.90), "glass or coated plastic in front of a sensor (est.)", 1.5, 0.02),
     "polished_aluminium": Material((0.04, 0.06), "FLIR", 1.0, 0.05, True),
     "bare_aluminium": Material((0.06, 0.18), "rough sheet; FLIR", 1.0, 0.15, True),

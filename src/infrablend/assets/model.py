@@ -1,4 +1,4 @@
-"""Object models: parameters drawn from a random stream, a mesh built from them, a thermal role per part."""
+"""The interface of object models: draw parameters, build a mesh from them, give each part its thermal role."""
 
 from __future__ import annotations
 
@@ -90,8 +90,9 @@ class ObjectModel:
         sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them.
         build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays.
         options: Options that a recipe may set: name -> allowed values or range, in words.
-        parts_for: Thermal roles of one individual of given `params`, where they differ between individuals: all names
-            that its mesh has, with the labels they have in `parts`, which then holds a typical one's.
+        parts_for: Function that returns the thermal roles of the individual with given `params`, for models whose roles
+            differ between individuals. It covers every part of the mesh with the same `label` as `parts`, which then
+            contains typical roles.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Checks and draws of a model's parameters and options, with errors that name the model, the option and the cure."""
+"""Checks and draws of the parameters and options of a model, with errors that name the model and the option."""
 
 from __future__ import annotations
 
@@ -93,6 +93,6 @@ class Checks:
 
 
 def pick(values: Sequence[T], odds: Sequence[float], share: float) -> T:
-    """Return the value at `share` in [0, 1) of the cumulated odds."""
+    """Return the value at `share` in [0, 1) of the cumulative odds."""
     edges = np.cumsum(odds) / float(np.sum(odds))
     return values[min(int(np.searchsorted(edges, share, side="right")), len(values) - 1)]

@@ -1,17 +1,18 @@
-"""An adult in winter clothes, grown from a skeleton: standing, walking or sitting, bare face and hands.
+"""Person model, grown from a skeleton: an adult in winter or light clothes, standing, walking or sitting.
 
-Everything below is in units of the body height (about 1.75 m), +X where the person looks, +Y left, Z up; `build`
-scales to metres at the end. The body is made of closed pieces that overlap where clothes do: jacket with its sleeves,
-trousers or bare legs, the skirt of a coat, shoes and head are implicit surfaces (`assets.implicit`), hands, cap
-visor, backpack and seat are lofts. Each piece depends on a few words only (the jacket on cut, arms and build, but not
-on the pose), so that pieces are cached and shared between persons; lean of the trunk, nod and turn of the head,
-width, side and height come afterwards as transformations of the vertices.
+All lengths are in units of the body height (about 1.75 m), +X forward, +Y left, +Z up; `build` scales them to metres at
+the end. The body consists of closed pieces that overlap where clothes do: jacket with its sleeves, trousers or bare
+legs, the skirt of a coat, shoes and head are implicit surfaces (`assets.implicit`); hands, cap visor, backpack and seat
+are lofts. Each piece depends on few parameters (the jacket on cut, arms and build, but not on the pose), so pieces are
+cached and shared between persons; the lean of the trunk, the nod and turn of the head, width, mirroring and height are
+applied to the vertices afterwards.
 
-Measured on one core: 0.1-0.3 s of CPU time for a person none of whose pieces is cached, 1 ms for one whose pieces
-are; 13,000 to 20,000 triangles.
+Measured on one core: 0.1-0.3 s of CPU time for a person without cached pieces, 1 ms with all pieces cached; 13,000 to
+20,000 triangles.
 
-Proportions: segment lengths over height after Drillis and Contini (hip 0.530, knee 0.285, shoulder 0.818, chin 0.870,
-upper arm 0.186, forearm 0.146, foot 0.152), joints brought in a little; clothes add 1-2.5 % of the height around.
+Proportions: segment lengths divided by height after Drillis and Contini (hip 0.530, knee 0.285, shoulder 0.818, chin
+0.870, upper arm 0.186, forearm 0.146, foot 0.152), with joints moved in slightly; clothes add 1-2.5 % of the height all
+around.
 
 Temperatures: see `PARTS`.
 """
@@ -56,31 +57,33 @@ BUILDS = ("slim", "average", "heavy")
 HEIGHT_M = (1.4, 2.1)
 DRAWN_HEIGHT_M = (1.5, 1.95)
 
-# Surface minus air for cool weather, air about -5..+12 C. Skin: 24-34 C is +14..+29 K at
-# 5-10 C; the face's cold end first at nose and ears. Clothes: winter clothing +2..+8 K, neck and collar gap hot, hat
-# and hood cooler (2.2, K). Cloth, hair and skin at this scale are rough or matt: no Fresnel rim (1.3), ior 1.
+# Surface minus air in cool weather of about -5..+12 C. Skin of 24-34 C is +14..+29 K at 5-10 C; nose and ears cool
+# first. Winter clothing is +2..+8 K, neck and collar gap are hot, hat and hood are cooler. Cloth, hair and skin are
+# rough or matt at this scale: no Fresnel rim, ior 1.
 PARTS: Mapping[str, PartRange] = {
     "face": made_of("skin", (14.0, 24.0), "bare skin, 24-34 C"),
-    "nose": made_of("skin", (10.0, 20.0), "cool air lowers it first"),
-    "ear": made_of("skin", (9.0, 20.0), "cools like the nose"),
-    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap hot"),
+    "nose": made_of("skin", (10.0, 20.0), "nose: cools first in cold air"),
+    "ear": made_of("skin", (9.0, 20.0), "ears: cool like the nose"),
+    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap: hot"),
     "hand": made_of("skin", (10.0, 22.0), "bare skin, 24-34 C"),
     "leg": made_of("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
     "hair": made_of("hair", (5.0, 11.0), "between skin and air"),
-    "hat": made_of("cloth", (3.0, 7.0), "hat cooler than hair"),
-    "hood": made_of("cloth", (2.0, 6.0), "hood cooler"),
-    "collar": made_of("cloth", (4.0, 9.0), "warm air escapes here"),
+    "hat": made_of("cloth", (3.0, 7.0), "hat: cooler than hair"),
+    "hood": made_of("cloth", (2.0, 6.0), "hood: cooler than hair"),
+    "collar": made_of("cloth", (4.0, 9.0), "collar: warm air escapes here"),
     "jacket": made_of("cloth", (2.0, 7.0), "winter clothing +2..+8 K"),
     "sleeve": made_of("cloth", (2.5, 7.5), "winter clothing +2..+8 K"),
-    "coat_skirt": made_of("cloth", (1.8, 6.0), "hangs free of the body; low end of winter clothing"),
-    "trousers": made_of("cloth", (3.0, 8.0), "one layer, close to the leg"),
-    "shoe": made_of("leather", (1.5, 5.0), "thick, touches the ground; low end of winter clothing"),
-    "backpack": made_of("cloth", (0.0, 2.5), "carried away from the body, near air temperature"),
-    "strap": made_of("cloth", (1.5, 5.0), "on the jacket"),
-    "seat": made_of("wood", (-1.0, 1.0), "wood or stone at air temperature; no part of a person", label=False),
+    "coat_skirt": made_of(
+        "cloth", (1.8, 6.0), "skirt or lower half of a coat, free of the body: low end of winter clothing"
+    ),
+    "trousers": made_of("cloth", (3.0, 8.0), "trousers: one layer, close to the leg"),
+    "shoe": made_of("leather", (1.5, 5.0), "shoes: thick, in contact with the ground; low end of winter clothing"),
+    "backpack": made_of("cloth", (0.0, 2.5), "backpack: away from the body, near air temperature"),
+    "strap": made_of("cloth", (1.5, 5.0), "straps on the jacket"),
+    "seat": made_of("wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False),
 }
-# One or two thin layers in mild weather: the upper end of summer clothing's +3..+10 K; skin of 24-34 C is not chilled,
-# and warms hair and collar (2.2, K).
+# One or two thin layers in mild weather: the upper end of the +3..+10 K of summer clothing. Skin of 24-34 C is not
+# chilled, and warms hair and collar.
 _LIGHT: Mapping[str, tuple[float, float]] = {
     "face": (16.0, 26.0), "nose": (12.0, 22.0), "ear": (12.0, 22.0), "neck": (16.0, 26.0), "hand": (14.0, 24.0),
     "leg": (10.0, 18.0), "hair": (10.0, 16.0), "hat": (7.0, 10.0), "hood": (7.0, 10.0), "collar": (10.0, 16.0),
@@ -90,13 +93,13 @@ _LIGHT: Mapping[str, tuple[float, float]] = {
 PART_NAMES = tuple(PARTS)
 CLOTHING = ("winter", "light")
 TIMES = ("night", "day")
-# The sun warms clothes and hair by this much more (est.); by day, under clouds too, the low end at least.
+# Additional rise of clothes and hair in the sun (est.); the low end applies under clouds, too.
 SUN_K = (3.0, 12.0)
 _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
-    """Return the thermal role of every part: lighter clothes are warmer outside, and by day the sun is on them."""
+    """Return the thermal role of every part: light clothes are warmer outside, and by day the sun adds to that."""
     parts = dict(PARTS)
     if params.get("clothing", "winter") == "light":
         parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
@@ -114,7 +117,7 @@ CLOTH_CELL = 0.0155
 SKIRT_CELL = 0.021
 HEAD_CELL = 0.0092
 SHOE_CELL = 0.0105
-# Where an arm all but touches the trunk, some grids see a handle thinner than a cell: take another.
+# Where an arm almost touches the trunk, some grids give a handle thinner than a cell; these other cells are tried then.
 _CELL_SHARES = (1.0, 0.95, 1.04, 0.9, 0.86)
 
 _THIGH, _SHANK = 0.245, 0.246
@@ -123,7 +126,7 @@ _HIP_Y, _HIP_Z = 0.052, 0.528
 _SHOULDER = (-0.006, 0.112, 0.792)
 _NECK = np.array([-0.012, 0.0, 0.838])
 
-# The trunk's skin, standing: z, middle x, half width, half depth.
+# Sections of the trunk of a standing person: z, middle x, half width, half depth.
 _TRUNK = np.array(
     [
         [0.462, 0.002, 0.099, 0.071],
@@ -144,7 +147,7 @@ Piece = tuple[FloatArray, IntArray, IntArray]  # vertices (V, 3), triangles (T, 
 
 @dataclass(frozen=True)
 class _Foot:
-    """Where an ankle is, how far the toes point up and outward, and which way the knee points."""
+    """Position of the ankle, how far the toes point up and outward, and the direction of the knee."""
 
     ankle: Point
     toe_up_rad: float = 0.0
@@ -154,14 +157,14 @@ class _Foot:
 
 @dataclass(frozen=True)
 class _Pose:
-    """A skeleton's free numbers.
+    """Free parameters of the skeleton in one pose.
 
     Attributes:
-        hip: (x, z) of the middle between the hip joints.
-        feet: Left, right.
-        arms: What "natural" means here: a key of `_ARMS`.
-        lean_rad: Of the trunk, forward.
-        nod_rad: Of the head, forward.
+        hip: x and z of the midpoint of the hip joints.
+        feet: Left and right foot.
+        arms: Key of `_ARMS` that "natural" stands for in this pose.
+        lean_rad: Forward lean of the trunk.
+        nod_rad: Forward nod of the head.
     """
 
     hip: tuple[float, float]
@@ -226,14 +229,14 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
 
 @dataclass(frozen=True)
 class _Arm:
-    """Where a left wrist is when standing, where its elbow points, and where the palm looks (right arms: y negated).
+    """Position of a left arm when standing; for a right arm, y is negated.
 
     Attributes:
-        wrist: In the trunk's frame.
-        elbow: Direction.
-        palm: Direction.
-        hand: Direction of the fingers; by default on along the forearm.
-        hidden: The hand is in a pocket.
+        wrist: Position in the frame of the trunk.
+        elbow: Direction in which the elbow points.
+        palm: Direction that the palm faces.
+        hand: Direction of the fingers; by default that of the forearm.
+        hidden: Whether the hand is in a pocket.
     """
 
     wrist: Point
@@ -295,7 +298,7 @@ def _one_part(part: str, *solids: Solid) -> Piece:
 
 
 def _trunk_rows(top: str, build_name: str, seated: bool) -> FloatArray:
-    """Rows of the clothed trunk: z, middle x, half width, half depth."""
+    """Return the sections of the clothed trunk: z, middle x, half width, half depth."""
     rows = _TRUNK.copy()
     girth, pad = _GIRTH[build_name], _PADDING[top]
     rows[:, 2:] *= girth
@@ -304,7 +307,7 @@ def _trunk_rows(top: str, build_name: str, seated: bool) -> FloatArray:
         rows[:, 1] += 0.020 * belly
         rows[:, 2] += 0.012 * belly
         rows[:, 3] += 0.024 * belly
-    # Cloth hangs from the chest over the waist, and lies flatter on the shoulders.
+    # Cloth hangs from the chest over the waist and is thinner on the shoulders.
     rows[1:4, 2] = np.maximum(rows[1:4, 2], 0.97 * rows[:, 2].max())
     rows[:, 2:] += pad * np.array([1.0, 1.0, 1.0, 1.0, 0.9, 0.7, 0.4])[:, None]
     if seated:
@@ -320,7 +323,7 @@ def _shoulder(build_name: str) -> FloatArray:
 
 
 def _arm_line(arm: _Arm, sign: int, top: str, build_name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Shoulder, elbow and wrist of one arm in the trunk's frame; thick clothes hold the arms off."""
+    """Return shoulder, elbow and wrist of an arm in the frame of the trunk; thick clothes push the arms out."""
     flip = np.array([1.0, float(sign), 1.0])
     shoulder = _shoulder(build_name)
     wrist = np.array(arm.wrist)
@@ -335,7 +338,7 @@ def _arm_line(arm: _Arm, sign: int, top: str, build_name: str) -> tuple[FloatArr
 
 @lru_cache(maxsize=256)
 def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool) -> Piece:
-    """Jacket with sleeves, collar and a hood that is down, in the trunk's standing frame."""
+    """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
     rows = _trunk_rows(top, build_name, seated)
     pad, girth = _PADDING[top], _GIRTH[build_name]
     trunk = tube(
@@ -400,7 +403,7 @@ def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool) 
 
 @lru_cache(maxsize=256)
 def _hands(top: str, arms: str, build_name: str) -> Piece | None:
-    """Hands that are not in pockets, in the trunk's frame: palm, four fingers and thumb each."""
+    """Return the hands that are not in pockets, in the frame of the trunk: palm, four fingers and thumb each."""
     solids: list[Solid] = []
     for sign, arm in zip((1, -1), _ARMS[arms], strict=True):
         if arm.hidden:
@@ -442,7 +445,7 @@ def _hands(top: str, arms: str, build_name: str) -> Piece | None:
 
 
 def _leg_lines(pose: _Pose) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Hip, knee and ankle of the left and the right leg."""
+    """Return hip, knee and ankle of the left and the right leg."""
     lines = []
     for sign, foot in zip((1, -1), pose.feet, strict=True):
         hip = np.array([pose.hip[0], _HIP_Y * sign, pose.hip[1]])
@@ -453,7 +456,7 @@ def _leg_lines(pose: _Pose) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
 
 @lru_cache(maxsize=64)
 def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
-    """Trousers, or stockinged legs under a skirt, with the hips."""
+    """Return trousers with the hips, or stockinged legs under a skirt."""
     pose = _POSES[pose_name, variant]
     girth = _GIRTH[build_name]
     bare = bottom == "skirt"
@@ -488,7 +491,7 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
 
 @lru_cache(maxsize=64)
 def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
-    """Return the lower half of a coat, or a skirt: it hangs from the hips around both thighs."""
+    """Return the lower half of a coat, or a skirt: both hang from the hips around both thighs."""
     pose = _POSES[pose_name, variant]
     (hip, knee, _), (hip2, knee2, _) = _leg_lines(pose)
     girth = _GIRTH[build_name]
@@ -502,7 +505,7 @@ def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
     wide, deep = 0.100 * girth + 0.012, 0.072 * girth + 0.012
     extra = 0.012 if coat else 0.004
     if pose_name == "sitting":
-        # Along the thighs, which lie side by side or fall apart.
+        # Along the thighs, which are close together or apart.
         half = [wide, wide + 0.004, max(0.5 * spread[1] + 0.056, 0.9 * wide)]
         thick = [deep, 0.068 * girth + extra, 0.056 * girth + extra]
     else:
@@ -542,7 +545,7 @@ def _shoes(pose_name: str, variant: str) -> Piece:
 
 @lru_cache(maxsize=16)
 def _head(headwear: str, hair: str) -> Piece:
-    """Head and neck with what is on them, relative to the neck's root."""
+    """Return head and neck with hair and headwear, relative to the base of the neck."""
     primitives: list[Primitive] = [
         tube("neck", [(-0.012, 0, 0.805), (-0.008, 0, 0.86), (0.0, 0, 0.905)], [0.034, 0.032, 0.033]),
         ellipsoid("face", (0.006, 0, 0.936), (0.056, 0.043, 0.056), blend=0.02),
@@ -602,11 +605,11 @@ def _head(headwear: str, hair: str) -> Piece:
 
 @lru_cache(maxsize=32)
 def _backpack(top: str, build_name: str) -> Piece:
-    """Return a backpack with two shoulder straps, in the trunk's frame."""
+    """Return a backpack with two shoulder straps, in the frame of the trunk."""
     rows = _trunk_rows(top, build_name, False)
 
     def at(z: float) -> tuple[float, float]:
-        """Middle x and half depth of the trunk."""
+        """Return middle x and half depth of the trunk at height z."""
         return float(np.interp(z, rows[:, 0], rows[:, 1])), float(np.interp(z, rows[:, 0], rows[:, 3]))
 
     levels = [(0.570, 0.062, 0.030), (0.582, 0.078, 0.042), (0.640, 0.084, 0.048), (0.740, 0.080, 0.043)]
@@ -627,7 +630,7 @@ def _backpack(top: str, build_name: str) -> Piece:
         path = []
         for x_share, z, y in ((1.0, 0.655, 0.078), (1.0, 0.72, 0.066), (0.92, 0.775, 0.060)):
             m, d = at(z)
-            # The trunk's section is an ellipse: less deep off its middle.
+            # Sections of the trunk are ellipses, less deep away from the middle.
             w = float(np.interp(z, rows[:, 0], rows[:, 2]))
             path.append((m + x_share * d * math.sqrt(max(1 - (y / w) ** 2, 0.0)), y * sign, z))
         path += [(0.018, 0.062 * sign, 0.806 + lift * 0.86), (-0.028, 0.062 * sign, 0.804 + lift * 0.80)]
@@ -639,7 +642,7 @@ def _backpack(top: str, build_name: str) -> Piece:
 
 @lru_cache(maxsize=4)
 def _seat(height: float) -> Piece:
-    """Return a block to sit on, its top at `height`."""
+    """Return a block to sit on with its top at `height`."""
     return _one_part("seat", moved(box((0.24, 0.34, height), 0.008), (0.02, 0.0, height / 2)))
 
 
@@ -703,18 +706,19 @@ def build(params: Params) -> Mesh:
     """Build the mesh of a person in metres.
 
     Args:
-        params: As `sample` draws them; what is missing takes the value in `DEFAULTS`.
+        params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant, arms: See `VARIANTS` and `ARMS`.
             top, bottom, headwear, hair, build: See `TOPS`, `BOTTOMS`, `HEADWEAR`, `HAIR` and `BUILDS`; a hood that
-                is not up lies on the back of jacket and puffer.
-            backpack: Carries one.
-            seat: Of someone sitting on a seat: the block under them belongs to the model (and is not labelled).
-            height_m: Ground to the top of the head when standing upright, with shoes and headwear.
-            width_factor: Extra factor across and through the body.
-            lean_rad: The trunk's lean forward beyond the pose's own.
-            head_turn_rad, head_nod_rad: Turn to the left, before mirroring, and nod forward beyond the pose's own.
-            mirror: Left and right exchanged.
+                is not worn hangs on the back of jacket and puffer.
+            backpack: Whether the person carries a backpack.
+            seat: Whether the model of someone sitting on a seat includes the seat, which is not labelled.
+            height_m: Height when standing upright, with shoes and headwear.
+            width_factor: Extra factor for width and depth.
+            lean_rad: Forward lean of the trunk in addition to that of the pose.
+            head_turn_rad, head_nod_rad: Turn to the left before mirroring, and forward nod in addition to that of the
+                pose.
+            mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
             clothing: `winter` or `light`; for the temperatures.
 
@@ -761,7 +765,7 @@ def build(params: Params) -> Mesh:
     if p["mirror"]:
         vertices = vertices * np.array([1.0, -1.0, 1.0])
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-    # Standing upright, the body is 1 high: what headwear adds to the head is scaled away.
+    # Scale the upright body to height 1, headwear included.
     scale = p["height_m"] / (float(_NECK[2]) + top)
     across = scale * p["width_factor"]
     used = np.unique(label)
@@ -777,7 +781,7 @@ def build(params: Params) -> Mesh:
 
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:
-    """Head and neck (V, 3), relative to the neck's root: nodding and turning more the farther up."""
+    """Nod and turn (V, 3) vertices relative to the base of the neck, more the higher they are."""
     share = smoothstep((vertices[:, 2] - 0.01) / 0.05)
     out = vertices.copy()
     c, s = np.cos(share * turn_rad), np.sin(share * turn_rad)
@@ -793,7 +797,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """Draw the parameters of one person, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn
-    (as far as pose and clothes allow it).
+    (as far as pose and clothes allow).
 
     Args:
         rng: Random stream to draw from.
@@ -834,7 +838,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     low, high = _CHECKS.number_range("option height_m", options.get("height_m", DRAWN_HEIGHT_M), *HEIGHT_M)
     height = low + (high - low) * u[3]
     if "height_m" not in options:
-        # Near normal: the mean of three draws over +-3 standard deviations of adults (with shoes).
+        # Close to normal: the mean of three draws over +-3 standard deviations of adults with shoes.
         mean = 1.65 if woman else 1.78
         height = min(max(mean + 0.21 * (2.0 * (u[3] + u[4] + u[5]) / 3.0 - 1.0), low), high)
     hair = drawn("hair", HAIR, {"short": 0.25, "long": 0.75} if woman else {"short": 0.96, "long": 0.04}, u[6])
@@ -855,7 +859,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "height_m": height,
         "width_factor": 0.95 + 0.10 * u[13],
         "lean_rad": -0.03 + 0.08 * u[14],
-        # The mean of two draws: mostly ahead, seldom far to the side.
+        # The mean of two draws: usually straight ahead, seldom far to the side.
         "head_turn_rad": 0.9 * (u[15] + u[16] - 1.0),
         "head_nod_rad": -0.10 + 0.35 * u[4],
         "mirror": u[17] < 0.5,
@@ -872,7 +876,7 @@ _ODDS: Mapping[str, Mapping[str, float]] = {
     "headwear": {"none": 0.56, "beanie": 0.15, "cap": 0.12, "hood": 0.17},
     "build": {"slim": 0.35, "average": 0.47, "heavy": 0.18},
 }
-_LIST = ", or a list of them"
+_LIST = ", or a list of several"
 OPTIONS: Mapping[str, str] = {
     "pose": "one of " + ", ".join(POSES) + _LIST,
     "variant": "; ".join(f"{p}: " + ", ".join(VARIANTS[p]) for p in POSES) + _LIST,
@@ -882,18 +886,18 @@ OPTIONS: Mapping[str, str] = {
     "headwear": "one of " + ", ".join(HEADWEAR) + _LIST,
     "hair": "one of " + ", ".join(HAIR) + _LIST,
     "build": "one of " + ", ".join(BUILDS) + _LIST,
-    "backpack": "true or false; by default about one in five carries one",
-    "seat": "true or false: whether someone on a seat brings it along; by default true",
+    "backpack": "true or false; by default about one person in five carries one",
+    "seat": "true or false: whether a person on a seat comes with it; by default true",
     "height_m": f"a number from {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g}, or [low, high]; by default adults of both sexes",
-    "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, else night",
-    "clothing": "winter or light: how warm clothes are outside; by default winter",
+    "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, or night",
+    "clothing": "winter or light: light clothes have a warmer outer surface; by default winter",
 }
 
 MODEL = ObjectModel(
     name="person",
     category="person",
-    description="An adult in winter clothes, standing, walking or sitting, with bare face and hands.",
-    origin="on the ground between the feet; of a sitting person on the ground below the hips",
+    description="An adult in winter or light clothes, standing, walking or sitting, with bare face and hands.",
+    origin="on the ground between the feet; for a sitting person, below the hips",
     stands=True,
     parts=PARTS,
     sample=sample,

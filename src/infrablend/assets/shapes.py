@@ -1,8 +1,8 @@
-"""Closed solids made of triangles, in pure numpy: lofts and what follows from them.
+"""Closed triangle solids in pure numpy: lofts, boxes, plates, lathes, sweeps and propeller blades.
 
-Every solid is closed and its triangles run counter-clockwise seen from outside. Edges that should look sharp
-although the solid is shaded smooth carry their vertices twice (same position, other index), so a solid is closed
-by position, not by index. All lengths are in the caller's unit, angles in radians.
+The triangles of every solid are counter-clockwise seen from outside. At edges that should look sharp on a smoothly
+shaded solid, each vertex exists twice (same position, different index), so a solid is closed by position, not by index.
+Lengths are in the unit of the caller, angles in radians.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from infrablend.core.mesh import FloatArray, IntArray
 
 
 class Solid(NamedTuple):
-    """A closed surface: `vertices` (V, 3) float64, `triangles` (T, 3) int32, counter-clockwise from outside."""
+    """A closed surface: `vertices` (V, 3) float64 and `triangles` (T, 3) int32, counter-clockwise from outside."""
 
     vertices: FloatArray
     triangles: IntArray
@@ -35,11 +35,11 @@ def loft(
     """Return the skin over a row of rings.
 
     Args:
-        rings: (R, N, 3) rings of N points; each runs counter-clockwise seen from the side the row goes to.
-        sharp: (R,) rings that are edges rather than part of a smooth surface.
-        start: (3,) a pole that closes the first ring smoothly; by default a flat cap does.
-        end: The same for the last ring.
-        wrap: The last ring is joined to the first instead of closing both: a solid with a hole.
+        rings: (R, N, 3) rings of N points, counter-clockwise seen from the side towards which the row proceeds.
+        sharp: (R,) whether a ring is a sharp edge.
+        start: (3,) pole that closes the first ring smoothly; by default a flat cap closes it.
+        end: (3,) pole that closes the last ring smoothly; by default a flat cap closes it.
+        wrap: Join the last ring to the first instead of closing both, for a solid with a hole.
     """
     count, n = rings.shape[:2]
     marks = (False,) * count if sharp is None else tuple(bool(s) for s in sharp)
@@ -56,7 +56,7 @@ def loft(
 def _loft_topology(
     count: int, n: int, sharp: tuple[bool, ...], start_pole: bool, end_pole: bool, wrap: bool
 ) -> tuple[NDArray[np.intp], IntArray]:
-    """Which ring points become vertices, and the triangles over them (poles are the last two vertices)."""
+    """Return the ring points that become vertices, and the triangles over them (poles are the last two vertices)."""
     rows: list[int] = []
     enter, leave = [], []
     for r in range(count):
@@ -93,10 +93,10 @@ def _loft_topology(
 
 @lru_cache(maxsize=64)
 def circle(n: int, exponent: float = 2.0) -> FloatArray:
-    """(n, 2) points of the superellipse |x|^e + |y|^e = 1, counter-clockwise from +x; read-only."""
+    """Return (n, 2) read-only points of the superellipse |x|^e + |y|^e = 1, counter-clockwise from +x."""
     a = 2 * np.pi * np.arange(n) / n
     xy = np.stack([np.cos(a), np.sin(a)], axis=1)
-    # cos and sin leave 1e-17 where they mean 0; a root of that would be visible.
+    # cos and sin give 1e-17 instead of 0; a root of that would be visible.
     xy[np.abs(xy) < 1e-12] = 0.0
     out = np.asarray(np.sign(xy) * np.abs(xy) ** (2.0 / exponent))
     out.setflags(write=False)
@@ -104,7 +104,7 @@ def circle(n: int, exponent: float = 2.0) -> FloatArray:
 
 
 def rounded_rectangle(half_x: float, half_y: float, radius: float, steps: int = 3) -> FloatArray:
-    """(4 * (steps + 1), 2) outline, counter-clockwise; `steps` 1 gives plain chamfers."""
+    """Return a (4 * (steps + 1), 2) outline, counter-clockwise; `steps` 1 gives plain chamfers."""
     a = np.linspace(0.0, np.pi / 2, steps + 1)
     corner = radius * np.stack([np.cos(a), np.sin(a)], axis=1)
     quarters = []
@@ -116,13 +116,13 @@ def rounded_rectangle(half_x: float, half_y: float, radius: float, steps: int = 
 
 
 def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: int = 1) -> Solid:
-    """Return a box about the origin with bevelled edges.
+    """Return a box around the origin with bevelled edges.
 
     Args:
         size: (3,) full extents.
-        bevel: Of the edges around top and bottom.
-        corner: Radius of the four upright edges; by default the bevel.
-        steps: Facets of an upright edge.
+        bevel: Bevel of the edges around top and bottom.
+        corner: Radius of the four vertical edges; by default the bevel.
+        steps: Facets of a vertical edge.
     """
     hx, hy, hz = (float(s) / 2 for s in np.asarray(size, np.float64))
     bevel = min(bevel, 0.49 * min(hx, hy, hz))
@@ -133,7 +133,7 @@ def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: in
 
 
 def stack(levels: Sequence[tuple[float, FloatArray]], *, sharp: bool = True) -> Solid:
-    """Return a solid from outlines (z, (N, 2) counter-clockwise) in rising order, closed by flat caps.
+    """Return a solid over outlines (z, (N, 2) counter-clockwise) in rising order, closed by flat caps.
 
     The first and last outline must be star-shaped about their mean.
     """
@@ -146,7 +146,7 @@ def stack(levels: Sequence[tuple[float, FloatArray]], *, sharp: bool = True) -> 
 
 
 def plate(outline: FloatArray, low: float, high: float, hole: FloatArray | None = None) -> Solid:
-    """Return a flat plate from z `low` to `high`: outline (N, 2), counter-clockwise, hole (N, 2) or none."""
+    """Return a flat plate from z `low` to `high` with a counter-clockwise outline (N, 2) and maybe a hole (N, 2)."""
     if hole is None:
         return stack([(low, outline), (high, outline)])
     rings = np.empty((4, len(outline), 3))
@@ -160,11 +160,11 @@ def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: flo
     """Return a solid of revolution about Z.
 
     Args:
-        profile: (P, 2) of (radius, z), outside on the right hand: upwards along the outer wall. A first or last
-            radius of 0 is a smooth pole; otherwise a flat cap closes the end.
-        n: Segments around.
-        wrap: The profile is a closed loop that stays off the axis (a ring).
-        sharp_deg: Bends of the profile above this are edges.
+        profile: (P, 2) points (radius, z) with the outside on the right: upwards along the outer wall. A first or
+            last radius of 0 is a smooth pole; otherwise a flat cap closes the end.
+        n: Segments of the circumference.
+        wrap: Whether the profile is a closed loop away from the axis, for a ring.
+        sharp_deg: Angle above which a bend of the profile is a sharp edge.
     """
     p = np.asarray(profile, np.float64)
     step = (np.roll(p, -1, axis=0) if wrap else p[1:]) - (p if wrap else p[:-1])
@@ -185,7 +185,7 @@ def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: flo
 
 
 def cylinder(radius: float, low: float, high: float, n: int = 16, bevel: float = 0.0) -> Solid:
-    """Return an upright cylinder about Z with bevelled rims."""
+    """Return a vertical cylinder about Z with bevelled rims."""
     if bevel <= 0:
         return lathe([(radius, low), (radius, high)], n)
     bevel = min(bevel, 0.45 * (high - low), 0.5 * radius)
@@ -193,7 +193,7 @@ def cylinder(radius: float, low: float, high: float, n: int = 16, bevel: float =
 
 
 def ellipsoid(half: ArrayLike, n: int = 16, rows: int = 8) -> Solid:
-    """Return an ellipsoid about the origin with half axes (3,)."""
+    """Return an ellipsoid around the origin with half axes (3,)."""
     a = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
     profile = np.stack([np.cos(a), np.sin(a)], axis=1)
     profile[0, 0] = profile[-1, 0] = 0.0
@@ -214,13 +214,13 @@ def sweep(
     """Return a bar along a path.
 
     Args:
-        path: (P, 3) points; neighbours differ.
-        half_width: Half the section's extent sideways (perpendicular to `up`); one value or (P,).
-        half_height: Half its extent along `up`; by default the width.
-        n: Points around; a multiple of 4 keeps the section symmetric.
+        path: (P, 3) points; neighbours must differ.
+        half_width: Half extent of the sections perpendicular to `up`, one value or (P,).
+        half_height: Half extent of the sections along `up`; by default the half width.
+        n: Points per section; a multiple of 4 keeps the section symmetric.
         exponent: 2 gives an ellipse, larger values a rounded rectangle.
-        up: Direction the section's height is held to; must not be parallel to the path.
-        round_ends: Dome the ends instead of cutting them flat.
+        up: Direction of the height of the sections; must not be parallel to the path.
+        round_ends: Close the ends with domes instead of flat caps.
     """
     p = np.asarray(path, np.float64)
     step = np.diff(p, axis=0)
@@ -274,19 +274,19 @@ def blade(
     camber: float = 0.05,
     clockwise: bool = False,
 ) -> Solid:
-    """Return a propeller blade along +X, Z up, turning counter-clockwise from above (leading edge to +Y).
+    """Return a propeller blade along +X that turns counter-clockwise seen from above (leading edge towards +Y).
 
     Args:
-        span: (S,) stations along X, rising.
-        chord: (S,) width at each.
+        span: (S,) rising positions of the stations along X.
+        chord: (S,) width at each station.
         lead: (S,) Y of the leading edge of the untwisted blade.
-        pitch_rad: (S,) angle between chord and the plane of rotation: leading edge up.
-        thickness: (S,) largest thickness.
-        camber: Height of the mean line over the chord.
-        clockwise: Mirror it for a propeller turning the other way.
+        pitch_rad: (S,) angle between chord and plane of rotation, positive with the leading edge up.
+        thickness: (S,) largest thickness at each station.
+        camber: Height of the mean line above the chord.
+        clockwise: Mirror the blade for a propeller that turns clockwise.
     """
     x, c, y0, pitch, thick = (np.asarray(q, np.float64) for q in (span, chord, lead, pitch_rad, thickness))
-    # A loop over the aerofoil: from the leading edge along the top to the trailing edge and back below.
+    # A loop around the aerofoil: from the leading edge along the top to the trailing edge and back along the bottom.
     s = np.array([0.0, 0.12, 0.35, 0.65, 1.0])
     half = np.array([0.0, 0.38, 0.5, 0.34, 0.06])
     mean = 4 * camber * s * (1 - s)
@@ -301,7 +301,7 @@ def blade(
     rings[:, :, 0] = x[:, None]
     rings[:, :, 1] = y0[:, None] - mid + cos * (along + mid) - sin * height
     rings[:, :, 2] = sin * (along + mid) + cos * height
-    # Leading edge -> top -> trailing edge runs +Y to -Y above: counter-clockwise seen from +X.
+    # The loop runs from +Y to -Y along the top, so it is counter-clockwise seen from +X.
     solid = loft(rings)
     return mirrored(solid, 1) if clockwise else solid
 
@@ -317,40 +317,40 @@ def placed(solid: Solid, rotation: FloatArray, offset: ArrayLike = (0.0, 0.0, 0.
 
 
 def mirrored(solid: Solid, axis: int) -> Solid:
-    """Return the solid mirrored in the plane through the origin across `axis`, still oriented outward."""
+    """Return the solid mirrored along `axis` in a plane through the origin; its triangles still face outwards."""
     v = solid.vertices.copy()
     v[:, axis] *= -1.0
     return Solid(v, np.ascontiguousarray(solid.triangles[:, ::-1]))
 
 
 def turn_z(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about +Z, counter-clockwise seen from above."""
+    """Return the (3, 3) rotation about +Z, counter-clockwise seen from above."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turn_y(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about +Y: positive turns +X down to -Z and +Z forward to +X."""
+    """Return the (3, 3) rotation about +Y: a positive angle turns +X down to -Z and +Z forward to +X."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def turn_x(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about +X: positive turns +Y up to +Z and +Z to -Y."""
+    """Return the (3, 3) rotation about +X: a positive angle turns +Y up to +Z and +Z to -Y."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> Solid:
-    """Split vertices along edges that bend by more than `angle_rad`; triangles keep their order.
+    """Split the vertices along edges that bend by more than `angle_rad`; triangles keep their order.
 
-    Shading then interpolates within smooth stretches only. Edges shared by vertex index count, so the solid must not
-    have parted vertices already.
+    Shading then interpolates within smooth areas only. Edges are found by vertex index, so the solid must not
+    have split vertices yet.
 
     Args:
-        solid: Closed, without triangles of no area.
+        solid: Closed solid without degenerate triangles.
         angle_rad: Largest bend that stays smooth.
-        area: (T,) numbers; edges between triangles of different ones are parted too.
+        area: (T,) numbers; edges between triangles with different numbers are split, too.
     """
     t = solid.triangles
     corners = solid.vertices[t]
@@ -367,7 +367,7 @@ def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> So
         areas = np.asarray(area)
         soft &= areas[one // 3] == areas[other // 3]
     one, other = one[soft], other[soft]
-    # The two triangles run along their edge in opposite directions: start of one is end of the other.
+    # The two triangles of an edge use it in opposite directions: the start for one is the end for the other.
     left = np.concatenate([start[one], end[one]])
     right = np.concatenate([end[other], start[other]])
     group = np.arange(3 * len(t))

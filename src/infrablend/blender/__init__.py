@@ -1,1 +1,1 @@
-"""Everything that needs Blender: the only package that imports bpy; worker processes load it by dotted name."""
+"""Rendering and importing with Blender: the only package that imports bpy; workers load its modules by name."""

@@ -1,4 +1,4 @@
-"""Reads a user's 3D file into plain triangles, in a process of its own that ends afterwards.
+"""Reads a user's 3D file into plain triangles, in a separate process that ends afterwards.
 
 A .blend may contain scripts. They are never executed: Blender starts from factory settings with automatic execution
 off, and the process holds no secrets.

@@ -1,4 +1,4 @@
-"""Single Blender jobs that the Python interface runs in a worker process: turntables, the node group as a file."""
+"""The Blender job that writes the InfraredEffect node group to a file, run in a worker process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from infrablend.core.tasks import Task
 
 
 def make_asset_writer(_settings: Any) -> Callable[[Task], str]:
-    """Worker factory: the task's payload is the .blend to write."""
+    """Create a worker; the payload of its tasks is the .blend to write."""
 
     def run(task: Task) -> str:
         return str(write_infrared_effect(Path(task.payload)))

@@ -1,4 +1,4 @@
-"""The Blender renderer: a placed scene in; a crop of linear radiance, alpha and coverage out."""
+"""The Blender renderer: turns a placed scene into a crop of linear radiance, alpha and coverage."""
 
 from __future__ import annotations
 

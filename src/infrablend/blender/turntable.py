@@ -1,4 +1,4 @@
-"""A sheet of views of a model: pitch down the rows, heading along the columns, small views and variants below."""
+"""Renders a sheet of views of a model: rows by pitch, columns by heading, then other individuals and small views."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ YAWS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 CELL_PX = 220
 SMALL_PX = (20, 40, 80)
 AIR_K = 283.15
-# HIT-UAV by night: mean grey of the ground, darkest and brightest level.
+# HIT-UAV by night: mean grey level of the ground; grey levels of the coldest and the warmest part.
 GROUND = 100
 MAPPING = GreyMapping(54.0, 220.0)
 
 
 def make_turntable(_settings: Any) -> Any:
-    """Worker factory: the task's payload is (model name, PNG to write, seed)."""
+    """Create a worker; the payload of its tasks is (model name, PNG to write, seed)."""
     renderer = BlenderRenderer()
 
     def run(task: Task) -> str:
@@ -47,7 +47,7 @@ def make_turntable(_settings: Any) -> Any:
 
 
 def write_turntable(renderer: BlenderRenderer, model: ObjectModel, name: str, out: Path, seed: int = 0) -> None:
-    """Write the sheet as a PNG: one individual from all sides, then four others, then one at 20, 40 and 80 px."""
+    """Write the sheet as a PNG: one individual from all sides, four others, then the first at 20 to 160 px."""
     params = model.sample(stream(seed, name, "turntable", 0), {})
     mesh = model.build(params)
     rows = []
@@ -84,7 +84,7 @@ def _view(
     yaw_deg: float,
     fill: float = 0.86,
 ) -> NDArray[np.uint8]:
-    """One view, the object's box as large as `fill` of the cell."""
+    """Render one view in which the object takes the share `fill` of the cell."""
     centre = (mesh.vertices_m.max(axis=0) + mesh.vertices_m.min(axis=0)) / 2
     yaw = math.radians(yaw_deg)
     turned = (
@@ -101,7 +101,7 @@ def _view(
         if n in mesh.part_names
     }
     spec = ObjectSpec(name, model.category, params, parts, (-turned[0], -turned[1], -float(centre[2])), yaw)
-    # Focal length so that a body of this reach fills the cell from any side.
+    # With this focal length, a body of this radius fills the cell from any side.
     focal_mm = 36.0 * fill * distance / (2 * reach)
     camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (CELL_PX, CELL_PX))
     scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _look(model, params), 0, 1)
@@ -111,9 +111,9 @@ def _view(
 
 
 def _look(model: ObjectModel, params: dict[str, Any]) -> Appearance:
-    """White end at the individual's own warm parts: a deer is a few kelvin above air, a drone's motors tens."""
+    """Return a look whose white end suits the individual: a deer is a few kelvin above air, motors are tens."""
     means = [sum(r.delta_t_k) / 2 for r in model.roles(params).values()]
-    # A single hot part (a tail pipe) must not darken all the others.
+    # A single hot part, such as a tail pipe, must not darken all others.
     hottest = min(0.55 * max(means), float(np.quantile(means, 0.9)))
     return Appearance(cold_k=AIR_K - 6, hot_k=AIR_K + max(8.0, hottest), surroundings_k=AIR_K - 10)
 

@@ -1,1 +1,1 @@
-"""Domain types, geometry, ports and random streams that all other packages share."""
+"""Domain types, geometry, interfaces, file handling and random streams that all other packages share."""

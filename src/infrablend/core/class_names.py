@@ -1,4 +1,4 @@
-"""Classes whose size and warmth are roughly known, by the names that datasets give them."""
+"""Maps the class names of datasets to classes of roughly known size and warmth: person, car, bicycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processor cores: how many this process may use, and one of its own for each worker."""
+"""Processor cores: how many this process may use, and reserving one for each worker."""
 
 from __future__ import annotations
 

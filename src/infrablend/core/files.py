@@ -1,4 +1,4 @@
-"""Writing files so that a reader never sees half of one, and saying clearly why a file cannot be written."""
+"""Writes files atomically, with clear errors where a file cannot be written."""
 
 from __future__ import annotations
 

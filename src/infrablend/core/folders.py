@@ -1,4 +1,4 @@
-"""The user's folders outside of any project: downloads and imported geometry, and the log.
+"""Per-user folders outside of any project: for downloads, imported geometry and the log.
 
 They follow the platform's rules (on Linux `$XDG_CACHE_HOME`, else `~/.cache`, and `$XDG_STATE_HOME`, else
 `~/.local/state`). Nothing is created here.

@@ -1,4 +1,4 @@
-"""The one table of dataset formats: names, titles, what each can hold, where its code and its page are.
+"""The table of dataset formats: names, titles, capabilities, and the places of code and documentation.
 
 Recipes, the command line, readers, writers, the reference page and the tests take the formats from here. To add a
 format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py` with its

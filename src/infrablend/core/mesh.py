@@ -1,4 +1,4 @@
-"""Triangle meshes made of named parts: built by object models, drawn by every renderer."""
+"""Triangle meshes with named parts, built by object models and drawn by every renderer."""
 
 from __future__ import annotations
 

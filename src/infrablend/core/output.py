@@ -1,10 +1,10 @@
-"""Output folders: who may write to one, what is ours in it, and what may be deleted.
+"""Output folders of commands: claiming, resuming, overwriting and locking them.
 
-Every command that writes a folder goes through `OutputFolder`, so that all of them refuse, lock and delete by the same
-rules and in the same words:
+Every command that writes a folder goes through `OutputFolder`, so that the same rules and
+messages apply to all of them:
 
 * A folder that is new or empty is always accepted.
-* A folder with something in it is accepted only if the command's own record is there and the user asked to resume or
+* A non-empty folder is accepted only if the command's own record is there and the user asked to resume or
   to overwrite.
 * Only names that the command wrote are deleted. Nothing is deleted through a symbolic link.
 * One process at a time writes to a folder.

@@ -1,7 +1,7 @@
 """Placed objects: the geometry of a frame's objects in the world and in the image, computed once and shared.
 
 Matching, the renderer, the labels and the realism report all need to know where an object's triangles are. They take
-it from here, so that they cannot disagree.
+this from here, so that they cannot disagree.
 """
 
 from __future__ import annotations

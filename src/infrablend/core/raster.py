@@ -1,4 +1,4 @@
-"""Triangles on a lattice of point samples: silhouettes, depth, visibility.
+"""Rasteriser: samples triangles on a lattice of points, for silhouettes, depth and visibility.
 
 A sample belongs to a triangle if it lies inside, left and upper edges included, right and lower ones not.
 Triangles that share an edge therefore share no sample and leave no gap, and a shape is neither dilated nor eroded: its

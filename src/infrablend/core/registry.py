@@ -1,4 +1,4 @@
-"""Finding things by dotted name, so that what is heavy or optional is imported only when chosen."""
+"""Imports objects by dotted name, so that heavy or optional modules are loaded only when needed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The renderer's port: a placed scene in; radiance, alpha and coverage per object out."""
+"""The interface of renderers: from a placed scene to radiance, alpha and coverage per object."""
 
 from __future__ import annotations
 

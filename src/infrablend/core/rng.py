@@ -1,4 +1,4 @@
-"""Random streams that depend only on what is drawn, never on the worker or the order."""
+"""Random streams keyed by run seed, frame and stage, independent of workers and order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene in plain numbers: everything needed to render one frame again.
+"""Scene specification: cameras, objects and looks as plain numbers, everything needed to render a frame again.
 
 SI units, kelvin and radians; `to_json` and `from_json` lose nothing.
 """

@@ -1,4 +1,4 @@
-"""The base of the models that users' YAML is validated against, and the type of a range of numbers."""
+"""Strict pydantic base class for schemas of users' YAML, and the type of a range of numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Turns pydantic's validation errors into problems for the author of the text."""
+"""Turns pydantic's validation errors into messages for the author of a recipe or another YAML file."""
 
 from __future__ import annotations
 

@@ -362,7 +362,7 @@ class _Run:
         failure = Failure(
             kind,
             "WorkerDiedError",
-            f"{guilty.task.key}: its worker {what}, in {guilty.number} of {guilty.number} attempts",
+            f"{guilty.task.key}: its worker {what} on attempt {guilty.number} of {guilty.number}",
             traceback="\n".join(w.tail),
         )
         yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)

@@ -267,8 +267,8 @@ def test_a_build_is_quick() -> None:
     MODEL.build(NOMINAL)
     best = np.inf
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         MODEL.build(NOMINAL)
-        best = min(best, time.perf_counter() - start)
+        best = min(best, time.process_time() - start)
     # 10 ms when idle; a busy machine may take longer.
     assert best < 0.1
