@@ -33,10 +33,10 @@ from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
-from infrablend.core.folders import cache_folder
 from infrablend.core.mesh import FloatArray, Mesh
-from infrablend.core.strict import Strict, range_of
-from infrablend.core.wording import field_problems
+from infrablend.core.strict_model import Strict, range_of
+from infrablend.core.user_folders import cache_folder
+from infrablend.core.validation_messages import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from infrablend.core.folders import state_folder
+from infrablend.core.user_folders import state_folder
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from infrablend.core.dataset import SPLITS, Split
-from infrablend.core.strict import Strict
-from infrablend.core.wording import did_you_mean, field_problems
+from infrablend.core.strict_model import Strict
+from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 

@@ -22,7 +22,7 @@ from infrablend.config.modes import (
 )
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
-from infrablend.core.wording import did_you_mean, field_problems
+from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 

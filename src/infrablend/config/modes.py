@@ -23,7 +23,7 @@ from infrablend.config.recipe import (
     PaperPhysicalRecipe,
     Recipe,
 )
-from infrablend.core.wording import models_in, shorten
+from infrablend.core.validation_messages import models_in, shorten
 from infrablend.errors import Problem
 
 # Fields of older recipes, by `section.field`: what became of them. A dotted name is the field's new place.

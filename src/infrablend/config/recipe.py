@@ -17,7 +17,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 
 from infrablend.config.sensor_profile import PROFILES, SensorProfile
 from infrablend.core.format_table import WrittenName
-from infrablend.core.strict import Strict, range_of
+from infrablend.core.strict_model import Strict, range_of
 
 
 def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from infrablend.core.strict import Strict, range_of
-from infrablend.core.wording import field_problems
+from infrablend.core.strict_model import Strict, range_of
+from infrablend.core.validation_messages import field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 

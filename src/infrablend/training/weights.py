@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 
 from infrablend.core.files import write_bytes
-from infrablend.core.folders import weights_folder
+from infrablend.core.user_folders import weights_folder
 from infrablend.errors import FetchError, MissingDependencyError
 from infrablend.training.presets import SUFFIX, Preset
 
@@ -52,7 +52,7 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
             can be had, else from scratch.
         preset: Names the network.
         task: One of `presets.TASKS`.
-        cache: Folder for downloaded weights; `core.folders.weights_folder()` by default.
+        cache: Folder for downloaded weights; `core.user_folders.weights_folder()` by default.
 
     Raises:
         FetchError: No such file, and no such published weights within reach.

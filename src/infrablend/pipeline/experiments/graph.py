@@ -21,7 +21,7 @@ from infrablend.config.experiment import (
 )
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SPLITS
-from infrablend.core.wording import did_you_mean
+from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset

@@ -10,7 +10,7 @@ from infrablend.blender.materials import write_infrared_effect
 from infrablend.core.tasks import Task
 
 
-def make_asset_writer(_settings: Any) -> Callable[[Task], str]:
+def make_node_group_writer(_settings: Any) -> Callable[[Task], str]:
     """Create a worker; the payload of its tasks is the .blend to write."""
 
     def run(task: Task) -> str:
