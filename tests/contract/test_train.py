@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -73,7 +74,7 @@ def plan_train(data: Path, *, out: Path | None = None, existing="refuse", **requ
 SMOKE = {"preset": "smoke", "weights": "scratch", "device": "cpu"}
 
 
-def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
+def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path):
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
     report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
@@ -89,6 +90,11 @@ def test_a_training_uses_every_tile_and_says_what_it_did(ultralytics, tmp_path):
     assert seen[-1].total == record["prepared"]["images"]
     # No copy of the data stays behind, and nothing outside the folder was written.
     assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "train.log", "weights.pt"]
+    # The weights alone, away from train.json, still carry the scale of the training: tiles at native resolution.
+    moved = shutil.copy(report.weights, tmp_path / "detector.pt")
+    detector = api.evaluate(moved, data, tmp_path / "test", device="cpu").metrics["detector"]
+    assert detector["image_size"] == 0
+    assert detector["image_size_from"] == "trained on tiles of 160 px at native resolution"
     again = train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
     assert again.record == record
     with pytest.raises(OutputError, match="contains a training"):
@@ -502,7 +508,7 @@ def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "_ADDRESS", "http://127.0.0.1:9/{name}")  # nobody listens there
     start = weights.find_start("auto", small, "detect", tmp_path / "cache")
     assert start.kind == "scratch"
-    assert "could not be had" in start.why
+    assert "is not available" in start.why
     for name in ("yolov8s.pt", "no/such.pt", "nonsense"):
         with pytest.raises(FetchError):
             weights.find_start(name, small, "detect", tmp_path / "cache")
@@ -512,7 +518,7 @@ def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
         cached.write_bytes(broken)
         start = weights.find_start("auto", small, "detect", tmp_path / "cache")
         assert start.kind == "scratch"
-        assert "no whole file of weights and is deleted" in start.why
+        assert "not a complete file of weights and was deleted" in start.why
         assert not cached.exists()
     cached.write_bytes(zipped())
     assert weights.find_start("auto", small, "detect", tmp_path / "cache").kind == "published"

@@ -1,4 +1,4 @@
-"""How sure the figures are: the images (or whole sequences) drawn again and again, with replacement."""
+"""Bootstrap intervals: images, or whole sequences, drawn repeatedly with replacement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ MEASURES = ("map50", "map50_95")
 
 
 def draw_images(groups: Sequence[str], draws: int, seed: int) -> NDArray[np.int32]:
-    """(draws, i) how often each image is drawn; as many groups are drawn as there are, all images of one together."""
+    """Return the (draws, i) number of times each image is drawn.
+
+    Each draw takes as many groups as there are, with all their images.
+    """
     names, number = np.unique(np.array(groups, dtype=np.str_), return_inverse=True)
     rng = stream(seed, "bootstrap", draws, len(names))
     drawn = rng.integers(0, len(names), (draws, len(names)))
@@ -28,10 +31,10 @@ def draw_images(groups: Sequence[str], draws: int, seed: int) -> NDArray[np.int3
 
 
 def drawn_figures(all_matches: Sequence[ClassMatches], weights: NDArray[Any]) -> FloatArray:
-    """(b, 1 + classes, 2) mAP50 and mAP50-95 for each weighting of the images: the mean of the classes, then each.
+    """Return (b, 1 + classes, 2) mAP50 and mAP50-95 per weighting of the images: mean over classes, then each class.
 
-    The mean is over the classes that the images have objects of. NaN where a class has none, and so the mean of a
-    weighting that lacks one of those: the mean of other classes would be another figure.
+    The mean covers the classes that have objects in the images. A class without objects in a weighting is NaN there,
+    and so is the mean if it covers that class: the mean over fewer classes would be a different figure.
     """
     figures = np.full((len(weights), 1 + len(all_matches), len(MEASURES)), np.nan)
     for k, matches in enumerate(all_matches, 1):
@@ -49,7 +52,7 @@ def several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
 
 
 def interval(values: FloatArray) -> list[float] | None:
-    """Return the middle 95 % of drawn values, NaN left out; None if there are none."""
+    """Return the ends of the middle 95 % of drawn values without NaN; None if no value is left."""
     known = values[~np.isnan(values)]
     if not len(known):
         return None
@@ -58,10 +61,10 @@ def interval(values: FloatArray) -> list[float] | None:
 
 
 def _mean_of(detectors: Sequence[Sequence[ClassMatches]], weights: NDArray[Any], seed: int, side: str) -> FloatArray:
-    """(b, 1 + classes, 2) the mean of detectors trained alike but for the seed, for each weighting of the images.
+    """Return the (b, 1 + classes, 2) mean of detectors that differ in their seed only, per weighting of the images.
 
-    Of several, as many are drawn with replacement each time. The mean of k so drawn scatters by a factor of
-    sqrt((k - 1) / k) too little; what they differ by is made larger by that.
+    Each weighting also draws as many of the detectors as there are, with replacement. The mean of k detectors drawn so
+    varies by a factor of sqrt((k - 1) / k) too little, so deviations from their mean are enlarged by its inverse.
     """
     each = np.stack([drawn_figures(matches, weights) for matches in detectors])
     k, draws = each.shape[:2]
@@ -81,21 +84,21 @@ def paired(
     groups: Sequence[str],
     seed: int = 0,
 ) -> dict[str, dict[str, Any]]:
-    """Ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
+    """Return ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
 
     Args:
-        ours: The matches of a detector by class; of several, trained alike but for the seed, the mean is taken and
-            they are drawn, too, so that the interval holds what another seed would change.
-        theirs: Likewise.
-        classes: Their names.
-        weights: (draws, i) how often each image is drawn.
-        groups: (i,) of each image, that the draws were made of.
-        seed: For drawing detectors.
+        ours: Matches of each detector by class. Several detectors must differ in their seed only; their mean is
+            compared, and the draws include the detectors, so that the interval covers the effect of the seed.
+        theirs: Matches of the detectors on the other side.
+        classes: Names of the classes.
+        weights: (draws, i) number of times each image is drawn.
+        groups: (i,) group of each image, as used for `weights`.
+        seed: Seed for drawing detectors.
 
     Returns:
-        By class and measure `ours`, `theirs`, `difference`, `ci` (None if all objects are of one group), and
-        `same_sign`: the share of the draws in which the difference has the sign of the undrawn one; None without `ci`,
-        and if there is no difference, as zero has no sign.
+        By class and measure `ours`, `theirs`, `difference`, `ci` (None if all objects are in one group), and
+        `same_sign`: the share of draws whose difference has the sign of `difference`; None without `ci` or if the
+        difference is 0.
     """
     once = np.ones((1, weights.shape[1]), np.int32)
     first, second = (np.mean([drawn_figures(m, once)[0] for m in side], axis=0) for side in (ours, theirs))

@@ -1,4 +1,4 @@
-"""The same figures by pycocotools: the check on our own matching, and the headline of the tables."""
+"""Average precision by pycocotools, for the tables and to check our own matching."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ def coco_precisions(
     task: Task,
     ranges: Sequence[tuple[float, float]] = ((0.0, float("inf")),),
 ) -> FloatArray:
-    """Return (a, classes, 10) average precision at IoU 0.5 to 0.95, at most 300 detections an image.
+    """Return the (a, classes, 10) average precision at IoU 0.5 to 0.95 with at most 300 detections per image.
 
-    Boxes and masks are compared by pycocotools' own code; oriented boxes, which it does not know, by ours.
+    Classes without objects are NaN. pycocotools compares boxes and masks; oriented boxes, which it does not support,
+    are compared by `overlaps`.
 
     Args:
         truths: Labels by image.
-        found: Findings by image.
-        class_of: Number of the judged class for each of the detector's classes; -1 for none.
-        classes: How many are judged.
+        found: Detections by image.
+        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
+        classes: Number of evaluated classes.
         task: What is compared.
-        ranges: Half-open ranges of the longer side, px, in place of COCO's areas.
+        ranges: Half-open ranges of the longer side, px, which replace COCO's areas.
     """
     with contextlib.redirect_stdout(io.StringIO()):
         evaluation = _Eval(
@@ -125,18 +126,18 @@ def _results(
 
 def _row(number: int, image: int, c: int, box_xyxy: FloatArray, size_px: float) -> dict[str, Any]:
     x0, y0, x1, y1 = box_xyxy.tolist()
-    # The size stands where COCO has the area: its ranges are compared with whatever stands there.
+    # pycocotools compares its ranges with the field `area`; our ranges are of the longer side.
     return {"id": number, "image_id": image, "category_id": c + 1, "bbox": [x0, y0, x1 - x0, y1 - y0], "area": size_px}
 
 
 def _index(rows: list[dict[str, Any]], truths: Sequence[Truth], classes: int) -> COCO:
-    made = COCO()
-    made.dataset = {
+    coco = COCO()
+    coco.dataset = {
         "images": [
             {"id": k, "width": truth.size_wh[0], "height": truth.size_wh[1]} for k, truth in enumerate(truths, 1)
         ],
         "categories": [{"id": c + 1, "name": str(c)} for c in range(classes)],
         "annotations": rows,
     }
-    made.createIndex()
-    return made
+    coco.createIndex()
+    return coco

@@ -1,4 +1,4 @@
-"""Stored evaluations: what became of every finding, and the comparison of two evaluations on the same images."""
+"""Stored evaluations: their matches, and the comparison of two evaluations on the same images."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StoredMatches:
     """The content of `matches.npz`: enough to compare two evaluations without their dataset.
 
     Attributes:
-        classes: Names of the judged classes.
+        classes: Names of the evaluated classes.
         matches: Matches of each class, objects of all sizes together.
         groups: Group of each image; those of one group are drawn together.
     """
@@ -68,7 +68,7 @@ def compare_evaluations(
     bootstrap: int = 1000,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Return the difference of two evaluations on the same images and labels by class; see `infrablend.api`."""
+    """Return the difference by class of two evaluations on the same images and labels; see `infrablend.api`."""
     record, first = read_evaluation(ours[0])
     read = {folder: read_evaluation(folder) for folder in [*ours[1:], *theirs]}
     for folder, (other, _) in read.items():
@@ -95,7 +95,7 @@ def paired_facts(
     both = [n for n in ours[0].classes if all(n in j.classes for j in sides)]
     if not both:
         raise DatasetError(
-            f"{name}: judged {', '.join(theirs[0].classes)}; expected some of {', '.join(ours[0].classes)}"
+            f"{name}: evaluates {', '.join(theirs[0].classes)}; expected some of {', '.join(ours[0].classes)}"
         )
     weights = draw_images(ours[0].groups, draws.number, draws.seed)
     a, b = ([[j.matches[j.classes.index(n)] for n in both] for j in side] for side in (ours, theirs))
@@ -142,7 +142,7 @@ def require_same(record: Mapping[str, Any], ours: Conditions, where: Path) -> No
     elif theirs.images != ours.images:
         differ("images", theirs.images, ours.images, "evaluate both on the same split of the same dataset")
     elif theirs.labels != ours.labels:
-        differ("labels", "others, or of other images", "the same", "evaluate both on the same split and labels")
+        differ("labels", "different labels or images", "the same", "evaluate both on the same split and labels")
     if theirs.task != ours.task:
         differ("task", theirs.task, ours.task, "give both the same --task")
     if theirs.ignore_regions != ours.ignore_regions:
@@ -150,7 +150,7 @@ def require_same(record: Mapping[str, Any], ours: Conditions, where: Path) -> No
     if theirs.group != ours.group:
         differ("group", theirs.group, ours.group, "give both the same --group")
     if problems:
-        raise DatasetError(f"{where}: not to be compared image by image", problems)
+        raise DatasetError(f"{where}: cannot be compared image by image", problems)
 
 
 def write_matches(path: Path, stored: StoredMatches) -> None:
@@ -181,7 +181,7 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
     def refuse(why: str) -> DatasetError:
         todo = "give the folder that `infrablend evaluate` wrote"
         problem = Problem(str(folder), "evaluation", why, f"{RECORD} and {MATCHES}", todo)
-        return DatasetError(f"{folder}: no finished evaluation", [problem])
+        return DatasetError(f"{folder}: not a finished evaluation", [problem])
 
     try:
         record = json.loads((folder / RECORD).read_bytes())

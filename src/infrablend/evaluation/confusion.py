@@ -1,4 +1,4 @@
-"""What is taken for what: findings and labels matched whatever their classes."""
+"""Confusion matrix: detections and labels matched regardless of class."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def confusion_matrix(
     task: Task,
     confidence: float,
 ) -> NDArray[np.int64]:
-    """(classes + 1, classes + 1) counts: row what was found, column what is there; the last ones are background.
+    """Return (classes + 1, classes + 1) counts by detected class (row) and labelled class (column); last is background.
 
-    Findings of at least the confidence take labels in the order of their score, each the free one that it overlaps
-    most, by at least 0.5. What lies in regions to ignore is left out.
+    Detections with at least the given confidence are matched in the order of their score, each to the unmatched label
+    with the largest IoU of at least 0.5. Unmatched detections in regions to ignore are left out.
     """
     matrix = np.zeros((classes + 1, classes + 1), np.int64)
     for truth in truths:

@@ -1,13 +1,15 @@
-"""A detector's findings on the images of a split, and the file that holds them.
+"""A detector's detections on the images of a split, and the file that holds them.
 
-The file is COCO JSON with a `score` in every annotation, so that other tools read it, and others' files are read:
+The file is COCO JSON with a `score` in every annotation, so that other tools can read it, and files of other tools can
+be evaluated:
 
     {"task": "detect", "categories": [{"id", "name"}], "images": [{"id", "file_name", "width", "height"}],
      "annotations": [{"image_id", "category_id", "bbox": [x, y, w, h], "score", "corners"?, "segmentation"?}],
      "facts": {...}}
 
-`file_name` is `<split>/<name>`; `corners` are eight numbers, clockwise, of an oriented box; `segmentation` run lengths.
-Numbers are rounded before anything is computed (1e-3 px, 1e-6 of score), so that a file gives what its run gave.
+`file_name` is `<split>/<name>`; `corners` are the eight coordinates of an oriented box, clockwise; `segmentation` holds
+run lengths. Numbers are rounded (1e-3 px, 1e-6 for scores) before anything is computed, so that evaluating the file
+gives the figures of the original run.
 """
 
 from __future__ import annotations
@@ -36,13 +38,13 @@ _SHOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What was found in one image, the surest first.
+    """Detections in one image, highest score first.
 
     Attributes:
-        boxes_xyxy: (n, 4) px of the image as stored; for oriented boxes the box around them.
-        scores: (n,) in [0, 1], falling.
-        classes: (n,) int64 numbers of the detector's classes.
-        corners_xy: (n, 4, 2) clockwise, of oriented boxes, or None.
+        boxes_xyxy: (n, 4) boxes in px of the stored image; for oriented boxes, their bounding boxes.
+        scores: (n,) scores in [0, 1], in descending order.
+        classes: (n,) int64 indices into the detector's classes.
+        corners_xy: (n, 4, 2) corners of oriented boxes, clockwise, or None.
         masks: n masks, or None.
     """
 
@@ -71,7 +73,7 @@ class Detections:
         return len(self.scores)
 
     def take(self, which: NDArray[np.int64]) -> Detections:
-        """Return some of them, in the order given."""
+        """Return the detections with the given indices, in that order."""
         return Detections(
             self.boxes_xyxy[which],
             self.scores[which],
@@ -84,28 +86,28 @@ class Detections:
 def detections(
     boxes_xyxy: Any, scores: Any, classes: Any, corners_xy: Any = None, masks: Sequence[Mask] | None = None
 ) -> Detections:
-    """Return `Detections` from array-likes in any order: rounded, sorted by falling score, ties as given."""
+    """Return `Detections` from array-likes in any order: rounded, by descending score, equal scores as given."""
     score = np.round(np.asarray(scores, np.float64).reshape(-1), 6)
-    made = Detections(
+    unsorted = Detections(
         np.round(np.asarray(boxes_xyxy, np.float64).reshape(-1, 4), 3),
         score,
         np.asarray(classes, np.int64).reshape(-1),
         None if corners_xy is None else np.round(np.asarray(corners_xy, np.float64).reshape(-1, 4, 2), 3),
         None if masks is None else tuple(masks),
     )
-    return made.take(np.argsort(-score, kind="stable"))
+    return unsorted.take(np.argsort(-score, kind="stable"))
 
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Findings on a set of images.
+    """Detections on a set of images.
 
     Attributes:
-        task: What the detector finds: boxes, oriented boxes, masks.
-        classes: Its classes, in its order.
-        images: Findings by `<split>/<name>` of the image.
-        sizes_wh: Size of those images in px, by the same keys.
-        facts: How they were made: weights, image size, thresholds.
+        task: Output of the detector: boxes, oriented boxes or masks.
+        classes: Names of the detector's classes, in its order.
+        images: Detections by `<split>/<name>` of the image.
+        sizes_wh: Sizes of the images in px, by the same keys.
+        facts: Weights, image size and thresholds of the run.
     """
 
     task: Task
@@ -116,10 +118,10 @@ class Predictions:
 
 
 def write_predictions(path: Path, predictions: Predictions) -> Path:
-    """Write the file; the same findings give the same bytes.
+    """Write detections as a file; the same detections give the same bytes.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     images, found = [], []
     for number, (key, one) in enumerate(sorted(predictions.images.items()), 1):
@@ -152,24 +154,26 @@ def write_predictions(path: Path, predictions: Predictions) -> Path:
 
 
 def read_predictions(path: Path) -> Predictions:
-    """Return the findings that a file holds.
+    """Return the detections that a file holds.
 
     Raises:
-        DatasetError: It is no such file; `problems` names what is wrong with which entry.
+        DatasetError: The file is not a predictions file; `problems` lists the malformed entries.
     """
 
     def refuse(found: str, expected: str) -> DatasetError:
         todo = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
-        return DatasetError(f"{path}: no predictions", [Problem(path.name, "predictions", found, expected, todo)])
+        return DatasetError(
+            f"{path}: not a predictions file", [Problem(path.name, "predictions", found, expected, todo)]
+        )
 
     try:
         data = json.loads(path.read_bytes())
     except OSError as error:
         raise refuse(f"cannot be read: {error.strerror or error}", "a file") from error
     except (ValueError, RecursionError) as error:
-        raise refuse(f"no JSON: {error}"[:160], "JSON") from error
+        raise refuse(f"not JSON: {error}"[:160], "JSON") from error
     if not isinstance(data, dict) or data.get("task", "detect") not in TASKS:
-        raise refuse("no object with a task of detect, obb or segment", "COCO JSON whose annotations have scores")
+        raise refuse("no task detect, obb or segment", "COCO JSON whose annotations have scores")
     task: Task = data.get("task", "detect")
     names = _table(data.get("categories"), "name")
     files = _table(data.get("images"), "file_name")
@@ -200,7 +204,7 @@ def read_predictions(path: Path) -> Predictions:
         if wrong is not None:
             problems.append(Problem(f"{path.name}, annotation {k}", "prediction", wrong, _EXPECTED[task]))
     if problems:
-        raise DatasetError(f"{path}: {len(problems)} of {len(rows)} findings cannot be read", problems[:_SHOWN])
+        raise DatasetError(f"{path}: {len(problems)} of {len(rows)} detections cannot be read", problems[:_SHOWN])
     facts = data.get("facts")
     return Predictions(
         task,
@@ -219,7 +223,7 @@ _EXPECTED: Mapping[Task, str] = {
 
 
 def _table(rows: Any, field_name: str) -> dict[int, str]:
-    """Texts by id; empty if any of it is not so."""
+    """Return texts by id; empty if any row is malformed or repeated."""
     if not isinstance(rows, list):
         return {}
     found = {}
@@ -232,7 +236,7 @@ def _table(rows: Any, field_name: str) -> dict[int, str]:
 
 def _wrong(row: Any, task: Task, names: Mapping[int, str], files: Mapping[int, str]) -> str | None:
     if not isinstance(row, dict):
-        return "no object"
+        return "not a JSON object"
     if type(row.get("image_id")) is not int or row["image_id"] not in files:
         return f"image_id {row.get('image_id')!r}, which no image has"
     if type(row.get("category_id")) is not int or row["category_id"] not in names:

@@ -23,14 +23,14 @@ from infrablend.evaluation.truth import Truth
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Findings and the labels to compare them with.
+    """Detections and the labels to compare them with.
 
     Attributes:
         images: Images of the split.
         labels: Labels of each image.
-        found: Findings by `<split>/<name>` of the image.
-        class_of: Number of the judged class for each of the detector's classes; -1 for none.
-        classes: Names of the judged classes.
+        found: Detections by `<split>/<name>` of the image.
+        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
+        classes: Names of the evaluated classes.
         task: What is compared: boxes, oriented boxes or masks.
     """
 
@@ -43,7 +43,7 @@ class Case:
 
     @property
     def compared(self) -> Mapping[str, Detections]:
-        """Findings in the form of the task: boxes without corners unless oriented boxes are compared."""
+        """Detections as the task compares them: with corners for oriented boxes only."""
         if self.task == "obb":
             return self.found
         return {key: replace(found, corners_xy=None) for key, found in self.found.items()}
@@ -144,7 +144,7 @@ def _strata(
         if a:
             at_size = [_at_size(m, a) for m in matches]
             stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
-            # All images are judged, as any may hold any size; the count is of those that hold an object of this one.
+            # All images are evaluated for each size; the count covers those with an object of this size.
             stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
             strata["size"][name] = stratum
     for kind, parts in image_strata(case.images).items():
@@ -158,7 +158,7 @@ def _at_size(m: ClassMatches, size: int) -> ClassMatches:
 
 
 def _of_images(m: ClassMatches, which: NDArray[np.bool_]) -> ClassMatches:
-    """Drop the findings in other images and their objects, to spare every draw from counting them 0 times."""
+    """Return the matches in some images only, so that draws need not count the others zero times."""
     keep = which[m.images]
     return ClassMatches(m.scores[keep], m.images[keep], m.right[..., keep], m.neutral[..., keep], m.objects * which)
 
@@ -170,7 +170,7 @@ def _stratum(
     weights: NDArray[Any],
     groups: Sequence[str],
 ) -> dict[str, Any]:
-    """Return the figures of some images: all others count for nothing."""
+    """Return the figures of some images, ignoring all others."""
     matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
@@ -195,7 +195,7 @@ def _number(value: float) -> float | None:
 def _intervals(
     drawn: NDArray[np.float64], held: NDArray[np.bool_], groups: Sequence[str]
 ) -> dict[str, list[float] | None] | None:
-    """Return the intervals of (draws, 2) mAP50 and mAP50-95; None without draws, or if one group has all objects."""
+    """Return the intervals of (draws, 2) mAP50 and mAP50-95; None without draws or if one group has all objects."""
     if not len(drawn) or not several_groups(held, groups):
         return None
     return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)}

@@ -1,8 +1,8 @@
-"""Which findings are right: COCO's matching, done once for each image, for all thresholds and all sizes together.
+"""COCO's matching of detections and labels, once per image for all thresholds and size ranges together.
 
-A finding takes the label of its class that it overlaps most among those that no surer finding has taken. One that can
-only take a label that is to be ignored (a region, or an object of a size that is not looked at) counts neither way, nor
-does one that takes none and is not of the size that is looked at.
+A detection is matched to the label of its class with the largest overlap among those that no detection with a higher
+score has taken. It is neutral, neither a hit nor a false positive, if it only matches a label to ignore (a region, or
+an object outside the size range), or if it matches none and is itself outside the size range.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from infrablend.evaluation.truth import Truth, long_sides
 IOUS: FloatArray = np.linspace(0.5, 0.95, 10)
 IOUS.setflags(write=False)
 SIZE_EDGES_PX = (8, 16, 32, 64, 128)
-"""Of the longer side. HIT-UAV's people are 10 to 30 px, its cars 20 to 80."""
+"""Edges of the size ranges, by the longer side. HIT-UAV's people are 10 to 30 px, its cars 20 to 80 px."""
 
 BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class ClassMatches:
-    """The findings of one class on all images, the surest first, and what became of them.
+    """Detections of one class on all images, highest score first, and their matches.
 
-    Axes: a sizes (0 all, then the bins), t thresholds, n findings, i images.
+    Axes: a size ranges (0 is all, then the bins), t thresholds, n detections, i images.
 
     Attributes:
-        scores: (n,).
-        images: (n,) int32 number of the image.
-        right: (a, t, n) took an object that counts.
-        neutral: (a, t, n) counts neither way.
-        objects: (a, i) int32 objects that count.
+        scores: (n,) scores.
+        images: (n,) int32 index of the image of each detection.
+        right: (a, t, n) whether the detection matches an object that counts.
+        neutral: (a, t, n) whether the detection is neither a hit nor a false positive.
+        objects: (a, i) int32 number of objects that count.
     """
 
     scores: FloatArray
@@ -48,7 +48,7 @@ class ClassMatches:
 
 
 def size_bins(edges_px: Sequence[float] = SIZE_EDGES_PX) -> dict[str, tuple[float, float]]:
-    """Names and half-open ranges of the longer side in px: all, then those between the edges."""
+    """Return half-open ranges of the longer side in px by name: all sizes, then the ranges between the edges."""
     ends = [0.0, *edges_px, float("inf")]
     bins = {"all": (0.0, float("inf"))}
     for low, high in itertools.pairwise(ends):
@@ -65,15 +65,15 @@ def match_all(
     task: Task,
     bins: Mapping[str, tuple[float, float]],
 ) -> tuple[ClassMatches, ...]:
-    """Match the findings of every class on every image.
+    """Match the detections of every class on every image.
 
     Args:
         truths: Labels by image.
-        found: Findings by image; none where an image has no entry.
-        class_of: Number of the judged class for each of the detector's classes; -1 for none.
-        classes: How many are judged.
+        found: Detections by image; images without an entry have none.
+        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
+        classes: Number of evaluated classes.
         task: What is compared.
-        bins: From `size_bins`.
+        bins: Size ranges from `size_bins`.
     """
     ranges = np.array(list(bins.values()), np.float64)
     a, t = len(ranges), len(IOUS)
@@ -101,15 +101,15 @@ def match_all(
 
 
 def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tuple[BoolArray, BoolArray]:
-    """Match one image's findings of one class.
+    """Match one image's detections of one class.
 
     Args:
-        overlap: (n, g), findings sorted by falling score.
-        away: (a, g) labels that do not count at a size.
-        region: (g,) those that any number of findings may take.
+        overlap: (n, g) overlaps, with detections in descending order of score.
+        away: (a, g) labels that do not count in a size range.
+        region: (g,) labels that any number of detections may match.
 
     Returns:
-        (a, t, n) right, and (a, t, n) neutral.
+        The (a, t, n) `right` and (a, t, n) `neutral` of `ClassMatches`.
     """
     n, g = overlap.shape
     a, t = len(away), len(IOUS)
@@ -120,10 +120,10 @@ def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tupl
     taken = np.zeros((a, t, g), np.bool_)
     at_a, at_t = np.arange(a)[:, None], np.arange(t)[None]
     for d in np.flatnonzero(overlap.max(axis=1) >= least[0]):
-        near = np.flatnonzero(overlap[d] >= least[0])[::-1]  # backwards: of equal ones COCO takes the last
+        near = np.flatnonzero(overlap[d] >= least[0])[::-1]  # backwards: of equal overlaps COCO takes the last
         value = overlap[d, near]
         free = (~taken[:, :, near] | region[near]) & (value >= least[:, None])
-        # What counts comes before what does not, however well it overlaps.
+        # A label that counts takes precedence over one that does not, whatever their overlaps.
         rank = np.where(free, value + 2.0 * ~away[:, None, near], -1.0)
         best = rank.argmax(axis=2)
         hit = rank[at_a, at_t, best] > 0

@@ -1,4 +1,4 @@
-"""How far findings and labels overlap: boxes, oriented boxes, masks."""
+"""Overlap of detections and labels: boxes, oriented boxes, masks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from infrablend.evaluation.truth import Truth
 
 
 def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
-    """(n, g) intersection over union; for regions to ignore the share of the finding that lies inside."""
+    """Return the (n, g) intersection over union; for regions to ignore, the share of the detection inside."""
     if not len(found) or not len(truth.boxes_xyxy):
         return np.zeros((len(found), len(truth.boxes_xyxy)))
     if task == "segment":
@@ -37,7 +37,7 @@ def _areas(boxes_xyxy: FloatArray) -> FloatArray:
 
 
 def quad_areas(corners_xy: FloatArray) -> FloatArray:
-    """(n,) areas of convex quadrilaterals (n, 4, 2), clockwise."""
+    """Return the (n,) areas of convex quadrilaterals (n, 4, 2), clockwise."""
     return _shoelace(corners_xy)
 
 
@@ -48,9 +48,12 @@ def _shoelace(polygons: FloatArray) -> FloatArray:
 
 
 def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(n, m) areas common to convex quadrilaterals (n, 4, 2) and (m, 4, 2), both clockwise; exact.
+    """Return the exact (n, m) shared areas of convex quadrilaterals (n, 4, 2) and (m, 4, 2), both clockwise.
 
-    Sutherland and Hodgman's clipping, for all pairs whose bounds meet at once.
+    Sutherland-Hodgman clipping of all pairs whose bounds meet, at once. `core.boxes.clip_convex` clips one pair of
+    polygons and returns exactly the corners that remain, which labels need. Here an evaluation compares thousands of
+    pairs and only needs areas, so polygons have a fixed number of corners, some repeated; pair by pair it takes 25
+    times as long. A test holds both to the same areas within 1e-9.
     """
     meet = (a.min(axis=1)[:, None] < b.max(axis=1)[None]) & (a.max(axis=1)[:, None] > b.min(axis=1)[None])
     rows, columns = np.nonzero(meet.all(axis=-1))
@@ -64,7 +67,7 @@ def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _cut(polygons: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """(n, k + 1, 2) what of convex polygons (n, k, 2) lies right of lines; corners repeat where there are fewer."""
+    """Return the parts (n, k + 1, 2) of convex polygons (n, k, 2) right of one line each; unused corners repeat."""
     edge = (end - start)[:, None]
     off = polygons - start[:, None]
     side = edge[..., 0] * off[..., 1] - edge[..., 1] * off[..., 0]
@@ -80,6 +83,6 @@ def _cut(polygons: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray
     count = used.sum(axis=1)
     place = np.minimum(np.arange(k + 1)[None], np.maximum(count - 1, 0)[:, None])
     kept: Any = np.take_along_axis(order, place, axis=1)
-    made = np.take_along_axis(points, kept[..., None], axis=1)
-    made[count == 0] = 0.0
-    return np.asarray(made)
+    parts = np.take_along_axis(points, kept[..., None], axis=1)
+    parts[count == 0] = 0.0
+    return np.asarray(parts)

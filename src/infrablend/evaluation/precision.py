@@ -1,4 +1,4 @@
-"""Average precision, and precision and recall at the best confidence, of matched findings."""
+"""Average precision, and precision and recall at the best confidence, of matched detections."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)
 RECALLS.setflags(write=False)
 CONFIDENCES: FloatArray = np.linspace(0.0, 1.0, 1000)
 CONFIDENCES.setflags(write=False)
-_CELLS = 4_000_000  # of a working array
+_CELLS = 4_000_000  # most cells of a working array
 
 
 def average_precisions(
     matches: ClassMatches, weights: NDArray[Any] | None = None, size: int = 0, thresholds: Sequence[int] | None = None
 ) -> FloatArray:
-    """(b, t) COCO's average precision (101 recalls) of one class, for several weightings of the images at once.
+    """Return COCO's (b, t) average precision (101 recalls) of one class, for several weightings of the images at once.
 
     Args:
-        matches: Of the class.
-        weights: (b, i) how often each image counts, whole numbers; once each by default. Counting an image twice is
-            the same as having it twice, but for the order of findings of equal score.
-        size: Which bin of sizes.
-        thresholds: Numbers of those wanted in `IOUS`; all by default.
+        matches: Matches of the class.
+        weights: (b, i) number of times each image counts, whole numbers; once each by default. Counting an image twice
+            equals having it twice, except for the order of detections with equal scores.
+        size: Index of the size range.
+        thresholds: Indices into `IOUS`; all by default.
 
     Returns:
-        NaN where a weighting has no object.
+        The average precision; NaN if a weighting has no object.
     """
     images = matches.objects.shape[1]
     wanted = list(range(len(IOUS))) if thresholds is None else list(thresholds)
     counts = np.ones((1, images), np.int32) if weights is None else np.asarray(weights, np.int32)
-    # What counts for nothing, by its image or at every threshold, need not be carried along.
+    # Detections in images with weight 0, or neutral at every threshold, can be dropped.
     live = counts.any(axis=0)[matches.images] & ~matches.neutral[size].all(axis=0)
     right, neutral = (x[size][wanted][:, live] for x in (matches.right, matches.neutral))
     of_image = matches.images[live]
-    # Precision matters only where something right is found; what is wrong at every threshold is counted between.
+    # Precision matters only at hits; false positives at every threshold are counted between them.
     mixed = (right | neutral).any(axis=0)
     special = np.flatnonzero(mixed)
     before = np.cumsum(~mixed)[special]
@@ -65,7 +65,7 @@ def average_precisions(
 
 
 def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray:
-    """(b,) mean of the precision still reached at 101 recalls, of (b, s) running counts."""
+    """Return the (b,) mean of the precision still reached at 101 recalls, from (b, s) cumulative counts."""
     precision = hits / (hits + misses + np.spacing(1.0))
     reached = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
     recall = hits / total[:, None]
@@ -83,7 +83,7 @@ def _chunks(rows: int, columns: int) -> Iterator[slice]:
 
 
 def precision_by_recall(matches: ClassMatches) -> FloatArray:
-    """(101,) the precision still reached at each recall, at IoU 0.5: the curve whose mean is the average precision."""
+    """Return the (101,) precision still reached at each recall at IoU 0.5; its mean is the average precision."""
     right, neutral = matches.right[0, 0], matches.neutral[0, 0]
     hits, misses = np.cumsum(right), np.cumsum(~right & ~neutral)
     total = int(matches.objects[0].sum())
@@ -98,10 +98,11 @@ def precision_by_recall(matches: ClassMatches) -> FloatArray:
 def operating_point(all_matches: Sequence[ClassMatches]) -> tuple[float, list[tuple[float, float] | None]]:
     """Return the confidence with the best smoothed mean F1 at IoU 0.5, with precision and recall there.
 
-    This is how Ultralytics chooses what it prints: one confidence for all classes, among 1,000 in [0, 1].
+    Ultralytics chooses the precision and recall that it prints in the same way: one confidence for all classes, among
+    1,000 in [0, 1].
 
     Returns:
-        The confidence, and for each class (precision, recall), or None where the class has no object.
+        The confidence, and (precision, recall) per class; None for a class without objects.
     """
     curves = [confidence_curves(m) if m.objects[0].sum() else None for m in all_matches]
     known = [c for c in curves if c is not None]
@@ -113,9 +114,9 @@ def operating_point(all_matches: Sequence[ClassMatches]) -> tuple[float, list[tu
 
 
 def confidence_curves(matches: ClassMatches) -> tuple[FloatArray, FloatArray]:
-    """(1000,) precision and (1000,) recall at IoU 0.5 of one class by confidence, linear between findings.
+    """Return (1000,) precision and recall at IoU 0.5 of one class by confidence, linear between detections.
 
-    Above the surest finding the precision is 1 and the recall 0; without findings both are 0.
+    Above the highest score precision is 1 and recall 0; without detections both are 0.
     """
     right, neutral = matches.right[0, 0], matches.neutral[0, 0]
     scores, right = matches.scores[~neutral], right[~neutral]
@@ -130,7 +131,7 @@ def confidence_curves(matches: ClassMatches) -> tuple[FloatArray, FloatArray]:
 
 
 def _smoothed(values: FloatArray) -> FloatArray:
-    """Mean over a tenth of the range to each side's half, the ends repeated."""
+    """Return the moving average over a tenth of the values, with the ends repeated."""
     half = len(values) // 20
     padded = np.pad(values, half, mode="edge")
     return np.asarray(np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))

@@ -1,4 +1,4 @@
-"""Groups of images by pitch, altitude and time of day, and how many objects each size has."""
+"""Groups of images by pitch, altitude and time of day."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from infrablend.core.dataset import ImageRecord
 
 PITCH_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 ALTITUDE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0)
-_FEW = 10
+# At most this many different values get a bin each.
+_SINGLE_VALUES = 10
 
 
 def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[np.bool_]]]:
-    """(i,) which images belong to each bin of pitch, altitude and time; images that do not say it are `unknown`."""
+    """Return (i,) masks of the images in each bin of pitch, altitude and time; `unknown` has those without a value."""
     return {
         "pitch": _binned([i.pitch_deg for i in images], PITCH_EDGES_DEG),
         "altitude": _binned([i.altitude_m for i in images], ALTITUDE_EDGES_M),
@@ -25,9 +26,9 @@ def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[n
 
 
 def _binned(values: Sequence[float | None], edges: Sequence[float]) -> dict[str, NDArray[np.bool_]]:
-    """Values that are few have bins of their own (HIT-UAV's are steps of 10); others lie between edges."""
+    """Bin by value if there are few different values (HIT-UAV has steps of 10), else by ranges."""
     known = sorted({v for v in values if v is not None})
-    if len(known) <= _FEW:
+    if len(known) <= _SINGLE_VALUES:
         names: Mapping[float, str] = {v: f"{v:g}" for v in known}
         ordered = [f"{v:g}" for v in known]
     else:
@@ -44,5 +45,5 @@ def _named(values: Sequence[str | None]) -> dict[str, NDArray[np.bool_]]:
 
 
 def _bins(values: Sequence[str | None], ordered: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
-    told = ["unknown" if v is None else v for v in values]
-    return {name: np.array([v == name for v in told], np.bool_) for name in (*ordered, "unknown") if name in set(told)}
+    bins = ["unknown" if v is None else v for v in values]
+    return {name: np.array([v == name for v in bins], np.bool_) for name in (*ordered, "unknown") if name in set(bins)}

@@ -1,4 +1,4 @@
-"""What is to be found: the labels of a split, by the classes that are judged."""
+"""Labels of a split, by evaluated class."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from infrablend.evaluation.detections import FloatArray, Task
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The labels of one image. Objects first, regions to ignore after them.
+    """Labels of one image: objects first, then regions to ignore.
 
     Attributes:
-        key: `<split>/<name>`.
-        size_wh: Of the image, px.
-        boxes_xyxy: (g, 4) px.
-        classes: (g,) numbers of the classes judged; -1 for a region that counts for all of them.
-        ignore: (g,) bool: what is found in there counts neither way.
-        corners_xy: (g, 4, 2), for oriented boxes; else None.
-        masks: g masks, for masks; else None.
+        key: `<split>/<name>` of the image.
+        size_wh: Size of the image, px.
+        boxes_xyxy: (g, 4) boxes, px.
+        classes: (g,) indices of the evaluated classes; -1 for a region that applies to all classes.
+        ignore: (g,) mask of the regions to ignore: detections in them are neither hits nor false positives.
+        corners_xy: (g, 4, 2) corners if oriented boxes are compared; else None.
+        masks: g masks if masks are compared; else None.
     """
 
     key: str
@@ -42,24 +42,24 @@ class Truth:
 
     @property
     def long_sides_px(self) -> FloatArray:
-        """(g,) the longer side of each."""
+        """(g,) longer side of each label, px."""
         return long_sides(self.boxes_xyxy, self.corners_xy)
 
 
 def long_sides(boxes_xyxy: FloatArray, corners_xy: FloatArray | None) -> FloatArray:
-    """(n,) the longer side of boxes, px; of the oriented ones where there are any."""
+    """Return the (n,) longer side in px, of the oriented boxes if given, else of the boxes."""
     if corners_xy is not None:
         return np.asarray(cxcywha_of_corners(corners_xy)[:, 2:4].max(axis=1, initial=0.0))
     return np.asarray((boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).max(axis=1, initial=0.0))
 
 
 def image_key(image: ImageRecord) -> str:
-    """`<split>/<name>`: what the files of an evaluation call an image."""
+    """Return `<split>/<name>`, the name of an image in the files of an evaluation."""
     return f"{image.split}/{image.name}"
 
 
 def is_crowd(instance: Instance) -> bool:
-    """COCO's `iscrowd`: a region of many objects of a class, none of them told apart."""
+    """Return whether a label is COCO's `iscrowd`: a region of objects of a class that are not labelled singly."""
     return bool(instance.extra.get("iscrowd") == 1)
 
 
@@ -71,16 +71,16 @@ def truths(
     *,
     ignore_regions: bool = True,
 ) -> tuple[tuple[Truth, ...], dict[str, int]]:
-    """Labels by image, and what was done to them, counted.
+    """Return labels by image, and counts of the objects left out, without a mask or to ignore.
 
     Args:
-        images: With their sizes.
-        categories: Of the dataset.
-        classes: Names of the categories judged; objects of others are left out.
-        task: What is compared. Oriented boxes: an object without one has its plain box. Masks: an object without one
-            can be neither found nor missed, so that its box is a region to ignore for its class.
-        ignore_regions: Use regions of ignored categories, and COCO's crowds as regions of their class; else both are
-            left out.
+        images: Images with known sizes.
+        categories: Categories of the dataset.
+        classes: Names of the evaluated categories; objects of others are left out.
+        task: What is compared. For oriented boxes, an object without one has its axis-aligned box. For masks, the box
+            of an object without one becomes a region to ignore for its class.
+        ignore_regions: Whether regions of ignored categories apply to all classes, and COCO's crowds to their own;
+            otherwise both are left out.
     """
     number = {name: k for k, name in enumerate(classes)}
     regions = {c.name for c in categories if c.ignore}
@@ -127,7 +127,7 @@ def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance,
 
 
 def _box_mask(instance: Instance, size_wh: tuple[int, int]) -> Mask:
-    """Return the box of an object without mask, filled."""
+    """Return a mask that fills the box of an object."""
     w, h = size_wh
     x0, y0, x1, y1 = (round(v) for v in instance.box_xyxy)
     filled = np.zeros((h, w), np.bool_)
@@ -136,7 +136,7 @@ def _box_mask(instance: Instance, size_wh: tuple[int, int]) -> Mask:
 
 
 def fingerprint(images: Iterable[ImageRecord]) -> str:
-    """SHA-256 of names, sizes and labels, in order: two evaluations may be compared if theirs are the same."""
+    """Return the SHA-256 of names, sizes and labels, in order; evaluations with the same one can be compared."""
     digest = hashlib.sha256()
     for image in images:
         facts = [
@@ -158,16 +158,16 @@ def fingerprint(images: Iterable[ImageRecord]) -> str:
 
 
 def match_classes(detector: Sequence[str], wanted: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Numbers of the detector's classes that mean each wanted class; empty where none does.
+    """Return the indices of the detector's classes that match each wanted class; empty if none does.
 
-    Names count as the same if they are equal, or else equal but for case and signs (`Other Vehicle`, `OtherVehicle`),
-    or else mean the same kind (`person`, `pedestrian`); of several ways the first that fits anything is taken.
+    Names match if they are equal; else if they differ in case and punctuation only (`Other Vehicle`, `OtherVehicle`);
+    else if they are names of the same class (`person`, `pedestrian`). The first of these rules with a match applies.
     """
     found: dict[str, tuple[int, ...]] = {}
     for name in wanted:
         ways = (
             [k for k, other in enumerate(detector) if other == name],
-            [k for k, other in enumerate(detector) if _plain(other) == _plain(name)],
+            [k for k, other in enumerate(detector) if _letters(other) == _letters(name)],
             [
                 k
                 for k, other in enumerate(detector)
@@ -179,12 +179,12 @@ def match_classes(detector: Sequence[str], wanted: Sequence[str]) -> dict[str, t
 
 
 def class_numbers(mapping: Mapping[str, tuple[int, ...]], detector: int) -> NDArray[np.int64]:
-    """(detector,) the judged class's number for each of the detector's classes; -1 where it is none."""
+    """Return the (detector,) index of the evaluated class for each of the detector's classes; -1 for none."""
     numbers = np.full(detector, -1, np.int64)
     for k, of in enumerate(mapping.values()):
         numbers[list(of)] = k
     return numbers
 
 
-def _plain(name: str) -> str:
+def _letters(name: str) -> str:
     return "".join(c for c in name.casefold() if c.isalnum())

@@ -1,4 +1,4 @@
-"""Ultralytics kept to itself: no network, no settings outside our folder, and no torchvision where none can work."""
+"""Environment for Ultralytics: no network, no settings outside our folder, a stand-in where torchvision fails."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 
 def settle_ultralytics(folder: Path) -> None:
-    """To be called before Ultralytics is imported: settings go into `folder`; no installs, no reports, no network."""
+    """Prepare for the import of Ultralytics: settings in `folder`, no installs, no telemetry, no network."""
     folder.mkdir(parents=True, exist_ok=True)
     os.environ.update(
         YOLO_CONFIG_DIR=str(folder), YOLO_OFFLINE="1", YOLO_AUTOINSTALL="0", YOLO_VERBOSE="1", WANDB_MODE="disabled"
@@ -25,9 +25,9 @@ def settle_ultralytics(folder: Path) -> None:
 
 @contextlib.contextmanager
 def quiet_ultralytics() -> Iterator[None]:
-    """While entered, Ultralytics may be used in this process: settled if it is not yet imported, and silent."""
+    """Return a context in which Ultralytics is set up and logs errors only."""
     if "ultralytics" not in sys.modules:
-        # Read on import; nothing in there is of use to us, so that it may go with the next clean-up.
+        # Ultralytics reads its settings on import; we need none of them, so the folder may be cleaned up at any time.
         folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         settle_ultralytics(folder)
@@ -42,9 +42,9 @@ def quiet_ultralytics() -> Iterator[None]:
 
 
 def wrong_arguments(arguments: Mapping[str, Any]) -> str:
-    """Return Ultralytics' objections to training arguments; empty if there are none or it is not installed.
+    """Return Ultralytics' error message about training arguments; empty if they are valid or cannot be checked.
 
-    Its import changes the environment; it is put back, so that a process started later has its own start.
+    Importing Ultralytics changes environment variables; they are restored for processes started later.
     """
     before = dict(os.environ)
     try:
@@ -65,10 +65,10 @@ def wrong_arguments(arguments: Mapping[str, Any]) -> str:
 
 
 def _settle_torchvision() -> None:
-    """Put a stand-in in place of torchvision where it does not import, as its CUDA build beside torch's CPU build.
+    """Replace torchvision by a stand-in if it fails to import, like its CUDA build beside the CPU build of torch.
 
-    Detection needs one function of it, non-maximum suppression. `make train` installs such a stand-in for `yolo`, too;
-    this one serves environments that somebody else put together.
+    Detection needs one of its functions, non-maximum suppression. `make train` also installs such a stand-in for the
+    command `yolo`; this one serves environments that were set up without `make train`.
     """
     try:
         import torchvision  # noqa: F401
@@ -79,13 +79,13 @@ def _settle_torchvision() -> None:
 
         stand_in, ops = ModuleType("torchvision"), ModuleType("torchvision.ops")
         stand_in.__doc__ = f"Stand-in: the real one does not import ({error})."
-        stand_in.__spec__ = ModuleSpec("torchvision", None)  # find_spec raises for a module without one
+        stand_in.__spec__ = ModuleSpec("torchvision", None)  # find_spec raises for modules without a spec
         ops.nms = nms  # type: ignore[attr-defined]
         stand_in.ops = ops  # type: ignore[attr-defined]
         sys.modules |= {"torchvision": stand_in, "torchvision.ops": ops}
 
 
 def has_fast_bfloat16(torch: Any) -> bool:
-    """Whether the processor has matrix units for it; elsewhere it is slower than float32."""
+    """Return whether the processor has matrix units for bfloat16; on others it is slower than float32."""
     known = getattr(torch.cpu, "_is_amx_tile_supported", None)
     return bool(known and known())

@@ -1,4 +1,4 @@
-"""The figures of given findings as Ultralytics computes them: its own overlap, matching and curves."""
+"""Figures of given detections as Ultralytics computes them, with its own overlap, matching and curves."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from infrablend.training.environment import quiet_ultralytics
 def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
     """Return images, instances, P, R, mAP50 and mAP50-95 of `all` and of each class, by Ultralytics' code.
 
-    It has no regions to ignore. So findings that overlap no object of their class by half, but such a region by half,
-    are left out first. Oriented boxes are compared by its probabilistic overlap, which is not the exact one.
+    Ultralytics has no regions to ignore. Detections that overlap such a region, but no object of their class, by half
+    are therefore removed first. It compares oriented boxes by a probabilistic overlap instead of the exact one.
     """
     truths, found, class_of, classes, task = case.labels, case.compared, case.class_of, case.classes, case.task
     with quiet_ultralytics():
@@ -90,7 +90,7 @@ def _outside_regions(ours: Detections, truth: Truth, class_of: NDArray[np.int64]
 
 
 def _overlap(ours: Detections, truth: Truth, real: NDArray[np.intp], task: Task) -> Any:
-    """(g, n) tensor, by Ultralytics; masks by the share of pixels, which is the same as its own."""
+    """Return the (g, n) tensor of Ultralytics' overlaps; those of masks are the exact IoU of pixels, as in its code."""
     import torch
     from ultralytics.utils.metrics import batch_probiou, box_iou
 

@@ -1,4 +1,4 @@
-"""How a detector is trained: the presets, and how long one takes."""
+"""Presets of trainings, and estimates of their duration and disk space."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ SUFFIX: Mapping[str, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
 
 @dataclass(frozen=True)
 class Preset:
-    """One way to train.
+    """Settings of a training.
 
     Attributes:
-        name: As in `--preset`.
-        summary: What it is, in a line.
-        model: Ultralytics' name of the network, without suffix of the task.
-        image_size: Side of the square the network sees, px.
+        name: Name for `--preset`.
+        summary: Description in one line.
+        model: Ultralytics' name of the network, without the suffix of the task.
+        image_size: Side of the network's square input, px.
         batch: Images per step.
-        epochs: At most so many passes over the data; 0 where `passes` decides.
-        passes: Images shown in all, whatever the dataset's size; 0 where `epochs` decides.
-        patience: Epochs without gain after which it stops; 0: never, and the last weights count.
-        tile: Side of the object-centred tiles in px at native resolution; 0: whole pictures.
-        tiles: At most so many tiles; 0: as many as there are.
-        arguments: What else Ultralytics is told; everything not named is its default.
+        epochs: Maximum number of passes over the data; 0 if `passes` applies.
+        passes: Total number of images shown, whatever the size of the dataset; 0 if `epochs` applies.
+        patience: Epochs without improvement before the training stops; 0 trains to the end and keeps the last weights.
+        tile: Side of the object-centred tiles in px at native resolution; 0 for whole pictures.
+        tiles: Maximum number of tiles; 0 for all.
+        arguments: Further arguments of Ultralytics, which has defaults for all others.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Preset:
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     def epochs_for(self, images: int) -> tuple[int, int]:
-        """Epochs, and images (or tiles) shown in each, for so many images.
+        """Return the number of epochs, and of images (or tiles) shown per epoch, for a number of images.
 
-        Where `passes` decides, an epoch is a twentieth of them, not a walk through the data: the learning rate falls
-        by epochs, so trainings on more and on fewer images would otherwise differ in more than their images. Every
+        If `passes` applies, an epoch is a twentieth of them instead of one pass over the data: the learning rate falls
+        by epoch, so trainings on different numbers of images would otherwise differ in their schedules, too. Every
         image is shown at least once.
         """
         if self.epochs:
@@ -58,8 +58,8 @@ class Preset:
 # Epochs of a training with a fixed number of passes.
 ROUNDS = 20
 
-# The scale stays near 1 and nothing is put together: tiles exist so that sizes stay what they are, and the few passes
-# that two cores can do are better spent on pictures as they come.
+# The scale stays near 1 and there is no mosaic: tiles exist to preserve the sizes of objects, and the few passes that
+# two cores can afford are better spent on unmodified pictures.
 _TILE_ARGUMENTS = {
     "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "scale": 0.2, "mosaic": 0.0,
     "hsv_h": 0.0, "hsv_s": 0.0, "warmup_epochs": 1.0, "close_mosaic": 0, "nbs": 16,
@@ -70,7 +70,7 @@ PRESETS: Mapping[str, Preset] = {
     for p in (
         # "the 's' model variant, with a learning rate set to 0.002, a batch size of 64, and an image resolution of 640,
         # while keeping all other parameters at their default values", 1000 epochs, patience 100. Ultralytics' default
-        # optimizer `auto` takes no notice of a learning rate, so one is named.
+        # optimizer `auto` ignores a given learning rate, so the preset names an optimizer.
         Preset(
             "paper", "YOLOv8s on whole pictures as in the paper; for a GPU", "yolov8s", 640, 64, epochs=1000,
             patience=100, arguments={"optimizer": "AdamW", "lr0": 0.002},
@@ -80,25 +80,25 @@ PRESETS: Mapping[str, Preset] = {
             tile=320, arguments=_TILE_ARGUMENTS,
         ),
         Preset(
-            "smoke", "a few steps, to see that everything runs", "yolov8n", 160, 4, epochs=1, tile=160, tiles=8,
+            "smoke", "a few steps, to check that everything runs", "yolov8n", 160, 4, epochs=1, tile=160, tiles=8,
             arguments=_TILE_ARGUMENTS,
         ),
     )
 }  # fmt: skip
 
-# Images per second in training, by model and device: measured at 320 px on two cores with and without bfloat16
-# (YOLOv8n), and taken from Ultralytics' published speeds for the rest. Only for estimates.
+# Images per second in training at 320 px, by model and device: measured on two cores with and without bfloat16
+# (YOLOv8n), and taken from Ultralytics' published speeds for the others. Used for estimates only.
 _RATE_320 = {("yolov8n", "cpu"): 25.0, ("yolov8s", "cpu"): 8.0, ("yolov8n", "gpu"): 1200.0, ("yolov8s", "gpu"): 600.0}
 
 
 def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) -> float:
-    """Wall-clock seconds a training takes, roughly (within a factor of two on machines we know).
+    """Estimate the wall-clock seconds of a training, within a factor of two on the machines we measured.
 
     Args:
-        preset: Which.
-        images: Pictures, or tiles, in one epoch.
-        gpu: Whether it runs on one.
-        cores: Processor cores, where it does not.
+        preset: Settings of the training.
+        images: Number of pictures, or tiles.
+        gpu: Whether the training runs on a GPU.
+        cores: Number of processor cores, used without a GPU.
     """
     rate = _RATE_320.get((preset.model, "gpu" if gpu else "cpu"), 5.0) * (320 / preset.image_size) ** 2
     rate *= 1 if gpu else cores / 2
@@ -106,19 +106,19 @@ def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) 
     return 20 + epochs * shown / rate
 
 
-# Parameters of YOLOv8 by its letter, in millions; later versions have fewer.
+# Parameters of YOLOv8 by size letter, in millions; later versions have fewer.
 _PARAMETERS_M = {"n": 3.2, "s": 11.2, "m": 25.9, "l": 43.7, "x": 68.2}
 
 
 def weights_bytes(preset: Preset) -> float:
-    """About what a training's weights take on the disk at once.
+    """Estimate the peak disk space of a training's weights, in bytes.
 
-    That is four checkpoints (Ultralytics' last and best, ours, and ours while it is replaced) of weights and the
+    There are four checkpoints (Ultralytics' last and best, ours, and ours while it is replaced) with weights and the
     optimizer's two moments, and the final weights, all in half precision.
     """
     return _PARAMETERS_M.get(preset.model[-1:], _PARAMETERS_M["x"]) * 1e6 * 2 * (4 * 3 + 1)
 
 
 def tiles_expected(images: int, objects: int) -> int:
-    """About so many tiles are cut from pictures with so many objects (HIT-UAV: 1.6 per picture)."""
+    """Estimate the number of tiles cut from pictures with a number of objects (HIT-UAV: 1.6 per picture)."""
     return images + math.ceil(0.08 * objects)

@@ -1,7 +1,7 @@
-"""The scale at which a detector sees pictures: the one it was trained at, unless somebody asks for another.
+"""The scale at which a detector sees pictures: the scale of its training unless another is requested.
 
-Objects have to be as large for the network as they were in training. A detector trained on tiles at native resolution
-sees pictures at their own size; one trained on whole pictures sees them scaled to the size of its training.
+Objects must have the same size for the network as in training. A detector trained on tiles at native resolution sees
+pictures at their own size; one trained on whole pictures sees them scaled to the image size of its training.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 
 from infrablend.errors import Problem
 
-# The size of Ultralytics' defaults, and of the paper.
+# Default of Ultralytics, and the size in the paper.
 DEFAULT_SIZE = 640
-# Entry of our own weights, and the record of a training beside them.
+# Entry in the weights of `infrablend train`, and the record of the training beside them.
 MARK, RECORD = "infrablend", "train.json"
 
 
@@ -25,8 +25,8 @@ class Scale:
 
     Attributes:
         image_size: Longer side of the pictures, px; 0 leaves every picture its own size.
-        origin: Where that comes from, in words for the report.
-        known: Whether it is known to be the scale of the training, or the one asked for.
+        origin: Source of the size, as text for the report.
+        known: Whether the size is known to be the scale of the training, or was requested.
     """
 
     image_size: int
@@ -34,25 +34,25 @@ class Scale:
     known: bool = True
 
     def warnings(self, weights: Path) -> list[Problem]:
-        """Return the warning that the scale is a guess, if it is."""
+        """Return a warning if the scale is a guess."""
         if self.known:
             return []
-        found = f"{self.origin}; pictures are taken {self.text}"
-        todo = "give the size it was trained at with --image-size (0 after training on tiles)"
+        found = f"{self.origin}; pictures are evaluated {self.text}"
+        todo = "give the training size with --image-size (0 after training on tiles)"
         return [Problem(weights.name, "image-size-unknown", found, "a training scale", todo, severity="warning")]
 
     @property
     def text(self) -> str:
-        """The size in words."""
+        """Size as text."""
         return f"with a longer side of {self.image_size} px" if self.image_size else "at their own size"
 
 
 def training_scale(weights: Path, checkpoint: Mapping[str, object]) -> Scale:
-    """Return the scale that a detector was trained at.
+    """Return the scale of a detector's training.
 
     Args:
-        weights: File of weights; an InfraBlend training leaves its record beside it.
-        checkpoint: What the file contains.
+        weights: File of weights; `infrablend train` writes its record beside it.
+        checkpoint: Content of the file.
     """
     mark = checkpoint.get(MARK)
     if isinstance(mark, Mapping):
@@ -65,9 +65,9 @@ def training_scale(weights: Path, checkpoint: Mapping[str, object]) -> Scale:
             return _of_settings(settings)
     size = _side(arguments.get("imgsz"))
     if size is None:
-        return Scale(DEFAULT_SIZE, "the weights do not name the size they were trained at", known=False)
+        return Scale(DEFAULT_SIZE, "the weights do not contain their training size", known=False)
     if _is_ours(arguments) and size != DEFAULT_SIZE:
-        # Trained before weights carried the mark, and away from their record: `small` and `smoke` cut tiles.
+        # Weights without the mark, separated from their record. `small` and `smoke` cut tiles.
         return Scale(0, "the record of the training is not beside the weights", known=False)
     return Scale(size, f"imgsz of the weights' training with Ultralytics: {size} px")
 
@@ -77,7 +77,7 @@ def _of_settings(settings: Mapping[str, object]) -> Scale:
     if tile:
         return Scale(0, f"trained on tiles of {tile} px at native resolution")
     if size is None:
-        return Scale(DEFAULT_SIZE, "the record of the training names no size", known=False)
+        return Scale(DEFAULT_SIZE, "the record of the training contains no size", known=False)
     return Scale(size, f"trained on whole pictures at {size} px")
 
 
@@ -90,7 +90,7 @@ def _recorded_settings(record: Path) -> Mapping[str, object] | None:
 
 
 def _side(value: object) -> int | None:
-    """Return a positive number of pixels, the longer of a pair; None for anything else."""
+    """Return a positive number of pixels, the larger one of a pair; None for other values."""
     sides = value if isinstance(value, list | tuple) and value else [value]
     whole = [v for v in sides if isinstance(v, int) and not isinstance(v, bool) and v > 0]
     return max(whole) if len(whole) == len(sides) else None

@@ -1,9 +1,9 @@
 """Non-maximum suppression as torchvision computes it, for installations whose torchvision does not fit their torch.
 
-The registry has torchvision for Linux with CUDA only. Beside torch's CPU build its compiled operators do not load, and
-detection needs one of them, `nms`. Ultralytics' own replacement handles one finding at a time with torch operations,
-which takes longer than the network does. It also sorts unstably, so that the processor decides which of two equal
-scores wins.
+The package registry has torchvision for Linux with CUDA only. Its compiled operators do not load beside the CPU build
+of torch, and detection needs one of them, `nms`. Ultralytics' own replacement handles one detection at a time with
+torch operations, which takes longer than the network. It also sorts unstably, so that the order of equal scores, and
+thus the result, depends on the processor.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ _BLOCK = 64
 
 
 def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
-    """Return the indices of the boxes that no surer box overlaps by more than a threshold, like `torchvision.ops.nms`.
+    """Return the indices of the boxes that non-maximum suppression keeps, like `torchvision.ops.nms`.
 
     Args:
         boxes: (n, 4) left, top, right, bottom.
-        scores: (n,) confidences; of equal ones the first comes first.
-        iou_threshold: Intersection over union above which the less sure box is dropped.
+        scores: (n,) confidences; equal ones keep their order.
+        iou_threshold: Intersection over union above which the box with the lower score is dropped.
 
     Returns:
-        (k,) int64 indices, the surest first, on the device of `boxes`.
+        (k,) int64 indices, highest score first, on the device of `boxes`.
     """
     import torch
 
@@ -39,8 +39,8 @@ def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
 def surest(boxes_xyxy: NDArray[np.float32], scores: NDArray[np.float32], iou_threshold: float) -> NDArray[np.int64]:
     """Return the indices that `nms` returns, for arrays.
 
-    Boxes are taken in blocks by falling score: what is left of a block after the boxes kept so far is settled within
-    the block, one by one.
+    Boxes are processed in blocks of descending score: the boxes kept so far suppress boxes of the block at once, then
+    the remaining boxes of the block suppress each other one by one.
     """
     order = np.argsort(-scores, kind="stable")
     boxes = boxes_xyxy[order]

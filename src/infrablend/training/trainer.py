@@ -1,10 +1,10 @@
-"""One training in a process of its own, so that a crash, a full memory or a stop costs the caller nothing.
+"""One training in a separate process, so that a crash, lack of memory or a stop does not affect the caller.
 
     python -m infrablend.training.trainer JOB.json
 
 writes one JSON object per line to standard output: `gate` (what Ultralytics loaded), `step` (progress), `epoch`
-(losses), `damaged` (a checkpoint put aside), `end`, or `error` with a code and a message.
-Ultralytics' own talk goes to standard error.
+(losses), `damaged` (an unreadable checkpoint was moved away), `end`, or `error` with a code and a message.
+Ultralytics' own output goes to standard error.
 """
 
 from __future__ import annotations
@@ -34,26 +34,27 @@ WEIGHTS = "weights.pt"
 
 @dataclass(frozen=True)
 class Job:
-    """What the process is to do.
+    """Settings of the training process.
 
     Attributes:
-        data: Ultralytics' data.yaml.
+        data: Path of Ultralytics' data.yaml.
         out: Folder for checkpoint and weights.
         task: detect, obb or segment.
-        model: Weights or a network's description.
-        device: `cpu`, `0`, ...
-        epochs: In all.
+        model: File of weights or name of a network description.
+        device: `cpu`, `mps` or the number of a GPU.
+        epochs: Total number of epochs.
         batch: Images per step.
         image_size: Side of the network's input, px.
-        patience: See `presets.Preset`.
-        seed: For everything drawn.
-        images: Images the train split must have.
-        labels: Labels it must have.
-        shown: Images shown in an epoch; other than `images`, epochs go on in the data where the last one ended.
-        arguments: Further ones for Ultralytics.
-        val_images: Images the val split must have; 0: nothing depends on it.
-        val_labels: Labels it must have.
-        tile: Side of the tiles that the images are, px; 0 for whole pictures.
+        patience: Epochs without improvement before the training stops; 0 for never.
+        seed: Seed of everything random.
+        images: Number of images the train split must have.
+        labels: Number of labels the train split must have.
+        shown: Images shown per epoch. If it differs from `images`, each epoch continues in the shuffled data where the
+            last one ended.
+        arguments: Further arguments for Ultralytics.
+        val_images: Number of images the val split must have; 0 if nothing depends on it.
+        val_labels: Number of labels the val split must have.
+        tile: Side of the tiles, px; 0 if the images are whole pictures.
     """
 
     data: str
@@ -75,18 +76,18 @@ class Job:
     tile: int = 0
 
     def write(self, path: Path) -> None:
-        """As `main` reads it."""
+        """Write the file that `main` reads."""
         path.write_text(json.dumps(asdict(self), indent=1, sort_keys=True), "utf-8")
 
 
 class _Stopped(Exception):  # noqa: N818
-    """The gate found the trainer to have dropped something."""
+    """Ultralytics would not use all images and labels."""
 
 
 class Turns:
-    """A sampler of `shown` indices an epoch: shuffled walks through all of them, one after the other without a gap.
+    """Sampler of `shown` indices per epoch, from consecutive shuffled passes over all images.
 
-    The same seed and epoch give the same indices, so a resumed training goes on where it was.
+    The same seed and epoch give the same indices, so a resumed training continues in the same order.
     """
 
     def __init__(self, images: int, shown: int, seed: int, epoch: int = 0) -> None:
@@ -115,22 +116,22 @@ def with_turns(base: Any, job: Job, begun: int) -> Any:
             if mode == "train" and job.shown != job.images:
                 self.turns = Turns(len(loader.dataset), job.shown, job.seed, begun)
                 loader.batch_sampler.sampler.sampler = self.turns
-                object.__setattr__(loader, "sampler", self.turns)  # torch allows it to itself alone
+                object.__setattr__(loader, "sampler", self.turns)  # torch's own __setattr__ forbids it
                 if hasattr(loader, "reset"):
-                    loader.reset()  # where it has begun to load, it did so in another order
+                    loader.reset()  # it may have begun to load in the default order
             return loader
 
         def _close_dataloader_mosaic(self) -> None:
             super()._close_dataloader_mosaic()
             if self.turns is not None:
-                # The loader is begun anew after this, in an epoch of which workers may have fetched the first batches.
+                # Ultralytics then resets the loader, when workers may have fetched the first batches of the epoch.
                 self.turns.epoch = self.epoch
 
     return Trainer
 
 
 def main(arguments: list[str]) -> int:
-    """Train; 0 done, 1 not, as the last line on standard output says."""
+    """Train and return 0 for success or 1 for failure, as reported by the last line on standard output."""
     job = Job(**json.loads(Path(arguments[0]).read_text("utf-8")))
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     out = sys.stdout
@@ -157,7 +158,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _end_with(parent: int) -> None:
-    """Hours of work for nobody are no use: end once the process that asked for them is gone."""
+    """Exit once the parent process is gone, as nobody would use the result."""
     while os.getppid() == parent:
         time.sleep(1)
     os._exit(1)
@@ -179,7 +180,7 @@ def _train(job: Job, say: Any) -> None:
     begun = _begun(checkpoint, torch, say)
 
     class Trainer(with_turns(base, job, begun)):  # type: ignore[misc]
-        """The usual one; on a processor, pixels are laid out as its convolutions like them."""
+        """Ultralytics' trainer, with the memory layout that suits convolutions on a processor."""
 
         def set_model_attributes(self) -> None:
             super().set_model_attributes()
@@ -208,19 +209,17 @@ def _train(job: Job, say: Any) -> None:
         if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
             raise _Stopped(
                 f"of {job.images} images and {job.labels} labels the trainer would use "
-                f"{min(images, shown * job.epochs)} and {labels}; its own log says which it left out "
-                f"({out / 'train.log'})"
+                f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({out / 'train.log'})"
             )
         if val != (job.val_images, job.val_labels):
             raise _Stopped(
-                f"of {job.val_images} images and {job.val_labels} labels of split val, on which it is decided when to "
-                f"stop, the trainer would use {val[0]} and {val[1]}; its own log says which it left out "
-                f"({out / 'train.log'})"
+                f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
+                f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({out / 'train.log'})"
             )
 
     def reseed(t: Any) -> None:
         state["steps"] = 0
-        # From seed and epoch alone, so that a resumed run draws what an uninterrupted one would have.
+        # The seed depends on the job's seed and the epoch only: a resumed run draws the same as an uninterrupted one.
         seed = (job.seed * 100_003 + t.epoch) % 2**31
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
@@ -232,7 +231,7 @@ def _train(job: Job, say: Any) -> None:
         state["steps"] += 1
         if time.monotonic() >= state["next"]:
             state["next"] = time.monotonic() + 1.0
-            # The loader's batch: fewer images than a batch make a smaller one.
+            # The batch of the loader, which is smaller if there are fewer images.
             done = t.epoch * job.shown + min(int(state["steps"]) * t.train_loader.batch_size, job.shown)
             losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
             say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.shown), losses=losses)
@@ -261,7 +260,7 @@ def _train(job: Job, say: Any) -> None:
         weights,
         updates={MARK: {"tile": job.tile, "image_size": job.image_size}},
     )
-    loader = getattr(trainer, "train_loader", None)  # none where only the end was left to do
+    loader = getattr(trainer, "train_loader", None)  # None if all epochs were done before
     say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,
         batch=min(trainer.batch_size, job.images) if loader is None else loader.batch_size,
         short_of_memory=trainer.batch_size != job.batch, threads=torch.get_num_threads(),
@@ -269,25 +268,24 @@ def _train(job: Job, say: Any) -> None:
 
 
 def _loaded(loader: Any) -> tuple[int, int]:
-    """Images and labels that Ultralytics has taken up."""
+    """Return the numbers of images and labels that Ultralytics has loaded."""
     found = loader.dataset.labels
     return len(found), sum(len(label["cls"]) for label in found)
 
 
 def _begun(checkpoint: Path, torch: Any, say: Any) -> int:
-    """Epochs to go on from; a checkpoint that cannot be read is put aside, and the training begins anew."""
+    """Return the number of finished epochs; move an unreadable checkpoint away and return 0."""
     if not checkpoint.is_file():
         return 0
     try:
         return _epochs_done(checkpoint, torch)
     except (MemoryError, ImportError):
         raise
-    except Exception as error:  # whatever a pickle can raise
-        aside = checkpoint.with_name(DAMAGED)
-        checkpoint.replace(aside)
+    except Exception as error:  # unpickling can raise anything
+        checkpoint.replace(checkpoint.with_name(DAMAGED))
         shutil.rmtree(checkpoint.parent / "run", ignore_errors=True)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
-        say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): put aside as {DAMAGED}; begun anew")
+        say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
         return 0
 
 
@@ -297,13 +295,14 @@ def _epochs_done(checkpoint: Path, torch: Any) -> int:
 
 @contextlib.contextmanager
 def _bfloat16_forward(torch: Any) -> Iterator[None]:
-    """While entered, networks in training compute in bfloat16 and hand on float32.
+    """Return a context in which networks in training compute in bfloat16 and return float32.
 
-    The loss stays outside: anchors of 39.5 strides and more are not exact in eight bits, and boxes of 10 px would move.
+    The loss stays in float32: bfloat16 has eight significant bits, in which anchors from 39.5 strides are not exact,
+    and boxes of 10 px would move.
     """
     from ultralytics.nn.tasks import BaseModel
 
-    plain = BaseModel._predict_once
+    original = BaseModel._predict_once
 
     def floats(value: Any) -> Any:
         if isinstance(value, dict):
@@ -314,16 +313,16 @@ def _bfloat16_forward(torch: Any) -> Iterator[None]:
 
     def predict_once(self: Any, x: Any, *args: Any, **kwargs: Any) -> Any:
         if not self.training:
-            return plain(self, x, *args, **kwargs)
+            return original(self, x, *args, **kwargs)
         with torch.autocast("cpu", torch.bfloat16):
-            found = plain(self, x.contiguous(memory_format=torch.channels_last), *args, **kwargs)
+            found = original(self, x.contiguous(memory_format=torch.channels_last), *args, **kwargs)
         return floats(found)
 
     BaseModel._predict_once = predict_once
     try:
         yield
     finally:
-        BaseModel._predict_once = plain
+        BaseModel._predict_once = original
 
 
 if __name__ == "__main__":

@@ -338,7 +338,7 @@ def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) ->
         with pytest.raises(DatasetError, match=name):
             run(saved, tmp_path / "b", other, against=tmp_path / "a", **settings)
         assert not (tmp_path / "b").exists()
-    with pytest.raises(DatasetError, match="no finished evaluation"):
+    with pytest.raises(DatasetError, match="not a finished evaluation"):
         run(saved, tmp_path / "b", against=tmp_path)
     for name, settings in (("group", {"group": "gap"}), ("ignored regions", {"ignore_regions": False})):
         run(saved, tmp_path / name, **settings)
@@ -419,8 +419,8 @@ def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:
     report = run(saved, tmp_path / "out", dataset, classes=["Person"])
     assert list(report.metrics["classes"]) == ["all", "Person"]
     told = "\n".join(str(p) for p in report.problems)
-    assert "drone: findings of this class are left out" in told
-    assert "Car, OtherVehicle: not judged" in told
+    assert "drone: detections of this class are left out" in told
+    assert "Car, OtherVehicle: not evaluated" in told
 
 
 def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
