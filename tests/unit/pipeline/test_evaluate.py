@@ -272,7 +272,7 @@ def test_two_labelled_classes_that_are_one_of_the_detector(tmp_path: Path) -> No
     report = run(saved, tmp_path / "out", renamed({"pedestrian"}), overwrite=True)
     assert report.metrics["classes"]["pedestrian"] == one
     assert "people" not in report.metrics["classes"]
-    assert any("people: no objects" in p.found for p in report.problems)
+    assert any("people: has no objects" in p.found for p in report.problems)
 
 
 def test_crowds_count_neither_way(tmp_path: Path) -> None:
