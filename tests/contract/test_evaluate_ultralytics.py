@@ -224,7 +224,7 @@ def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: st
     record = evaluate(weights, data, tmp_path / "out", "--image-size", "160")
     assert record["task"] == task
     assert record["detector"]["weights"] == "weights.pt"
-    assert (record["detector"]["image_size"], record["detector"]["image_size_from"]) == (160, "asked for")
+    assert (record["detector"]["image_size"], record["detector"]["image_size_from"]) == (160, "requested")
     saved = evaluate(tmp_path / "out" / "predictions.json", data, tmp_path / "again")
     assert saved == record
     if task != "detect":

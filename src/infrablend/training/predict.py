@@ -1,7 +1,7 @@
-"""A trained detector's findings on whole images, by Ultralytics: the pictures prepared as its own validation does.
+"""Detections of a trained detector on whole images, as in Ultralytics' own validation.
 
-Ultralytics' convenience calls keep one class for a box; its validation, whose figures papers print, keeps every class
-that is sure enough. So the network is called here, and Ultralytics' own suppression on what it says.
+Ultralytics' prediction calls keep one class per box; its validation, whose figures papers report, keeps every class above
+the confidence. Therefore the network is called here directly, followed by Ultralytics' suppression.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ IOU = 0.7
 MAX_DETECTIONS = 300
 Precision = Literal["auto", "float32", "bfloat16"]
 _TODO = "give weights.pt of a finished `infrablend train`, or best.pt or last.pt of an Ultralytics training"
-_GREY = 114  # Ultralytics pads with it
+_GREY = 114  # padding, as in Ultralytics
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """Weights that were loaded.
+    """Loaded detector.
 
     Attributes:
-        network: In evaluation mode, on its device.
-        task: What it finds.
-        classes: Its classes, in its order.
-        channels: Of the pictures it takes.
-        stride: Pictures' sides are multiples of it.
-        scale: Size it was trained at.
+        network: Network in evaluation mode, on its device.
+        task: Output of the network: boxes, oriented boxes or masks.
+        classes: Names of its classes, in its order.
+        channels: Number of channels of its input.
+        stride: Sides of its input are multiples of this, px.
+        scale: Scale of its training.
         facts: Name and SHA-256 of the file, device, versions.
     """
 
@@ -64,7 +64,7 @@ class Detector:
     facts: dict[str, Any]
 
     def __call__(self, x: Any) -> Any:
-        """Return what the network says of (b, c, h, w) pictures in [0, 1]."""
+        """Return the network's output for (b, c, h, w) pictures in [0, 1]."""
         import torch
 
         if self.facts["precision"] == "float32":
@@ -74,10 +74,10 @@ class Detector:
 
 
 def pick_device(wanted: str) -> str:
-    """`auto` as the device that is there, or the one asked for: cpu, cuda, cuda:1, mps.
+    """Return torch's name of a device: cpu, cuda, cuda:1, mps; `auto` is the first GPU, else the processor.
 
     Raises:
-        MissingDependencyError: It is not there.
+        MissingDependencyError: There is no such device.
     """
     require_ultralytics()
     import torch
@@ -101,16 +101,16 @@ def pick_device(wanted: str) -> str:
 
 
 def load_detector(weights: Path, device: str = "auto", precision: Precision = "auto") -> Detector:
-    """Return the detector that a file of weights (.pt) holds.
+    """Return the detector in a file of weights (.pt).
 
-    With bfloat16 the layers before the head are computed so, several times faster on processors with AMX; the head,
-    which says where objects are, always in 32 bits. `auto` takes it on such processors, and 32 bits elsewhere.
+    With `bfloat16`, the layers before the head run in bfloat16, which is several times faster on processors with AMX;
+    the head, which computes the boxes, always runs in 32 bits. `auto` uses it on such processors, else 32 bits.
 
-    Such a file is a Python pickle: loading it runs what is in it, so load none that you do not trust.
+    The file is a Python pickle: loading it runs code from the file, so only load files that you trust.
 
     Raises:
-        MissingDependencyError: Ultralytics is not installed, or the device is not there.
-        ModelError: The file is missing or holds no detector that Ultralytics can load.
+        MissingDependencyError: Ultralytics is not installed, or there is no such device.
+        ModelError: The file is missing or contains no detector that Ultralytics can load.
     """
     require_ultralytics()
     chosen = pick_device(device)
@@ -119,10 +119,10 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
         problem = Problem(str(weights), "weights", found, expected, _TODO)
         return ModelError(f"{weights}: no weights that can be used", [problem])
 
-    # Ultralytics would take a name that is no file for one to download.
+    # Ultralytics would try to download a name that is not a file.
     if not weights.is_file():
-        raise refuse("no such file" if not weights.exists() else "no file")
-    # Nor does it open files of other types, but takes them for exported models, or for a network to begin from.
+        raise refuse("no such file" if not weights.exists() else "not a file")
+    # It would treat files of other types as exported models or as network descriptions.
     if weights.suffix.lower() != ".pt":
         raise refuse(f"a {weights.suffix} file" if weights.suffix else "a file without .pt")
     with quiet_ultralytics():
@@ -141,9 +141,9 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
                 _head_in_32_bits(network.model[-1])
         except OSError as error:
             raise refuse(f"cannot be read: {error.strerror or error}") from error
-        except Exception as error:  # unpickling raises what it likes
+        except Exception as error:  # unpickling can raise anything
             log.debug("%s", weights, exc_info=True)
-            raise refuse("a file that cannot be loaded: damaged, or of another tool") from error
+            raise refuse("a file that cannot be loaded: damaged or from another tool") from error
     task = next((t for t in TASKS if t == model.task), None)
     if task is None:
         raise refuse(f"a network for {model.task}", "one that detects boxes, oriented boxes or masks")
@@ -167,9 +167,9 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
 
 
 def _layout(device: str) -> Any:
-    """Return the memory layout of a network on a device: as Ultralytics' validation, so that both compute the same.
+    """Return the memory layout of a network on a device: the one of Ultralytics' validation, for equal results.
 
-    On a processor convolutions with the channels innermost are also faster.
+    With the channels innermost, convolutions are also faster on a processor.
     """
     import torch
 
@@ -202,21 +202,21 @@ def predict(
     """Return the detections on whole images.
 
     Args:
-        detector: From `load_detector`.
-        images: The pictures; colour or grey, 16-bit ones by their high byte, as Ultralytics reads them for training.
-        image_size: The longer side is scaled to it; 0 leaves every picture its own size; the scale that the detector
-            was trained at by default.
-        confidence: The least score.
-        iou: Overlap beyond which the less sure of two findings of a class is dropped.
-        max_detections: At most so many an image.
-        batch: Pictures at once; 16 on a GPU, 4 else.
-        on_image: Called with how many of how many are done.
+        detector: Detector from `load_detector`.
+        images: Records of the pictures. 16-bit pictures are read by their high byte, as Ultralytics does for training.
+        image_size: Longer side of the pictures for the network, px; 0 keeps their own size; by default the scale of the
+            detector's training.
+        confidence: Least score.
+        iou: Overlap above which, of two detections of a class, the one with the lower score is dropped.
+        max_detections: Most detections per image.
+        batch: Pictures per batch; by default 16 on a GPU, else 4.
+        on_image: Called with the number of finished and of all pictures.
 
     Raises:
-        DatasetError: Pictures that cannot be read, all of them named. After the first one nothing more is detected.
-        ModelError: Memory does not even hold one picture.
+        DatasetError: Pictures cannot be read; `problems` lists all of them. Detection stops at the first one.
+        ModelError: Memory is too small for a single picture.
     """
-    scale = detector.scale if image_size is None else Scale(image_size, "asked for")
+    scale = detector.scale if image_size is None else Scale(image_size, "requested")
     at_once = batch or (4 if detector.facts["device"] == "cpu" else 16)
     found: dict[str, Detections] = {}
     sizes: dict[str, tuple[int, int]] = {}
@@ -241,7 +241,7 @@ def predict(
 
 
 def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return faults of pictures that headers and checksums show, before hours of detection."""
+    """Return problems of pictures that headers and checksums show, without decoding them."""
     from ultralytics.utils.patches import imread
 
     problems = []
@@ -251,21 +251,21 @@ def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
         if problem is not None:  # OpenCV reads some that others do not, and it is what counts
             problems += [] if imread(str(image.path), cv2.IMREAD_COLOR) is not None else [problem]
         elif size is not None and image.size_wh is not None and sorted(size) != sorted(image.size_wh):
-            # The sides may be swapped: a tag in the file can say that it is to be turned, which decoding does.
+            # The sides may be swapped: decoding applies the file's orientation tag.
             problems.append(_other_size(image, size))
     return problems
 
 
 def _torn(image: ImageRecord) -> Problem | None:
-    """Return a problem if the file is too short or has wrong checksums, as far as seen without decoding."""
+    """Return a problem if the file is truncated or has wrong checksums, as far as its format shows without decoding."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(image.path, formats=PICTURE_FORMATS) as picture:
                 picture.verify()
-    except Exception as error:  # PIL's decoders raise what they like on broken files
-        found = f"no readable picture ({error or type(error).__name__})"
-        return Problem(image_key(image), "image-unreadable", found, "a whole picture", "replace or remove the file")
+    except Exception as error:  # PIL's decoders can raise anything on broken files
+        found = f"unreadable picture ({error or type(error).__name__})"
+        return Problem(image_key(image), "image-unreadable", found, "a complete picture", "replace or remove the file")
     return None
 
 
@@ -277,7 +277,7 @@ def _other_size(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """A picture ready for the network: (h, w, c) uint8, how much it was scaled, what was added left and on top."""
+    """Picture prepared for the network: (h, w, c) uint8 pixels, original size, scale, and padding left and on top."""
 
     pixels: NDArray[np.uint8]
     size_wh: tuple[int, int]
@@ -291,13 +291,13 @@ _Group = list[tuple[ImageRecord, _Picture]]
 def _batches(
     images: Sequence[ImageRecord], detector: Detector, image_size: int, at_once: int, problems: list[Problem]
 ) -> Iterator[_Group]:
-    """Neighbours of the same shape together."""
+    """Yield batches of consecutive pictures of the same shape."""
     group: _Group = []
     for image in images:
         picture = _read(image, detector, image_size, problems)
         if picture is None:
             continue
-        if problems:  # the findings will not be used: only the rest of what is wrong is still wanted
+        if problems:  # the detections will not be used, but all problems are to be listed
             continue
         if group and (len(group) >= at_once or group[0][1].pixels.shape != picture.pixels.shape):
             yield group
@@ -313,7 +313,7 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
     flags = cv2.IMREAD_GRAYSCALE if detector.channels == 1 else cv2.IMREAD_COLOR
     pixels = imread(str(image.path), flags)
     if pixels is None:
-        problems.append(Problem(image_key(image), "image-unreadable", "no picture that can be read", "a picture"))
+        problems.append(Problem(image_key(image), "image-unreadable", "unreadable picture", "a complete picture"))
         return None
     pixels = pixels if pixels.ndim == 3 else pixels[..., None]
     if detector.channels not in (1, 3):
@@ -378,7 +378,7 @@ def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float
             nc=0 if detector.task == "detect" else len(detector.classes),
             multi_label=True,
             max_det=most,
-            max_time_img=3600.0,  # no clock decides what is found
+            max_time_img=3600.0,  # results must not depend on speed
             rotated=detector.task == "obb",
             end2end=bool(getattr(detector.network, "end2end", False)),
         )
@@ -389,7 +389,7 @@ def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float
 
 
 def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detections:
-    """Ultralytics' rows (box, score, class, further) in pixels of the picture as stored."""
+    """Return Ultralytics' rows (box, score, class, further values) as detections in pixels of the stored picture."""
     masks = None
     if task == "segment":
         rows, masks = _masks(rows, picture, prototypes)
@@ -405,7 +405,7 @@ def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detect
 
 
 def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mask]]:
-    """Return the rows with a mask, and the masks moved from the padded picture to the stored one."""
+    """Return the rows that have a mask, and their masks in the stored picture instead of the padded one."""
     from ultralytics.utils import ops
 
     height, width = picture.pixels.shape[:2]

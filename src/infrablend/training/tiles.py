@@ -1,4 +1,4 @@
-"""Object-centred tiles: pictures cut at native resolution, so that a person of 15 px stays one of 15 px."""
+"""Object-centred tiles cut from pictures at native resolution, so that a person of 15 px keeps its size."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from infrablend.core.masks import Mask
 from infrablend.core.rng import stream
 from infrablend.formats.images import load_background
 
-# A label cut by a tile's edge is kept if so much of its box is inside; each object is whole in a tile of its own.
+# Least share of a box inside a tile for the label to be kept; every object is whole in at least one tile.
 MIN_SHARE = 0.25
-# Around the object a tile is cut for, px, if the picture has so much.
+# Margin around the object that a tile is cut for, px, as far as the picture has it.
 MARGIN_PX = 4
 PAD_GREY = 114  # what Ultralytics pads with
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A window of a picture.
+    """Window of a picture.
 
     Attributes:
-        image: The picture.
-        origin_xy: Its upper left corner in the picture, px.
-        span_px: Side of the window in the picture's pixels; more than `side_px` if an object asked for it.
-        side_px: Side of the tile that is written.
+        image: Record of the picture.
+        origin_xy: Upper left corner of the window in the picture, px.
+        span_px: Side of the window in the picture's pixels; larger than `side_px` for an object larger than a tile.
+        side_px: Side of the written tile, px.
     """
 
     image: ImageRecord
@@ -47,7 +47,7 @@ class Tile:
         return self.side_px / self.span_px
 
     def crop(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(side, side) the tile's pixels, padded where the picture ends."""
+        """Return the (side, side) pixels of the tile, padded beyond the picture."""
         x, y = self.origin_xy
         part = pixels[y : y + self.span_px, x : x + self.span_px]
         whole = np.full((self.span_px, self.span_px), PAD_GREY, np.uint8)
@@ -57,10 +57,10 @@ class Tile:
         return np.asarray(cv2.resize(whole, (self.side_px, self.side_px), interpolation=cv2.INTER_AREA), np.uint8)
 
     def label(self, instance: Instance) -> Instance | None:
-        """Return the object as the tile shows it; None if less than `MIN_SHARE` of its box is inside."""
+        """Return the label of an object in the tile; None if less than `MIN_SHARE` of its box is inside."""
         assert self.image.size_wh is not None
         shift = np.array(self.origin_xy, np.float64)
-        # The picture may end before the window does: labels end with the picture.
+        # The window may extend beyond the picture; labels are clipped to the picture.
         size = np.minimum(self.span_px, np.array(self.image.size_wh) - shift)
         size_wh = (int(size[0]), int(size[1]))
         box = instance.box_xyxy - np.tile(shift, 2)
@@ -99,16 +99,16 @@ def _area(box: NDArray[np.float64]) -> float:
 
 
 def plan_tiles(images: Sequence[ImageRecord], side_px: int, *, seed: int, most: int = 0) -> list[Tile]:
-    """Windows such that every object lies whole in one of them.
+    """Return windows such that every object is whole in at least one of them.
 
-    Around each object not yet whole in a window a new one is laid, at a place drawn from those that hold it whole.
-    Objects larger than the tile get a window large enough, scaled down. Pictures without objects give one window.
+    Each object that no window contains yet gets a new window at a random position that contains it. Objects larger than
+    a tile get a larger window, which is scaled down. Pictures without objects get one window.
 
     Args:
-        images: With `size_wh` known, labels of categories to ignore already gone.
-        side_px: Side of a tile.
-        seed: Of the run.
-        most: At most so many tiles, evenly spread over the pictures; 0: all.
+        images: Pictures with known `size_wh`, without labels of categories to ignore.
+        side_px: Side of a tile, px.
+        seed: Seed of the training.
+        most: Maximum number of tiles, evenly spread over the pictures; 0 for all.
     """
     tiles: list[Tile] = []
     for image in images:
@@ -150,18 +150,18 @@ def _tiles_of(image: ImageRecord, side: int, seed: int) -> list[Tile]:
         for k, other in enumerate(boxes):
             o = np.clip(other, 0, frame)
             whole = (o[:2] >= window[:2]).all() and (o[2:] <= window[2:]).all()
-            # At a reduced scale only what asked for it is done with.
+            # A window at reduced scale settles its own object, and others that are too large for a tile.
             if whole and (span == side or k == n or max(o[2] - o[0], o[3] - o[1]) + 2 * MARGIN_PX > side):
                 done[k] = True
     return tiles
 
 
 def write_tiles(tiles: Iterable[Tile], folder: Path) -> tuple[list[ImageRecord], Counter[str]]:
-    """Return the tiles as PNG files, and the records that describe them.
+    """Write tiles as PNG files.
 
     Returns:
-        A record per tile, and counts: `labels` (in all tiles), `labels_cut` (partly inside), `labels_left_out` (less
-        than `MIN_SHARE` inside: unlabelled there), `tiles_reduced` (not at native resolution).
+        A record per tile, and counts: `labels` (in all tiles), `labels_cut` (partly inside a tile), `labels_left_out`
+        (less than `MIN_SHARE` inside, so not labelled there), `tiles_reduced` (not at native resolution).
     """
     records = []
     counts: Counter[str] = Counter({"labels": 0, "labels_cut": 0, "labels_left_out": 0, "tiles_reduced": 0})
@@ -171,8 +171,8 @@ def write_tiles(tiles: Iterable[Tile], folder: Path) -> tuple[list[ImageRecord],
         image = tile.image
         if last is None or last[0] != image.path:
             pixels = load_background(image.path, image.size_wh).pixels
-            if pixels.dtype != np.uint8:  # refused before, see pipeline/train.py
-                raise ValueError(f"{image.path}: {pixels.dtype}, tiles are made of 8-bit pictures")
+            if pixels.dtype != np.uint8:  # a training refuses such pictures before it cuts tiles
+                raise ValueError(f"{image.path}: found {pixels.dtype}, expected an 8-bit picture")
             last = (image.path, np.asarray(pixels, np.uint8))
         key = f"{image.split}/{image.id}"
         name = f"{image.id.replace('/', '_')}_t{numbers[key]}.png"
