@@ -1,7 +1,7 @@
 """Detections of a trained detector on whole images, as in Ultralytics' own validation.
 
-Ultralytics' prediction calls keep one class per box; its validation, whose figures papers report, keeps every class above
-the confidence. Therefore the network is called here directly, followed by Ultralytics' suppression.
+Ultralytics' prediction calls keep one class per box; its validation, whose figures papers report, keeps every class
+above the confidence. Therefore the network is called here directly, followed by Ultralytics' suppression.
 """
 
 from __future__ import annotations
