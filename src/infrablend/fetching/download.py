@@ -1,4 +1,4 @@
-"""One file over HTTP, with resume: what arrived is kept, broken connections are taken up where they broke."""
+"""Download one file over HTTP; received bytes are kept, and broken connections are resumed."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _RETRY_STATUS = {408, 425, 429, 500, 502, 503, 504}
 _LONGEST_WAIT_S = 60.0
 
 OnBytes = Callable[[int, int | None], None]
-"""Called with the bytes that are there and the total, None if the server does not say it."""
+"""Called with the number of bytes received and the total, None if the server does not report it."""
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long to try.
+    """When to retry and when to give up.
 
     Attributes:
-        failures: Attempts in a row that bring nothing new before giving up.
-        first_wait_s: Pause after the first of them; doubled each time.
-        timeout_s: Longest silence of a connection.
-        sleep: Waits; tests do not.
+        failures: Number of consecutive attempts without new bytes after which to give up.
+        first_wait_s: Pause after the first of them, s; doubled each time.
+        timeout_s: Longest time without data on a connection, s.
+        sleep: Function that waits; tests replace it.
     """
 
     failures: int = 6
@@ -49,7 +49,7 @@ class Patience:
 
 @dataclass(frozen=True)
 class _Remote:
-    """What the server said of the file: enough to know it again when going on."""
+    """Facts about the remote file, by which a resumed download recognises it."""
 
     url: str
     total: int | None = None
@@ -58,7 +58,7 @@ class _Remote:
 
     @property
     def validator(self) -> str:
-        """For `If-Range`: a strong ETag, else the date, else nothing."""
+        """Value for `If-Range`: a strong ETag, else the date, else empty."""
         return self.etag if self.etag and not self.etag.startswith("W/") else self.last_modified
 
 
@@ -81,7 +81,7 @@ def require_url(url: str) -> None:
     """Refuse what is not a plain web address.
 
     Raises:
-        FetchError: Another scheme than http or https, no host, a user name in it, or characters that do not belong.
+        FetchError: The scheme is not http or https, there is no host, or it contains a user name or invalid characters.
     """
     try:
         parts = urlsplit(url)
@@ -108,20 +108,20 @@ def download(
 
     Args:
         url: http or https.
-        part: The file; what is known of the remote one is kept beside it, in `<part>.json`.
-        size_bytes: What the size should be, for the check of room before the server has said it.
-        room: Called with the number of bytes still to come, once that is known; raises if there is no room.
-        on_bytes: Progress.
-        patience: How long to try.
+        part: File to write; facts about the remote file are kept beside it, in `<part>.json`.
+        size_bytes: Expected size, to check for free space if the server does not report the size.
+        room: Called with the number of missing bytes once it is known; raises if the disk has no space.
+        on_bytes: Receives the progress.
+        patience: When to retry and when to give up.
 
     Returns:
-        What the server said: `url` (after redirects, without query), `size_bytes`, `etag`, `last_modified`.
+        The server's facts: `url` (after redirects, without query), `size_bytes`, `etag`, `last_modified`.
 
     Raises:
-        FetchError: The server refuses, the certificate does not hold, or the connection keeps breaking; what arrived
-            is kept.
-        Interrupted: Ctrl-C; what arrived is kept.
-        OutputError: The disk.
+        FetchError: The server refuses, the certificate is invalid, or the connection keeps breaking; received bytes
+            are kept.
+        Interrupted: Ctrl-C was pressed; received bytes are kept.
+        OutputError: The file cannot be written.
     """
     require_url(url)
     patience = patience or Patience()
@@ -133,19 +133,19 @@ def download(
                 break
             except _NotWhole as broken:
                 here = _size(part)
-                # A server that always begins anew and always breaks makes no progress, however much it sends.
+                # A server that restarts and breaks every time makes no progress, however much it sends.
                 fails = 0 if here > best else fails + 1
                 best = max(best, here)
                 if fails >= patience.failures:
                     raise FetchError(
-                        f"{public_url(url)}: given up after {fails} attempts that brought nothing new: {broken}; "
-                        f"{here} bytes are kept. Give the same command again to go on"
+                        f"{public_url(url)}: given up after {fails} attempts without new data: {broken}; "
+                        f"{here} bytes are kept. Repeat the command to resume"
                     ) from broken
                 wait = max(broken.wait_s, patience.first_wait_s * 2 ** max(fails - 1, 0))
-                log.info("%s: %s; again in %.0f s", public_url(url), broken, wait)
+                log.info("%s: %s; retrying in %.0f s", public_url(url), broken, wait)
                 patience.sleep(min(wait, _LONGEST_WAIT_S))
     except KeyboardInterrupt as stop:
-        raise Interrupted(f"interrupted; {_size(part)} bytes are kept. Give the same command again to go on.") from stop
+        raise Interrupted(f"interrupted; {_size(part)} bytes are kept. Repeat the command to resume.") from stop
     return {
         "url": public_url(final),
         "size_bytes": _size(part),
@@ -171,7 +171,7 @@ def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
     types = isinstance(remote.total, int | None) and all(
         isinstance(v, str) for v in (remote.url, remote.etag, remote.last_modified)
     )
-    # Without a mark of the version or at least a length nobody could tell another file from this one.
+    # Without a version mark or at least a length, a changed file could not be recognised.
     usable = types and remote.url == url and here > 0 and bool(remote.validator or remote.total)
     return (remote, here) if usable else (None, 0)
 
@@ -217,12 +217,12 @@ def _attempt(
         final = response.geturl()
         if response.headers.get("Content-Encoding", "identity").lower() not in {"", "identity"}:
             raise FetchError(
-                f"{public_url(final)}: sent in encoding {response.headers['Content-Encoding']} though the plain file "
-                "was asked for; expected the file itself. Try another --url"
+                f"{public_url(final)}: sent with encoding {response.headers['Content-Encoding']}; expected the "
+                "unencoded file that was requested. Try another --url"
             )
         begin, told = _placed(response, remote, here, part)
         if begin == 0 and here:
-            log.info("%s: the server begins anew", public_url(url))
+            log.info("%s: the server restarts from the beginning", public_url(url))
         now = _Remote(url, told, response.headers.get("ETag", ""), response.headers.get("Last-Modified", ""))
         expected = told if told is not None else size_bytes
         if expected is not None:
@@ -230,7 +230,7 @@ def _attempt(
         try:
             part.parent.mkdir(parents=True, exist_ok=True)
             with part.open("r+b" if begin else "wb") as file:
-                # Only once the old bytes are gone or known to belong to this file may the note say so.
+                # Write the facts only now that old bytes are gone or known to belong to this file.
                 write_json(_memo(part), asdict(now))
                 file.seek(begin)
                 file.truncate()
@@ -249,7 +249,7 @@ def _placed(response: Any, remote: _Remote | None, here: int, part: Path) -> tup
         return 0, int(length) if length.isdecimal() else None
     found = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", response.headers.get("Content-Range", "").strip())
     if remote is None or found is None:
-        raise FetchError(f"{public_url(response.geturl())}: a part was sent that nobody asked for; try another --url")
+        raise FetchError(f"{public_url(response.geturl())}: sent a range that was not requested; try another --url")
     first, total = int(found[1]), None if found[3] == "*" else int(found[3])
     if first != here or (remote.total is not None and total is not None and total != remote.total):
         raise _changed(part)
@@ -296,8 +296,8 @@ class _Redirects(urllib.request.HTTPRedirectHandler):
         old, new = urlsplit(req.full_url).scheme, urlsplit(newurl).scheme
         if new not in {"http", "https"} or (old == "https" and new != "https"):
             raise FetchError(
-                f"{public_url(req.full_url)}: sends on to {public_url(newurl)}, which is not protected as the "
-                "address itself is; expected https. Nothing was fetched from there"
+                f"{public_url(req.full_url)}: redirects to {public_url(newurl)}, which is not encrypted; "
+                "expected https. Nothing was downloaded from there"
             )
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 
@@ -324,14 +324,14 @@ def _refused(url: str, error: urllib.error.HTTPError) -> Exception:
     if error.code in _RETRY_STATUS:
         return _NotWhole(f"the server answers {status}", _retry_after(error.headers.get("Retry-After")))
     todo = {
-        401: "the server wants a login: fetch the file in a browser and give --archive FILE",
-        403: "the server refuses programs, or you: fetch the file in a browser and give --archive FILE",
+        401: "the server requires a login: download the file in a browser and give --archive FILE",
+        403: "the server refuses access: download the file in a browser and give --archive FILE",
         404: "the file is gone or the address is wrong: look at the dataset's page, and give --url",
-        407: "the proxy wants a login: set it in https_proxy",
+        407: "the proxy requires a login: set it in https_proxy",
         410: "the file is gone: look at the dataset's page, and give --url",
     }.get(error.code, "look at the dataset's page; give --url, or --archive FILE")
     problem = Problem(public_url(url), f"http-{error.code}", status, "the file", todo)
-    return FetchError("nothing could be fetched", [problem])
+    return FetchError("nothing was downloaded", [problem])
 
 
 def _retry_after(value: str | None) -> float:
@@ -346,11 +346,11 @@ def _unreachable(url: str, error: Exception) -> Exception:
     if isinstance(reason, ssl.SSLCertVerificationError):
         found = f"the server's certificate was not accepted: {reason.verify_message}"
         todo = (
-            "check this machine's clock. If a proxy of your organisation opens encrypted connections, let "
-            "SSL_CERT_FILE name its certificate. Do not go on otherwise: somebody may stand between"
+            "check this machine's clock. If a proxy of your organisation opens encrypted connections, set "
+            "SSL_CERT_FILE to its certificate. Otherwise stop here: the connection may be intercepted"
         )
         problem = Problem(public_url(url), "certificate", found, "a certificate that this machine trusts", todo)
-        return FetchError("nothing was fetched", [problem])
+        return FetchError("nothing was downloaded", [problem])
     if isinstance(reason, ssl.SSLError):
         return _NotWhole(f"no encrypted connection ({reason.reason or reason})")
     return _NotWhole(f"no connection ({_reason(reason)})")

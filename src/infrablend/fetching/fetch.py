@@ -1,7 +1,7 @@
-"""A public dataset into a folder: download, checks, unpacking, and a record of where it came from.
+"""Fetch a public dataset into a folder: download, check, unpack, and record the source.
 
-While it works, everything lies in `DST/.fetch`; what is finished is moved to its place in one go per entry. The same
-command goes on where an earlier one stopped.
+Work in progress is kept in `DST/.fetch`; finished entries are moved to their place one by one. Repeating the command
+resumes where the previous call stopped.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SOURCE_FILE = "SOURCE.json"
 
 @dataclass(frozen=True)
 class FetchProgress:
-    """How far a step is: bytes of a download, files of an archive; `total` None if nobody says it."""
+    """Progress of a step: bytes of a download or files of an archive; `total` is None if unknown."""
 
     step: Literal["download", "unpack"]
     file: str
@@ -45,16 +45,16 @@ OnFetch = Callable[[FetchProgress], None]
 
 @dataclass(frozen=True)
 class FetchReport:
-    """What was fetched.
+    """Result of a call of `fetch`.
 
     Attributes:
-        out: The dataset's folder.
-        name: Of the dataset.
-        fetched: Parts that are new.
-        present: Parts that were there already.
-        files: Files unpacked now.
-        size_bytes: Their size.
-        problems: Warnings: what differs from what others report of the dataset.
+        out: Folder of the dataset.
+        name: Name of the dataset.
+        fetched: Parts fetched by this call.
+        present: Parts that existed before.
+        files: Number of files unpacked by this call.
+        size_bytes: Total size of these files.
+        problems: Warnings on differences from what others report about the dataset.
     """
 
     out: Path
@@ -96,7 +96,7 @@ class _Order:
 
     @property
     def own_file(self) -> bool:
-        """True if the user named the file: it may rightly differ from the one we know."""
+        """Whether the user named the file, which may then differ from the known one."""
         return self.url is not None or self.archive is not None
 
 
@@ -121,7 +121,7 @@ def how_to_get(source: Source) -> str:
     else:
         of_part = " --part " + "|".join(parts) if len(parts) > 1 else ""
         lines += [
-            "It cannot be fetched by a program.",
+            "It cannot be downloaded automatically.",
             source.by_hand,
             f"Then: infrablend fetch {source.name} DST{of_part} --archive FILE.zip (or unpack it yourself), "
             "and infrablend check DST",
@@ -181,7 +181,7 @@ def fetch(
     source = require_source(name)
     wanted = _wanted(source, request.parts, single=bool(url or sha256 or archive))
     if url is not None and archive is not None:
-        raise DatasetError("--url and --archive exclude each other: give one of them")
+        raise DatasetError("--url and --archive exclude each other; give one of them")
     if url is not None:
         require_url(url)
     if archive is not None and not archive.is_file():
@@ -198,12 +198,12 @@ def fetch(
             known = _require_own(order, wanted)
             todo = [a for a in wanted if a.part not in known or _ready(order, a).exists()]
             for a in (a for a in wanted if a not in todo):
-                _sweep(order, a)  # a call that was killed at its very end
+                _sweep(order, a)  # left by a call that was killed just before it finished
             done = [_fetch_part(order, a) for a in todo]
     except KeyboardInterrupt as stop:
-        raise Interrupted("interrupted; what has arrived is kept. Give the same command again to go on.") from stop
+        raise Interrupted("interrupted; downloaded data is kept. Repeat the command to resume.") from stop
     finally:
-        with contextlib.suppress(OSError):  # folders go only if nothing came into them
+        with contextlib.suppress(OSError):  # remove the folders only if they are empty
             order.work.rmdir()
             if new:
                 out.rmdir()
@@ -225,7 +225,7 @@ def _wanted(source: Source, parts: Sequence[str] | None, *, single: bool) -> lis
         raise DatasetError(f"{source.name}: no part {', '.join(unknown)}; expected some of {', '.join(names)}")
     wanted = [a for a in source.archives if (a.wanted if parts is None else a.part in parts)]
     if single and len(wanted) > 1:
-        raise DatasetError(f"{source.name}: several files; say with --part which one this is: {', '.join(names)}")
+        raise DatasetError(f"{source.name}: several files; name the one this is with --part: {', '.join(names)}")
     return wanted
 
 
@@ -249,7 +249,7 @@ def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
         taken = (order.out / a.into).exists() if a.into else bool(names - {WORK_FOLDER, SOURCE_FILE})
         if a.part not in known and taken and not ready:
             where = order.out / a.into
-            raise OutputError(f"{where}: is there already, and not from `fetch`; move it away or give another folder")
+            raise OutputError(f"{where}: exists and was not written by `fetch`; move it away or give another folder")
     return known
 
 
@@ -258,7 +258,7 @@ def _output(out: Path) -> OutputFolder:
 
 
 def _ready(order: _Order, a: Archive) -> Path:
-    """Stands there while a part, checked and unpacked, is being moved to its place."""
+    """Return the file that exists while a checked and unpacked part is being moved to its place."""
     return order.work / f"{a.part}.ready.json"
 
 
@@ -277,7 +277,7 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
         order.work.mkdir(exist_ok=True)
     except OSError as error:
         raise output_error(order.work, error) from error
-    if ready.exists():  # an earlier call was stopped while it moved files to their place
+    if ready.exists():  # an earlier call was stopped while it was moving files
         kept = read_json(ready)
         facts, problems = kept["facts"], [Problem(**p) for p in kept["problems"]]
         content = stage / kept["content"]
@@ -295,7 +295,7 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
             shutil.rmtree(stage, ignore_errors=True)
             if order.archive is None:
                 _forget(file)
-                todo = "The file was deleted; the same command fetches it anew."
+                todo = "The file was deleted; repeat the command to download it again."
                 raise type(error)(f"{error.message}. {todo}", error.problems) from error
             raise
         facts = {
@@ -307,10 +307,10 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
             "unpacked_bytes": unpacked.size_bytes,
             "commit": unpacked.commit,
             "differs": [str(p) for p in problems],
-            # A record of when, not an output that must repeat.
+            # Provenance; this file need not be reproducible.
             "fetched": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
-        # With its place: once entries have been moved, what is left may look like a wrapper.
+        # Records the folder, because the entries that remain after some were moved may look like a wrapper.
         inside = content.relative_to(stage).as_posix()
         write_json(ready, {"facts": facts, "problems": [p.to_json() for p in problems], "content": inside})
     _place(content, order.out / a.into)
@@ -379,9 +379,11 @@ def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Prob
     problems = []
     wanted = (order.sha256 or "").lower() or a.sha256
     if wanted and digest != wanted:
-        problems.append(Problem(file.name, "checksum", f"sha256 {digest}", wanted, "fetch it anew, or ask its authors"))
+        problems.append(
+            Problem(file.name, "checksum", f"sha256 {digest}", wanted, "download it again or ask its authors")
+        )
         if order.sha256 or (a.checked and not order.own_file):
-            raise DatasetError(f"{file.name}: another file than expected", problems)
+            raise DatasetError(f"{file.name}: not the expected file", problems)
     if a.size_bytes is not None and size != a.size_bytes and not order.sha256:
         problems.append(Problem(file.name, "size", f"{size} bytes", f"{a.size_bytes} bytes"))
     return [_as_warning(p) for p in problems]
@@ -390,15 +392,15 @@ def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Prob
 def _check_content(order: _Order, a: Archive, content: Path, commit: str | None) -> list[Problem]:
     """Whether the archive holds the dataset: numbers of files and of annotations, and the commit.
 
-    GitHub's archives have no lasting checksum, so this is what stands for one.
+    GitHub's archives have no permanent checksum; this check replaces it.
 
     Raises:
-        DatasetError: It does not, and we know the numbers for certain; all that differs.
+        DatasetError: The content differs from numbers that we verified ourselves; lists all differences.
     """
     problems = []
     for reserved in (WORK_FOLDER, SOURCE_FILE):
         if not a.into and (content / reserved).exists():
-            raise DatasetError(f"{a.file}: holds a {reserved}, a name that `fetch` needs; unpack it by hand")
+            raise DatasetError(f"{a.file}: contains {reserved}, a name that `fetch` needs; unpack it by hand")
     if commit is not None and a.commit is not None and commit != a.commit:
         problems.append(Problem(a.file, "commit", f"made from commit {commit}", a.commit))
     for pattern, wanted in a.counts.items():
@@ -418,7 +420,7 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
             if not isinstance(value, list) or len(value) != wanted:
                 problems.append(Problem(name, "content-json", found_text, str(wanted)))
     if problems and a.checked and not order.own_file:
-        raise DatasetError(f"{a.file}: does not hold {order.source.name} as it is known", problems)
+        raise DatasetError(f"{a.file}: does not contain the known files of {order.source.name}", problems)
     return [_as_warning(p) for p in problems]
 
 
@@ -433,7 +435,7 @@ def _place(content: Path, target: Path) -> None:
         for entry in sorted(os.scandir(content), key=lambda e: e.name):
             place = target / entry.name
             if place.exists() or place.is_symlink():
-                raise OutputError(f"{place}: is there already; move it away and give the same command again")
+                raise OutputError(f"{place}: already exists; move it away and repeat the command")
             Path(entry).rename(place)
     except OSError as error:
         if isinstance(error, OutputError):

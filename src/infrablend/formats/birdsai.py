@@ -302,8 +302,8 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
             reading.shifted.update(d for d in (-1, 0, 1) if row.frame + offset + d in places)
         lost = len(rows) - sum(map(len, of_frame.values()))
         if lost and table is not None:
-            found = f"{lost} of {len(rows)} line(s) whose frame has no picture, left out"
-            reading.warn(table.relative_to(root).as_posix(), "row-without-picture", found, "a picture for each frame")
+            found = f"{lost} of {len(rows)} row(s) left out because their frame has no picture"
+            reading.warn(table.relative_to(root).as_posix(), "row-without-picture", found, "a picture per frame")
         for number, path in pictures.items():
             missing += number not in of_frame
             if number not in of_frame and unlabelled == "drop":
@@ -362,7 +362,7 @@ def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
         rows.append(_Row(here, frame, track, (x, y, w, h), class_, species, int(occlusion == 1), int(noise == 1)))
     if contradictions:
         counts = "class" if reading.by_class else "species"
-        found = f"{contradictions} line(s) whose class and species contradict each other; the {counts} counts"
+        found = f"{contradictions} row(s) in which class and species contradict each other; the {counts} is used"
         reading.warn(where, "species-class", found, "class 1 and species 0 for humans alone")
     return rows
 
@@ -423,7 +423,7 @@ def write(
     """Write `<Split>Real/annotations/<sequence>.csv`, and link the pictures as `<Split>Real/images/<sequence>/...`.
 
     Sequences and frames keep their numbers where they are BIRDSAI's and unique; else they are numbered, and
-    `names.csv` says what they were; `read` takes sequence and date from it. Coordinates that are no whole numbers get
+    `names.csv` lists the original names; `read` takes sequence and date from it. Fractional coordinates get
     up to eight decimals. Categories of other names than BIRDSAI's get species numbers of their own, in `species.csv`;
     as a class they count as human or animal. Pitch, altitude and time of day stand in `metadata.csv`. Validation
     pictures go to `ValReal`, which BIRDSAI itself has not.

@@ -94,7 +94,7 @@ def coco_files(
         ids: `new` numbers images and annotations from 1 over all splits (pycocotools takes annotation id 0 for "no
             match") and writes the source's id as `source_id`; `source` keeps the source's own.
         without_mask: What `segmentation` of an object without a mask is: the polygon of its oriented box, else of its
-            box, or the field omitted. `segmentation_from` says `mask`, `obb` or `box`.
+            box, or the field omitted. `segmentation_from` is `mask`, `obb` or `box`.
         info: The `info` object; it should hold no dates.
     """
     ordered = sort_images(images)
@@ -200,7 +200,7 @@ def is_coco(top: object) -> bool:
 def find_files(root: Path) -> dict[Path, Split]:
     """Return the COCO files of a folder with their splits: in the folder, or in `annotations/` or `coco/` below it.
 
-    The split is told by the name (`test.json`, `instances_val2017.json`); one file alone is train.
+    The name determines the split (`test.json`, `instances_val2017.json`); a single file is train.
     """
     for folder in (root, root / "annotations", root / "coco"):
         found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
@@ -302,7 +302,7 @@ def read(
         raise DatasetError(f"{root}: no picture to read", shorten(problems))
     if table is not None and (unused := table.unused([r.name for r in images], [r.sequence for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
-        problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))
+        problems.append(Problem(root.name, "table-unused", text, "a picture per row", severity="warning"))
     notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), sort_images(images), tuple(problems), notes)
 

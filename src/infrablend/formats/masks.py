@@ -43,7 +43,7 @@ from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, c
 from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 NAME = "masks"
-TAKES_TABLE = False  # the tables say pitch and altitude
+TAKES_TABLE = False  # the tables contain pitch and altitude
 
 CATEGORIES_FILE = "categories.json"
 MOST_OBJECTS = 65_535
@@ -183,7 +183,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
         unlisted = sorted(set(listing.by_name) - named)
         if unlisted:
             text = f"{len(unlisted)} picture(s) of {split} without a table, left out: {', '.join(unlisted[:3])}"
-            problems.append(Problem(root.name, "image-unlisted", text, "a table for each", severity="warning"))
+            problems.append(Problem(root.name, "image-unlisted", text, "a table per picture", severity="warning"))
     if not found:
         problems.append(Problem(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json"))
         raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
@@ -249,7 +249,7 @@ def _read_table(
         unknown = sorted(set(np.unique(pixels).tolist()) - seen - {0})
         if unknown:
             found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
-            problems.append(Problem(where, "mask-unknown", found, "an object for each value", severity="warning"))
+            problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
     pitch, altitude = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
     time: TimeOfDay | None = top["time_of_day"] if top.get("time_of_day") in ("day", "night") else None
     return ImageRecord(

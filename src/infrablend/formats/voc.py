@@ -281,7 +281,7 @@ def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
     path = root / _LABELMAP
     if not path.is_file():
         return [], []
-    text, problem = read_text(path, path.name, "a line for each class")
+    text, problem = read_text(path, path.name, "a line per class")
     lines = [s.partition(":")[0].strip() for s in text.splitlines() if not s.lstrip().startswith("#")]
     return list(dict.fromkeys(s for s in lines if s and s != "background")), [problem] if problem else []
 

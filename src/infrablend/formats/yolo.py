@@ -489,7 +489,7 @@ def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], ro
     problems = list(table.problems)
     if unused:
         found = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
-        problems.append(Problem(root.name, "table-unused", found, "a picture for each row", severity="warning"))
+        problems.append(Problem(root.name, "table-unused", found, "a picture per row", severity="warning"))
     return problems
 
 
@@ -635,7 +635,7 @@ def _split_places(
         split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
         if len(set(claims)) > 1:
             found = f"{folder.name!r} is {' and '.join(claims)}; taken as {split}"
-            problems.append(Problem(where, "split-twice", found, "a folder for each split", severity="warning"))
+            problems.append(Problem(where, "split-twice", found, "a folder per split", severity="warning"))
         if split in splits:
             folders.append((split, folder))
     return folders, lists, problems

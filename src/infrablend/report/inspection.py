@@ -29,29 +29,30 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """Figures on one dataset; everything is counted, nothing is judged.
+    """Figures on one dataset, without a verdict.
 
     Attributes:
-        root: The folder.
-        format: The reader's name; `reason` says why it was taken.
-        reason: Why.
-        splits: By split: `images`, `objects`, `ignore_regions`, `without_objects`.
-        classes: By class: objects by split, and `ignore` for regions to ignore.
-        sizes_px: By class: square roots of box areas in px, ascending.
-        coverage: Images by (pitch, altitude), each as a text; `unknown` where it is not known.
+        root: Folder of the dataset.
+        format: Name of the format.
+        reason: Why the format was detected.
+        splits: Number of `images`, `objects`, `ignore_regions` and images `without_objects` per split.
+        classes: Number of objects per class and split.
+        ignored: Classes that are regions to ignore.
+        sizes_px: Square roots of box areas per class, px, ascending.
+        coverage: Number of images per (pitch, altitude), both as text; `unknown` if not known.
         pitches: Pitches or their bins in order, `unknown` last.
-        altitudes: Altitudes in order, alike.
-        time_of_day: By split: images by day, night, unknown.
-        labels: How many objects have an oriented box, a mask, a track, a flag.
-        sequences: Images by sequence.
-        dates: Images by date of capture.
-        tracks: Objects by track, over all sequences.
-        picture_sizes: Images by size as annotated, else as the file's header says.
-        decoded: With decoding: images by bit depth and mode, grey levels; empty without.
-        leakage: Neighbours across splits.
-        remarks: What is known of this dataset beyond what its files say.
-        problems: What is wrong with it.
-        notes: What the reader noted.
+        altitudes: Altitudes or their bins in order, `unknown` last.
+        time_of_day: Number of images by day, by night and unknown, per split.
+        labels: Number of objects with an oriented box, a mask, a track or a flag.
+        sequences: Number of images per sequence.
+        dates: Number of images per date of capture.
+        tracks: Number of objects per track, over all sequences.
+        picture_sizes: Number of images per size, as annotated, else from the file's header.
+        decoded: Number of images per bit depth and mode, and grey levels; empty without decoding.
+        leakage: Neighbouring images in different splits.
+        remarks: Known facts about this published dataset that its files do not contain.
+        problems: Errors and warnings.
+        notes: Notes of the reader.
     """
 
     root: Path
@@ -115,12 +116,12 @@ class Inspection:
 
 
 def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False) -> Inspection:
-    """Count everything worth knowing about a dataset.
+    """Return the figures on a dataset.
 
     Args:
-        dataset: As read.
-        reason: Why its format was taken.
-        decode: Decode every picture, one after the other: bit depth, channels, grey levels, broken files.
+        dataset: Dataset to inspect.
+        reason: Why its format was detected.
+        decode: Whether to decode every picture, for bit depth, channels, grey levels and broken files.
     """
     images = dataset.images
     present = [s for s in SPLITS if any(i.split == s for i in images)]
@@ -244,7 +245,7 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
 
 
 def _remarks(dataset: Dataset) -> tuple[str, ...]:
-    """Return what the formats' modules know about published datasets."""
+    """Return the remarks of the format modules on published datasets."""
     found: list[str] = []
     for known in FORMATS:
         remarks = getattr(import_module(known.module), "remarks", None)
