@@ -1,7 +1,7 @@
 """Every exception InfraBlend raises on purpose.
 
 InfraBlendError
- ├─ RecipeError (ValueError)          a recipe that does not say what it must
+ ├─ RecipeError (ValueError)          a recipe that is incomplete or wrong
  ├─ DatasetError (ValueError)         a dataset that cannot be read at all
  │   └─ UnknownFormatError            no reader recognises the folder
  ├─ ModelError (ValueError)           an object model that cannot be found or used
@@ -12,8 +12,9 @@ InfraBlendError
  ├─ MissingDependencyError (ImportError)   a library or system package is missing
  └─ Interrupted (RuntimeError)        the user stopped the run; what is finished is kept
 
-Each message says where, what was found, what was expected, what to do. The same four parts are attributes.
-Per-item trouble (one bad image, one bad label) is no exception but a `Problem`, gathered and reported together.
+Each message names the place, what was found, what was expected and what to do; the same four parts are attributes.
+Trouble with a single item (one bad image, one bad label) is not an exception but a `Problem`; problems are collected
+and reported together.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ Severity = Literal["error", "warning"]
 
 @dataclass(frozen=True, order=True)
 class Problem:
-    """One thing found wrong: where, what was found, what was expected, what to do.
+    """One fault: its place, what was found, what was expected, and what to do.
 
-    `code` is short and stable (`image-truncated`, `box-outside`): reports count by it.
-    `where` names file, and line or field if known.
+    `code` is short and stable (`image-truncated`, `box-outside`); reports count problems by code. `where` names the
+    file, and the line or field if known.
     """
 
     where: str
@@ -56,8 +57,8 @@ class Problem:
 SHOWN_ALIKE = 3
 
 
-def told(problems: Iterable[Problem]) -> list[str]:
-    """Return a line per problem; one found in more than three places is one line that names three."""
+def format_problems(problems: Iterable[Problem]) -> list[str]:
+    """Return one line per problem; more than three of the same kind share a line that names three places."""
     alike: dict[Problem, list[Problem]] = {}
     for p in problems:
         alike.setdefault(replace(p, where=""), []).append(p)
@@ -72,7 +73,7 @@ def told(problems: Iterable[Problem]) -> list[str]:
 
 
 class InfraBlendError(Exception):
-    """Root of all errors raised on purpose. `problems` holds all that was found, `message` is for people."""
+    """Base of all errors raised on purpose, with a readable `message` and all `problems` that were found."""
 
     def __init__(self, message: str, problems: Iterable[Problem] = ()) -> None:
         self.message = message
@@ -82,15 +83,15 @@ class InfraBlendError(Exception):
     def __str__(self) -> str:
         if not self.problems:
             return self.message
-        return "\n".join([self.message, *(f"  - {line}" for line in told(self.problems))])
+        return "\n".join([self.message, *(f"  - {line}" for line in format_problems(self.problems))])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors cross process borders: keep them picklable whatever a subclass adds.
+        # Errors are passed between processes: keep them picklable whatever a subclass adds.
         return (type(self), (self.message, self.problems))
 
 
 class RecipeError(InfraBlendError, ValueError):
-    """A recipe that does not say what it must; `problems` names every bad field."""
+    """A recipe that is incomplete or wrong; `problems` names every bad field."""
 
 
 class DatasetError(InfraBlendError, ValueError):
@@ -98,7 +99,7 @@ class DatasetError(InfraBlendError, ValueError):
 
 
 class UnknownFormatError(DatasetError):
-    """No reader recognises the folder; `problems` says why for each format."""
+    """No reader recognises the folder; `problems` gives the reason per format."""
 
 
 class ModelError(InfraBlendError, ValueError):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.output import OutputFolder, require_apart
+from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.errors import OutputError
 
 
@@ -84,3 +84,14 @@ def test_data_and_output_stay_apart(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="data folder"):
             require_apart(tmp_path / data, tmp_path / out)
     require_apart(tmp_path / "a", tmp_path / "ab")
+
+
+def test_a_file_of_somebody_else_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "sheet.png"
+    require_replaceable(file, "contact sheet", ours=False)
+    file.write_text("mine")
+    require_replaceable(file, "contact sheet", ours=True)
+    with pytest.raises(OutputError, match=r"sheet\.png: exists and is not a contact sheet of InfraBlend; nothing was"):
+        require_replaceable(file, "contact sheet", ours=False)
+    with pytest.raises(OutputError, match="is a folder"):
+        require_replaceable(tmp_path, "contact sheet", ours=True)

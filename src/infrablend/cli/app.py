@@ -1,4 +1,4 @@
-"""The command tree. Commands live in modules of their own; here they only get their names."""
+"""The command tree: names of the commands, which have modules of their own."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _EPILOG = (
 
 
 class _Commands(TyperGroup):
-    """The root: whatever a command raises is told in one place."""
+    """The root command group, which reports the errors of all commands."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -47,14 +47,14 @@ class _Commands(TyperGroup):
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as e:
-            if hasattr(e, "exit_code"):  # wrong usage: the parser tells that itself
+            if hasattr(e, "exit_code"):  # wrong usage: the parser reports it
                 raise
-            raise typer.Exit(_tell(e, ctx)) from e
+            raise typer.Exit(_report(e, ctx)) from e
 
 
-def _tell(error: BaseException, ctx: Any) -> int:
+def _report(error: BaseException, ctx: Any) -> int:
     session = ctx.obj
-    code = exits.tell(error, session.log_path if session else None)
+    code = exits.report_error(error, session.log_path if session else None)
     if session and session.json and code != exits.INTERRUPTED:
         from infrablend.cli.results import print_json
 
@@ -116,9 +116,9 @@ def build_app() -> typer.Typer:
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
-        ("models", {"list": models.list_models, "show": models.show_model}, "Object models that can be inserted."),
-        ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Recipes that are shipped."),
-        ("asset", {"infrared-effect": asset.infrared_effect}, "Blender assets, made on request."),
+        ("models", {"list": models.list_models, "show": models.show_model}, "Object models."),
+        ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Shipped recipes."),
+        ("asset", {"infrared-effect": asset.infrared_effect}, "Blender assets."),
     )
     for name, commands, what in groups:
         group = typer.Typer(name=name, help=what, no_args_is_help=True, rich_markup_mode=None)

@@ -1,4 +1,4 @@
-"""`infrablend asset`: Blender files made on request."""
+"""`infrablend asset`: write Blender assets."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import typer
 
 
 def infrared_effect(
-    out: Annotated[Path, typer.Option(metavar="FILE.blend", help="Where to write it.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.blend", help="File to write.")],
 ) -> None:
-    """Write the InfraredEffect node group as a .blend asset, for use by hand in the Shader Editor."""
+    """Write the InfraredEffect node group as a .blend asset, for the Shader Editor."""
     from infrablend import api
     from infrablend.cli.results import print_result
 

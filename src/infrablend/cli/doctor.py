@@ -1,4 +1,4 @@
-"""`infrablend doctor`: is everything there that a run needs?"""
+"""`infrablend doctor`: check that everything a run needs is installed."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Exit codes, and errors told to people.
+"""Exit codes, and how errors are reported to the user.
 
 0    done
 1    done, but some backgrounds or frames were skipped or failed; they are listed
-2    the command, the recipe or the data are wrong; nothing was made
-3    the environment is: a library, a device, the disk, the network, or Blender itself
+2    the command, the recipe or the data are wrong; nothing was written
+3    the environment is at fault: a library, a device, the disk, the network, or Blender itself
 70   a bug in InfraBlend; the log file has the details
 130  stopped by Ctrl-C or SIGTERM
 """
@@ -25,7 +25,7 @@ from infrablend.errors import (
     OutputError,
     Problem,
     RenderError,
-    told,
+    format_problems,
 )
 
 OK = 0
@@ -43,16 +43,16 @@ logger = logging.getLogger(__name__)
 
 
 def exit_code(error: BaseException) -> int:
-    """Return the exit code of an exception that ended the command."""
+    """Return the exit code for an exception that ended the command."""
     match error:
         case KeyboardInterrupt() | Interrupted():
             return INTERRUPTED
         case MissingDependencyError() | RenderError() | FetchError():
             return ENVIRONMENT
         case OutputError():
-            # A folder that is not empty is the user's choice, a full disk is not.
+            # A folder that is not empty is the user's fault; a full disk is not.
             cause = error.__cause__
-            if any(p.code == "disk-full" for p in error.problems):  # said by a worker: its cause stayed there
+            if any(p.code == "disk-full" for p in error.problems):  # raised in a worker: its cause stayed there
                 return ENVIRONMENT
             return ENVIRONMENT if isinstance(cause, OSError) and cause.errno in _DISK else USAGE
         case InfraBlendError():
@@ -62,26 +62,26 @@ def exit_code(error: BaseException) -> int:
 
 
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
-    """Return a line per problem, similar ones together: the first 20, then the number and place of the rest."""
+    """Return the first 20 lines of `format_problems`, and a line on how many follow and where they are listed."""
     found = list(problems)
-    all_of_them = told(found)
-    lines = [f"  - {line}" for line in all_of_them[:SHOWN_PROBLEMS]]
-    more = len(all_of_them) - SHOWN_PROBLEMS
+    every = format_problems(found)
+    lines = [f"  - {line}" for line in every[:SHOWN_PROBLEMS]]
+    more = len(every) - SHOWN_PROBLEMS
     if more > 0:
         lines.append(f"  ... and {more} more" + (f"; all of them in {log_path}" if log_path else ""))
-    elif len(all_of_them) < len(found) and log_path:
+    elif len(every) < len(found) and log_path:
         lines.append(f"  each by name in {log_path}")
     return lines
 
 
-def tell(error: BaseException, log_path: Path | None) -> int:
-    """Say on stderr what went wrong, put everything into the log, and give the exit code."""
+def report_error(error: BaseException, log_path: Path | None) -> int:
+    """Print an error on stderr, write its details to the log, and return the exit code."""
     code = exit_code(error)
     if isinstance(error, KeyboardInterrupt):
         typer.echo("Stopped.", err=True)
     elif isinstance(error, InfraBlendError):
         logger.info("%s: %s", type(error).__name__, error, exc_info=error)
-        for p in error.problems:  # each, as the message puts alike ones together
+        for p in error.problems:  # one by one: the message groups similar ones
             logger.info("%s", p)
         head = "" if isinstance(error, Interrupted) else typer.style("Error: ", fg="red", bold=True)
         typer.echo("\n".join([head + error.message, *problem_lines(error.problems, log_path)]), err=True)

@@ -1,4 +1,4 @@
-"""`infrablend models`: what can be inserted."""
+"""`infrablend models`: list and show object models."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def list_models() -> None:
 
 
 def show_model(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of a model, or the path of your own .yaml.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Where to write it [default: NAME.png, here].")
+        Path | None, typer.Option(metavar="PNG", help="File to write [default: NAME.png in the current folder].")
     ] = None,
 ) -> None:
-    """Render a sheet of a model over pitch and yaw."""
+    """Render a contact sheet of a model over pitch and yaw."""
     from infrablend import api
     from infrablend.cli.results import print_result
 

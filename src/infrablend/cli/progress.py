@@ -26,7 +26,7 @@ def progress_line(p: Progress) -> str:
 
 
 class LineProgress:
-    """Gives a line to `write` with the first frame, every few seconds, and with the last."""
+    """Writer of progress lines: at the first frame, every few seconds, and at the last."""
 
     def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._write = write
@@ -35,7 +35,7 @@ class LineProgress:
         self._finished = False
 
     def __call__(self, p: Progress) -> None:
-        """Take the news."""
+        """Write a line if one is due."""
         last = p.done >= p.total and not self._finished
         if last or (self._clock() >= self._next_at and not self._finished):
             self._write(progress_line(p))
@@ -45,7 +45,7 @@ class LineProgress:
 
 @contextlib.contextmanager
 def shown_progress(session: Session, what: str) -> Iterator[OnProgress | None]:
-    """While entered, what is given to the callable is shown; None when nothing shall be."""
+    """Yield a callable that shows progress, or None if progress is off."""
     if session.quiet:
         yield None
     elif not session.console.is_terminal:
@@ -98,7 +98,7 @@ def fetch_line(p: FetchProgress, per_s: float = 0.0) -> str:
 
 
 class FetchPace:
-    """Turns news of a fetch into `fetch_line`s: bytes per second since the step began here."""
+    """Formatter of fetch progress that measures bytes per second since the step began."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -115,7 +115,7 @@ class FetchPace:
 
 @contextlib.contextmanager
 def shown_fetch(session: Session) -> Iterator[OnFetch | None]:
-    """While entered, what is given to the callable is shown; None when nothing shall be."""
+    """Yield a callable that shows progress, or None if progress is off."""
     pace = FetchPace()
     if session.quiet:
         yield None

@@ -1,4 +1,4 @@
-"""`infrablend recipes`: what is shipped."""
+"""`infrablend recipes`: list and print the shipped recipes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def list_recipes() -> None:
     print_result(table(api.list_recipes()))
 
 
-def show_recipe(name: Annotated[str, typer.Argument(metavar="NAME", help="Of a shipped recipe.")]) -> None:
-    """Print a recipe, to be saved and changed."""
+def show_recipe(name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a shipped recipe.")]) -> None:
+    """Print a recipe, to save and edit."""
     from infrablend import api
     from infrablend.cli.results import print_result
 

@@ -11,7 +11,7 @@ from typing import Any
 import typer
 
 from infrablend.cli.exits import problem_lines
-from infrablend.errors import Problem, told
+from infrablend.errors import Problem, format_problems
 
 SHOWN_WARNINGS = 5
 
@@ -34,7 +34,7 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
     for p in found:
         log.info("%s: %s", p.severity, p)
     errors = [p for p in found if p.severity == "error"]
-    warnings = told(sorted({p for p in found if p.severity != "error"}))
+    warnings = format_problems(sorted({p for p in found if p.severity != "error"}))
     if errors:
         typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, log_path)]), err=True)
     if warnings:

@@ -30,7 +30,7 @@ from infrablend.errors import Problem
 MOVED: Mapping[str, str] = {"placement.min_contrast_grey": "matching.min_contrast_grey"}
 REMOVED: Mapping[str, str] = {
     "environment.wind_m_s": "it never had an effect; remove it",
-    "matching.mode": "appearance.mode decides it, physical is local and artistic is percentile; remove it",
+    "matching.mode": "it follows from appearance.mode (physical is local, artistic is percentile); remove it",
 }
 
 DROPPED = "recipe-dropped"

@@ -6,7 +6,7 @@ messages apply to all of them:
 * A folder that is new or empty is always accepted.
 * A non-empty folder is accepted only if the command's own record is there and the user asked to resume or
   to overwrite.
-* Only names that the command wrote are deleted. Nothing is deleted through a symbolic link.
+* Only names that the command wrote are deleted or replaced. Nothing is deleted through a symbolic link.
 * One process at a time writes to a folder.
 """
 
@@ -188,6 +188,25 @@ class OutputFolder:
     def _not_writable(self, error: Exception) -> OutputError:
         reason = getattr(error, "strerror", None) or error
         return OutputError(f"{self.root}: cannot be written ({reason}); expected a folder you may write to")
+
+
+def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
+    """Check that a command may write this file: it does not exist, or an earlier call of the command wrote it.
+
+    Args:
+        path: File to write.
+        noun: Name of what the command writes, for the message.
+        ours: Whether the file, if it exists, carries the command's mark.
+
+    Raises:
+        OutputError: Something else is there.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; expected the name of a file")
+    if not ours and (path.exists() or path.is_symlink()):
+        raise OutputError(
+            f"{path}: exists and is not a {noun} of InfraBlend; nothing was touched. Give another file or folder."
+        )
 
 
 def require_apart(data: Path, out: Path) -> None:

@@ -20,6 +20,7 @@ from infrablend.annotation.classes import rename_classes
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.errors import DatasetError
@@ -307,6 +308,10 @@ def compare(
     """
     request = request if request is not None else ComparisonRequest()
     require_sklearn()
+    record = OutputFolder(out, "comparison", "realism.json").read_record()
+    ours = record is not None and {"version", "run", "classes", "ablation"} <= record.keys()
+    for name in ("realism.json", "realism.html", *sorted(p.name for p in out.glob("*.png"))):
+        require_replaceable(out / name, "comparison", ours=ours)
     material = gather(run, dataset, request, on_progress)
     found = material.found
     comparisons = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from infrablend.core.files import write_json
-from infrablend.core.output import require_apart
+from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
 from infrablend.formats import detection
@@ -17,6 +17,10 @@ from infrablend.report.inspection import Inspection, inspect_dataset, write_char
 _USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
 
 
+# Keys by which an earlier `inspect.json` is recognised.
+_RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
+
+
 def inspect_folder(
     root: Path, out: Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
 ) -> Inspection:
@@ -24,10 +28,14 @@ def inspect_folder(
 
     Raises:
         DatasetError: The dataset cannot be read.
-        OutputError: `out` cannot be written.
+        OutputError: `out` cannot be written, or contains files of these names that InfraBlend did not write.
     """
     if out is not None:
         require_apart(root, out)
+        record = OutputFolder(out, "report", "inspect.json").read_record()
+        ours = record is not None and record.keys() >= _RECORDED
+        for name in ("inspect.json", "inspect.png"):
+            require_replaceable(out / name, "report", ours=ours)
     dataset = detection.read(root, reading)
     reason = "as asked for" if reading.format else detection.detect(root).reasons[dataset.format]
     facts = inspect_dataset(dataset, reason, decode=decode)

@@ -6,7 +6,6 @@ their sizes differ, the camera's height, pitch or focal length is wrong.
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
@@ -14,16 +13,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import known_class
-from infrablend.core.files import write_bytes
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
-from infrablend.report.preview import INK, TITLE_PX, PreviewFrame, Rgb, draw_polygon, grid, load_frames, to_rgb
+from infrablend.report.preview import (
+    INK,
+    TITLE_PX,
+    PreviewFrame,
+    Rgb,
+    draw_polygon,
+    grid,
+    load_frames,
+    to_rgb,
+    write_sheet,
+)
 from infrablend.report.preview import strip as text_strip
 
 SCALE = 2
@@ -63,12 +70,9 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
                 "placement. Use a recipe with placement.mode: metric, such as hit-uav-drone-physical."
             )
         cells.append(_cell(frame, scene))
-    buffer = io.BytesIO()
     sheet = grid(cells, min(len(cells), 2))
     sheet = np.concatenate([_legend(sheet.shape[1]), sheet])
-    Image.fromarray(sheet).save(buffer, "PNG", compress_level=6)
-    write_bytes(out_png, buffer.getvalue())
-    return out_png
+    return write_sheet(out_png, sheet)
 
 
 def _legend(width: int) -> Rgb:

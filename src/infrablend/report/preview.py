@@ -18,11 +18,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 from pycocotools import mask as coco_mask
 
 from infrablend.core.dataset import SPLITS, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.masks import Mask
+from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
 
@@ -50,6 +52,7 @@ MAX_INSETS = 3  # pairs per frame
 MAX_ZOOM, MIN_ZOOM = 4, 2
 
 _SUBPIXEL_BITS = 4
+_SOFTWARE = "InfraBlend contact sheet"
 
 log = logging.getLogger(__name__)
 
@@ -103,10 +106,29 @@ def contact_sheet(
         raise ValueError(f"columns is {columns}, must be at least 1")
     sheet = grid([_cell(f, draw) for f in frames], columns)
     sheet = np.concatenate([_legend(sheet.shape[1], draw), sheet])
+    return write_sheet(out_png, sheet)
+
+
+def write_sheet(path: Path, sheet: Rgb) -> Path:
+    """Write a contact sheet as a PNG that names InfraBlend as its software, and return its path.
+
+    Raises:
+        OutputError: The file exists and is not such a sheet, or cannot be written.
+    """
+    require_replaceable(path, "contact sheet", ours=_is_sheet(path))
     buffer = io.BytesIO()
-    Image.fromarray(sheet).save(buffer, "PNG", compress_level=6)
-    write_bytes(out_png, buffer.getvalue())
-    return out_png
+    mark = PngInfo()
+    mark.add_text("Software", _SOFTWARE)
+    Image.fromarray(sheet).save(buffer, "PNG", compress_level=6, pnginfo=mark)
+    return write_bytes(path, buffer.getvalue())
+
+
+def _is_sheet(path: Path) -> bool:
+    try:
+        with Image.open(path) as picture:
+            return bool(picture.info.get("Software") == _SOFTWARE)
+    except (OSError, ValueError, SyntaxError):
+        return False
 
 
 def draw_labels(

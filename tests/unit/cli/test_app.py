@@ -243,7 +243,7 @@ def test_the_same_problem_in_many_places_is_one_line_on_screen_and_each_in_the_l
     assert "  - 00.jpg, 01.jpg, 02.jpg and 32 more: no camera pitch known; expected a pitch\n  - a.csv: odd\n" in err
     assert f"  each by name in {log_path}" in err
     assert "34.jpg: no camera pitch known" in log_path.read_text()
-    assert errors.told(problems[:3]) == [str(p) for p in problems[:3]]
+    assert errors.format_problems(problems[:3]) == [str(p) for p in problems[:3]]
 
 
 def test_errors_as_json(api, capsys):

@@ -431,8 +431,8 @@ def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_
     generate(dataset, tmp_path / "p", settings=settings)
     for a, p in zip(records(tmp_path / "a"), records(tmp_path / "p"), strict=True):
         assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))
-    with pytest.raises(RecipeError, match=r"\n  - recipe: appearance.mode .* physical needs local"):
-        generate(dataset, tmp_path / "x", settings={"appearance.mode": "physical"})
+    with pytest.raises(RecipeError, match=r"matching\.mode: .* follows from appearance\.mode"):
+        generate(dataset, tmp_path / "x", settings={**settings, "matching.mode": "percentile"})
 
 
 def test_one_split_of_a_dataset_is_not_read_alone(dataset, tmp_path):

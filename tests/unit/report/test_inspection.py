@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.groups import frame_place, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
 from tests.samples import SAMPLES
@@ -42,6 +42,16 @@ def test_every_sample_can_be_inspected(name: str, tmp_path: Path) -> None:
         assert chart.size == (1300, 900)
     once = (tmp_path / "out" / "inspect.png").read_bytes()
     assert write_charts(facts, tmp_path / "again.png").read_bytes() == once
+
+
+def test_charts_replace_earlier_charts_and_no_other_file(tmp_path: Path, write_tiny_hit_uav) -> None:
+    data, out = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "out"
+    for _ in range(2):
+        api.inspect(data, out)
+    (out / "inspect.json").write_text("{}")
+    with pytest.raises(OutputError, match="not a report of InfraBlend"):
+        api.inspect(data, out)
+    assert (out / "inspect.json").read_text() == "{}"
 
 
 def test_numbers_of_the_tiny_hit_uav(tmp_path: Path, write_tiny_hit_uav) -> None:

@@ -179,6 +179,17 @@ def test_sheet_shows_the_object_enlarged_by_nearest_neighbour(tmp_path):
 # ---- sheets
 
 
+def test_a_sheet_replaces_an_earlier_sheet_and_no_other_file(tmp_path):
+    out = contact_sheet([frame(make_instance())], tmp_path / "a.png")
+    again = contact_sheet([frame()], out)
+    assert again == out
+    Image.fromarray(grey()).save(out)
+    own = out.read_bytes()
+    with pytest.raises(OutputError, match="not a contact sheet of InfraBlend"):
+        contact_sheet([frame()], out)
+    assert out.read_bytes() == own
+
+
 def test_sheet_is_the_same_bytes_twice(tmp_path):
     frames = [frame(make_instance(), make_instance(5, 5, 20, 20, inserted=False)), frame()]
     a, b = contact_sheet(frames, tmp_path / "a.png"), contact_sheet(frames, tmp_path / "b.png")
