@@ -40,7 +40,8 @@ from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.select import SELECT_ALL, Selection
 from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
-from infrablend.pipeline.train import TrainPlan, TrainReport, plan_training, train_dataset
+from infrablend.pipeline.train import TrainReport, train_dataset
+from infrablend.pipeline.training.plan import TrainPlan, plan_training
 from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 from infrablend.world.dataset import WorldRequest
 

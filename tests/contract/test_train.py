@@ -23,7 +23,8 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
-from infrablend.pipeline import train as pipeline
+from infrablend.pipeline.training import process
+from infrablend.pipeline.training.requirements import choose_device, require_arguments
 from infrablend.realism import nets
 from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
@@ -99,14 +100,14 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path):
     assert again.record == record
     with pytest.raises(OutputError, match="contains a training"):
         train(data, tmp_path / "out", **SMOKE)
-    with pytest.raises(OutputError, match="begun otherwise"):
+    with pytest.raises(OutputError, match="started with other settings"):
         train(data, tmp_path / "out", existing="resume", **{**SMOKE, "seed": 4})
-    with pytest.raises(OutputError, match="begun otherwise") as caught:
+    with pytest.raises(OutputError, match="started with other settings") as caught:
         train(data, tmp_path / "out", settings={"batch": 2, "hsv_v": 0.1}, existing="resume", **SMOKE)
     assert {p.where: (p.found, p.expected) for p in caught.value.problems} == {
-        "settings.batch": ("2", "4 as begun"),
-        "settings.tiles": ("8", "0 as begun"),
-        "settings.arguments.hsv_v": ("0.1", "None as begun"),
+        "settings.batch": ("2", "4, as at the start"),
+        "settings.tiles": ("8", "0, as at the start"),
+        "settings.arguments.hsv_v": ("0.1", "None, as at the start"),
     }
 
 
@@ -138,7 +139,7 @@ def test_a_stopped_training_goes_on_from_its_last_epoch(ultralytics, tmp_path):
     if process.returncode != 130:  # it was faster than the signal: nothing to go on with
         assert record["status"] == "complete"
         return
-    assert "--resume goes on" in said
+    assert "--resume continues" in said
     assert record["status"] == "interrupted"
     done = subprocess.run([*command, "--resume"], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
@@ -244,7 +245,7 @@ def test_arguments_that_ultralytics_would_refuse_are_refused_before_anything_is_
     for settings, said in (({"lr": 0.1}, "not a valid YOLO argument"), ({"lr0": "much"}, "invalid type str")):
         with pytest.raises(OutputError, match=said):
             train(data, tmp_path / "out", settings=settings, **SMOKE)
-    pipeline._require_arguments(choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
+    require_arguments(choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
     assert dict(os.environ) == before
     assert not (tmp_path / "out").exists()
 
@@ -296,19 +297,19 @@ def test_devices(ultralytics, tmp_path, monkeypatch):
     for wrong, said in (("foo", "no such device"), ("cuda:", "no such"), ("0,1", "several GPUs"),
                         ("cuda:0,1", "such as 0"), ("-1", "no such device"), ("", "no such device")):  # fmt: skip
         with pytest.raises(OutputError, match=said):
-            pipeline._device(wrong)
+            choose_device(wrong)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     names = ("auto", "cpu", "cuda", "cuda:0", "cuda:1", "1")
-    assert [pipeline._device(n) for n in names] == ["0", "cpu", "0", "0", "1", "1"]
+    assert [choose_device(n) for n in names] == ["0", "cpu", "0", "0", "1", "1"]
     with pytest.raises(OutputError, match="finds 2 GPUs, numbered from 0"):
         train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="7")
     assert not (tmp_path / "out").exists()
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert pipeline._device("auto") == "cpu"
+    assert choose_device("auto") == "cpu"
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
-    with pytest.raises(OutputError, match="does not have it"):
-        pipeline._device("mps")
+    with pytest.raises(OutputError, match="not available"):
+        choose_device("mps")
 
 
 def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
@@ -324,7 +325,7 @@ def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
         return code, stopped
 
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
-    monkeypatch.setattr(pipeline, "_watch", watch)
+    monkeypatch.setattr(process, "watch", watch)
 
 
 END = {"event": "end", "epochs": 1, "precision": "float32", "batch": 3, "short_of_memory": False, "threads": 1,
@@ -346,7 +347,7 @@ def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2})
     call = {"settings": {"epochs": 9}, **SMOKE}
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
-    with pytest.raises(Interrupted, match="before the first of 9 epochs"):
+    with pytest.raises(Interrupted, match="before the end of the first of 9 epochs"):
         train(data, tmp_path / "out", **call)
     events(monkeypatch, {"event": "epoch", "epoch": 4}, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="after epoch 4 of 9"):
@@ -355,7 +356,7 @@ def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
     with pytest.raises(Interrupted, match="after epoch 4 of 9"):
         train(data, tmp_path / "out", existing="resume", **call)
     events(monkeypatch, {"event": "damaged", "message": "bad"}, code=-15, stopped=True, weights_there=False)
-    with pytest.raises(Interrupted, match="before the first"):
+    with pytest.raises(Interrupted, match="before the end of the first"):
         train(data, tmp_path / "out", existing="resume", **call)
     assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["begun_anew"] == "bad"
 
@@ -564,10 +565,10 @@ def test_a_download_that_is_no_weights_leaves_nothing_behind(tmp_path, monkeypat
 
 
 def test_what_failed_is_told_with_the_log(tmp_path):
-    error = pipeline._failure(tmp_path, -9, None, PRESETS["small"])
+    error = process._failure(tmp_path, -9, None, PRESETS["small"])
     assert isinstance(error, RenderError)
     assert "batch=8" in str(error)
-    assert "train.log" in str(pipeline._failure(tmp_path, 1, {"code": "failed", "message": "x"}, PRESETS["small"]))
+    assert "train.log" in str(process._failure(tmp_path, 1, {"code": "failed", "message": "x"}, PRESETS["small"]))
     assert issubclass(MissingDependencyError, ImportError)
 
 

@@ -90,7 +90,7 @@ def _file_of(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    from infrablend.pipeline.train import RECORD as TRAINING
+    from infrablend.pipeline.training.folder import RECORD as TRAINING
     from infrablend.training.trainer import WEIGHTS
 
     for file in (PREDICTIONS, WEIGHTS):

@@ -1,0 +1,1 @@
+"""Steps of `infrablend train`: plan, requirements, data, folder, process."""

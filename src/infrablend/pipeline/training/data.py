@@ -1,0 +1,179 @@
+"""Data of a training: the labels and pictures to use, and the copy that Ultralytics reads."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from infrablend.annotation.classes import drop_classes
+from infrablend.core.dataset import Dataset, ImageRecord, Split
+from infrablend.core.format_table import writer_for_task
+from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.formats import writing
+from infrablend.formats.pictures import read_size
+from infrablend.pipeline.content import content_digest
+from infrablend.pipeline.training.folder import DATA
+from infrablend.training import presets, tiles
+from infrablend.training.presets import Preset
+
+# Losses of the written format that would hide labels from the trainer.
+_FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
+# Rejected labels and pictures that an error lists; it counts the others.
+_REJECTED_SHOWN = 20
+
+log = logging.getLogger(__name__)
+
+
+def select_training_data(
+    dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None
+) -> tuple[Dataset, dict[str, int]]:
+    """Return the dataset to train on and the labels left out by class; report all faults at once."""
+    problems: list[Problem] = []
+    if task not in presets.TASKS:
+        raise OutputError(f"--task {task}: no such task; expected one of {', '.join(presets.TASKS)}")
+    known = [c.name for c in dataset.categories if not c.ignore]
+    unknown = [c for c in classes or () if c not in known]
+    if unknown:
+        expected = f"classes of the dataset ({', '.join(known) or 'it has none'})"
+        problems.append(Problem("--classes", "category-unknown", ", ".join(unknown), expected))
+    keep = [c for c in known if classes is None or c in classes]
+    dropped = [c.name for c in dataset.categories if c.name not in keep]
+    left_out = Counter(o.category for i in dataset.images for o in i.instances if o.category in dropped)
+    wanted = drop_classes(dataset, dropped)
+    if not keep and not unknown:
+        problems.append(Problem(str(dataset.root), "category-none", "no class", "at least one", "label something"))
+    splits = Counter(i.split for i in wanted.images)
+    expected_of: dict[Split, str] = {
+        "train": "pictures to train on",
+        "val": "pictures, as the preset stops when val no longer improves" if preset.patience
+        else "pictures to follow the training; nothing else depends on them",
+    }  # fmt: skip
+    for split, expected in expected_of.items():
+        if not splits[split]:
+            todo = "create splits with infrablend split"
+            problem = Problem(f"split {split}", "split-empty", "no pictures", expected, todo)
+            needed = split == "train" or preset.patience
+            problems.append(problem if needed else replace(problem, severity="warning"))
+    found = Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
+    for name in keep:
+        if splits["train"] and not found[name]:
+            problem = Problem(f"class {name}", "class-empty", "no object in split train", "at least one",
+                              "leave the class out: --classes with the others")  # fmt: skip
+            problems.append(replace(problem, severity="warning") if preset.name == "smoke" else problem)
+    if task == "obb":
+        bare = Counter(o.category for i in wanted.images for o in i.instances if o.corners_xy is None)
+        problems += [Problem(f"class {k}", "obb-missing", f"{n} objects without oriented box", "one for each",
+                             "train --task detect") for k, n in bare.items()]  # fmt: skip
+    if task == "segment":
+        bare = Counter(o.category for i in wanted.images for o in i.instances if o.mask is None)
+        problems += [Problem(f"class {k}", "mask-missing", f"{n} objects without mask", "one for each",
+                             "train --task detect, or only classes with masks: --classes")
+                     for k, n in bare.items()]  # fmt: skip
+    rejected = [p for p in dataset.problems if p.severity == "error"]
+    if rejected or any(p.severity == "error" for p in problems):
+        message = f"{dataset.root}: cannot be trained on"
+        if rejected:
+            shown = f"; here are the first {_REJECTED_SHOWN}" if len(rejected) > _REJECTED_SHOWN else ""
+            message += (
+                f". {len(rejected)} labels or pictures could not be read and would be missing{shown}. "
+                f"Correct them (infrablend check {dataset.root} lists all), or leave them out with "
+                f"infrablend convert {dataset.root} clean --to coco and train on clean"
+            )
+        wrong = [p for p in problems if p.severity == "error"]
+        raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
+    for p in problems:
+        log.warning("%s", p)
+    return _checked(wanted), dict(sorted(left_out.items()))
+
+
+def _checked(dataset: Dataset) -> Dataset:
+    """Return train and val with the sizes in the pictures' headers.
+
+    Raises:
+        DatasetError: Pictures that cannot be read, have 16 bits, or have another size than annotated: all of them.
+    """
+    images, problems = [], []
+    for image in dataset.images:
+        if image.split == "test":
+            continue
+        size_wh, problem = read_size(image.path, image.id)
+        problems += [problem] if problem is not None else []
+        if size_wh is None:
+            continue
+        if image.size_wh not in (None, size_wh):
+            expected = f"{image.size_wh} as annotated"
+            problems.append(Problem(image.id, "image-size", f"{size_wh} px", expected, "correct the annotation"))
+        with Image.open(image.path) as picture:
+            if picture.mode.startswith(("I", "F")):
+                todo = "map it to 8 bits first; the trainer would keep the high byte only"
+                problems.append(Problem(image.id, "image-depth", f"mode {picture.mode}", "8-bit pictures", todo))
+        images.append(replace(image, size_wh=size_wh))
+    if problems:
+        raise DatasetError(f"{dataset.root}: cannot be trained on", problems)
+    return replace(dataset, images=tuple(images))
+
+
+def data_digest(wanted: Dataset, task: str) -> str:
+    """Return a digest of the labels and pictures to train on, independent of their folder."""
+    found = content_digest(wanted)
+    if task != "segment":
+        return found
+    masks = [o.mask.to_coco() for i in wanted.images for o in i.instances if o.mask is not None]
+    return hashlib.sha256(json.dumps([found, masks], sort_keys=True).encode()).hexdigest()
+
+
+def most_tiles(preset: Preset, split: str) -> int:
+    """Return the maximum number of tiles of a split; 0 for all."""
+    return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
+
+
+def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) -> dict[str, Any]:
+    """Write the data for the trainer to `out/data`, and return their counts."""
+    shutil.rmtree(out / DATA, ignore_errors=True)
+    images = [i for i in dataset.images if i.split in ("train", "val")]
+    counts: dict[str, Any] = {
+        "pictures": dict(Counter(i.split for i in images)),
+        "objects": {s: dict(sorted(Counter(o.category for i in images if i.split == s for o in i.instances).items()))
+                    for s in ("train", "val")},
+    }  # fmt: skip
+    if preset.tile:
+        cut: list[ImageRecord] = []
+        for split in ("train", "val"):
+            part = [i for i in images if i.split == split]
+            planned = tiles.plan_tiles(part, preset.tile, seed=seed, most=most_tiles(preset, split))
+            records, found = tiles.write_tiles(planned, out / "tiles")
+            cut += records
+            counts["tiles" if split == "train" else "tiles_val"] = {"tiles": len(records), **found}
+        images = cut
+    if not any(i.split == "val" for i in images):
+        # Ultralytics requires a val split; with fixed passes nothing depends on it.
+        images += [replace(i, split="val") for i in images[:8]]
+        counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
+    categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
+    name = writer_for_task(task).name
+    written = writing.write(name, out / DATA, images, categories)
+    shutil.rmtree(out / "tiles", ignore_errors=True)
+    fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
+    if fatal:
+        problems = [Problem(name, k, f"{n} labels would be lost", "none",
+                            "infrablend check lists them") for k, n in fatal.items()]  # fmt: skip
+        raise DatasetError(f"{dataset.root}: the trainer would not see some labels", problems)
+    labels = {s: sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))
+              for s in ("train", "val")}  # fmt: skip
+    return {
+        **counts,
+        "images": sum(i.split == "train" for i in images),
+        "labels": labels["train"],
+        "images_val": sum(i.split == "val" for i in images),
+        "labels_val": labels["val"],
+        "losses": dict(written.losses),
+    }

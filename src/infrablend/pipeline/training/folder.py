@@ -1,0 +1,92 @@
+"""Folder of a training: its files, and the record of an earlier training in it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.files import part_path
+from infrablend.core.output import Existing, OutputFolder
+from infrablend.errors import OutputError, Problem
+from infrablend.training import trainer
+
+RECORD = "train.json"
+LOG = "train.log"
+JOB = "job.json"
+DATA = "data"
+NEW_CHECKPOINT = Path(trainer.CHECKPOINT).with_suffix(".new").name
+
+log = logging.getLogger(__name__)
+
+
+def begin_training(out: Path, existing: Existing) -> dict[str, Any] | None:
+    """Return the record of the earlier call to continue, or None after emptying the folder."""
+    record, damaged = earlier_training(out, existing)
+    if record is not None and existing == "resume":
+        return record
+    if damaged:
+        log.warning("%s: cannot be read; the training starts again", out / RECORD)
+    if record is not None or damaged:
+        output_folder(out).remove(
+            [DATA, "tiles", "run", "ultralytics", trainer.CHECKPOINT, trainer.DAMAGED, NEW_CHECKPOINT, trainer.WEIGHTS,
+             JOB, LOG, RECORD]
+        )  # fmt: skip
+    return None
+
+
+def output_folder(out: Path) -> OutputFolder:
+    """Return the output folder of a training."""
+    return OutputFolder(out, "training", RECORD, can_resume=True, can_overwrite=True)
+
+
+def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | None, bool]:
+    """Return an earlier call's record and whether it is damaged; refuse both without `resume` or `overwrite`."""
+    path = out / RECORD
+    entries = output_folder(out).entries(ignore=[part_path(path).name])
+    if not entries:
+        return None, False
+    try:
+        record: dict[str, Any] | None = json.loads(path.read_text("utf-8"))
+        ours = isinstance(record, dict) and "infrablend" in record and "status" in record
+    except (OSError, ValueError):
+        ours, record = False, None
+    damaged = not ours and RECORD in entries and JOB in entries
+    if not ours and not damaged:
+        raise output_folder(out).refuse_not_ours()
+    if existing == "refuse":
+        what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
+        raise OutputError(
+            f"{out}: contains a training ({what}). Use --resume to {'start it again' if damaged else 'continue it'}, "
+            "--overwrite to replace it, or give another folder."
+        )
+    return (None, True) if damaged else (record, False)
+
+
+def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise OutputError if a training to resume was started with other data or settings."""
+    now, record = _flat(json.loads(json.dumps(asked))), _flat(record)
+    # The data must be the same, not their folder; records of earlier versions have the folder only.
+    now.pop("data" if "content" in record else "content")
+    # A setting that only one side has also differs.
+    more = [k for k in record if k.startswith("settings.") and k not in now]
+    other = [k for k in [*now, *more] if record.get(k) != now.get(k)]
+    if other:
+        problems = [
+            Problem(asked["data"], "resume-other",
+                    "other labels or pictures", f"those it was started with, then in {record.get('data')}")
+            if k == "content"
+            else Problem(k, "resume-other", str(now.get(k)), f"{record.get(k)}, as at the start")
+            for k in other
+        ]  # fmt: skip
+        raise OutputError(f"{out}: was started with other settings; use the same, or another folder", problems)
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record with flattened settings: `settings.passes`, `settings.arguments.lr0`."""
+    flat = dict(record)
+    settings = dict(flat.pop("settings", {}))
+    settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
+    return flat | {f"settings.{k}": v for k, v in settings.items()}
