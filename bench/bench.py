@@ -1,7 +1,7 @@
-"""`make bench`: speed, error, boxes and memory on frames of the shipped recipe, against the bars of the project.
+"""`make bench`: measure speed, error, boxes and memory on frames of the shipped recipe, against the project's limits.
 
-Writes build/bench/bench.json and bench.png; ends with 1 if a bar is missed. On two cores it takes about half an
-hour, nearly all of it the paper's way of making the frames. What is measured how: docs/explanation/performance.md
+Writes build/bench/bench.json and bench.png; the exit code is 1 if a limit is missed. On two cores it takes about half
+an hour, most of it for frames made the paper's way. The methods are described in docs/explanation/performance.md
 (time, memory) and docs/explanation/quality.md (error, boxes).
 """
 
@@ -43,7 +43,7 @@ SIZES_PX = (20, 10)
 
 @dataclass(frozen=True)
 class Amount:
-    """How much is measured."""
+    """Amounts to measure."""
 
     frames: int = 44
     repeats: int = 3
@@ -57,7 +57,7 @@ QUICK = Amount(frames=2, repeats=1, poses=10, memory_frames=60, world_images=2)
 
 @dataclass(frozen=True)
 class Bar:
-    """A number that must not be missed."""
+    """Limit on a measured figure."""
 
     key: str
     text: str
@@ -65,7 +65,7 @@ class Bar:
     at_least: bool = False
 
     def met(self, value: float) -> bool:
-        """Whether the value is on the right side; NaN is not."""
+        """Return True if the value meets the limit; NaN does not."""
         return value >= self.limit if self.at_least else value <= self.limit
 
 
@@ -81,10 +81,14 @@ BARS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure, print, write; the exit code says whether every bar was met."""
+    """Measure, print and write the results; return 0 if every limit is met, else 1."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--data", type=Path, help=f"HIT-UAV; default ${DATA_VARIABLE}, else a virtual world is made")
-    parser.add_argument("--quick", action="store_true", help="a few frames, to see that it works; proves nothing")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="a few frames, to check that the benchmark works; the figures are not valid",
+    )
     parser.add_argument("--record", action="store_true", help="append the result to bench/history.jsonl")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(argv)
@@ -119,13 +123,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             history.write(json.dumps(kept(report), sort_keys=True) + "\n")
     show(report)
     if options.quick:
-        say("a quick run proves nothing: too few frames, no time for memory to settle")
+        say("the figures of a quick run are not valid: too few frames, and memory has not settled")
     say(f"written: {relative(options.out / 'bench.json')}, {relative(options.out / 'bench.png')}")
     return 1 if missed and not options.quick else 0
 
 
 def backgrounds(given: Path | None, out: Path, amount: Amount) -> tuple[Path, str]:
-    """Return the dataset to measure on, and how to call it."""
+    """Return the dataset to measure on, and its name in the report."""
     real = given or (Path(os.environ[DATA_VARIABLE]) if os.environ.get(DATA_VARIABLE) else None)
     if real is not None:
         below = real / "hit-uav"
@@ -143,7 +147,7 @@ def backgrounds(given: Path | None, out: Path, amount: Amount) -> tuple[Path, st
 
 
 def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, Any]:
-    """All measurements, in an order in which both cores are always equally busy."""
+    """Run all measurements, in an order that keeps both cores equally busy."""
     cores = own_cores()
     logs = out / "log"
     spread_of = distribution(work, plan)
@@ -156,7 +160,7 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
     def halves(of: Work) -> list[Work]:
         return [of.part(n, len(cores)) for n in range(len(cores))]
 
-    say(f"the paper's way: whole frame, {PAPER_SAMPLES} samples (this is what takes long)")
+    say(f"the paper's way: whole frame, {PAPER_SAMPLES} samples (takes most of the time)")
     naive = rows(
         in_parallel(time_full_frames, [(w, False) for w in halves(work.into(out / "naive"))], cores, logs / "naive.log")
     )
@@ -242,7 +246,7 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
 
 
 def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, int], list[BoxFit]]:
-    """Box fits of every model at every size, one after the other on one core."""
+    """Measure the box fit of every model at every size, one after the other on one core."""
     found = {}
     for model in MODELS:
         for size in SIZES_PX:
@@ -254,17 +258,17 @@ def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, 
 
 
 def rows(shares: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Return the rows of all shares, by frame."""
+    """Return the rows of all shares, sorted by frame."""
     return sorted((row for share in shares for row in share), key=lambda row: row["frame"])
 
 
 def mean_cpu(done: Sequence[dict[str, Any]]) -> float:
-    """CPU seconds per frame."""
+    """Return the CPU seconds per frame."""
     return statistics.fmean(row["cpu_s"] for row in done)
 
 
 def commit() -> str:
-    """Return the commit that is measured; marked if files differ from it."""
+    """Return the commit that is measured, with a mark if files differ from it."""
     git: Callable[..., str] = lambda *a: subprocess.run(  # noqa: E731
         ["git", "-C", str(ROOT), *a], capture_output=True, text=True, check=False
     ).stdout.strip()
@@ -290,7 +294,7 @@ def machine() -> dict[str, Any]:
 
 
 def settings(amount: Amount, quick: bool) -> dict[str, Any]:
-    """Return the arguments of the call."""
+    """Return the settings of the measurement."""
     return {
         "recipe": RECIPE,
         "seed": SEED,
@@ -307,7 +311,7 @@ def settings(amount: Amount, quick: bool) -> dict[str, Any]:
 
 
 def kept(report: dict[str, Any]) -> dict[str, Any]:
-    """Return the line that goes into the history."""
+    """Return the line for the history file."""
     names = [
         "frames", "naive_cpu_s_per_frame", "defaults_cpu_s_per_frame", "cpu_s_per_frame", "speedup", "frames_per_s",
         "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px", "peak_worker_rss_mb",
@@ -319,7 +323,7 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def show(report: dict[str, Any]) -> None:
-    """Print the results and how they stand against the bars."""
+    """Print the results beside the limits."""
     say("")
     say(f"the paper's way   {report['naive_cpu_s_per_frame']:8.3f} CPU-s per frame")
     say(f"Blender defaults  {report['defaults_cpu_s_per_frame']:8.3f}")
@@ -334,7 +338,7 @@ def show(report: dict[str, Any]) -> None:
 
 
 def draw(report: dict[str, Any], errors: dict[str, Any], rss_mb: Sequence[float], path: Path) -> None:
-    """Return the plot: time, error, boxes, memory."""
+    """Draw the plot: time, error, boxes, memory."""
     from plot import draw_bench
 
     draw_bench(report, errors, rss_mb, path)
@@ -347,12 +351,12 @@ def say_cpu(done: Sequence[dict[str, Any]], more_s: float = 0.0) -> None:
 
 
 def relative(path: Path) -> Path:
-    """Return the path relative to the current folder, if it is inside."""
+    """Return the path, relative to the current folder if it is inside."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def say(text: str) -> None:
-    """Print a line at once."""
+    """Print a line without buffering."""
     print(text, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""How well the labels' boxes fit a silhouette that Cycles renders at sixteen times the resolution."""
+"""Measure how well label boxes fit a silhouette that Cycles renders at sixteen times the resolution."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 FINER = 16
 SIZE_WH = (640, 512)
 AIR_K = 288.15
-# A pose counts if its true size is this near to the size asked for.
+# A pose counts if its true size differs from the requested size by at most this share.
 SIZE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
 class BoxFit:
-    """One pose.
+    """Box fit of one pose.
 
     Attributes:
-        iou: Of the label's box and the silhouette's.
+        iou: IoU of the label's box and the silhouette's.
         size_px: Longest side of the silhouette's box.
     """
 
@@ -41,8 +41,8 @@ class BoxFit:
 def measure_boxes(model: str, size_px: float, poses: int) -> list[BoxFit]:
     """Compare boxes over random shapes and poses of a model, seen from 0 to 90 degrees, at one size.
 
-    The silhouette knows nothing of the labels' geometry code: Cycles renders it at `FINER` times the resolution, one
-    sample in the middle of each of those pixels, no filter.
+    The silhouette does not depend on the geometry code of the labels: Cycles renders it at `FINER` times the
+    resolution, with one sample in the middle of each pixel and without a filter.
     """
     from infrablend.blender.renderer import BlenderRenderer
 
@@ -71,7 +71,7 @@ def measure_boxes(model: str, size_px: float, poses: int) -> list[BoxFit]:
 
 
 def extent(mask: NDArray[np.bool_], offset_xy: tuple[int, int]) -> NDArray[np.float64]:
-    """(4,) half-open box around the True pixels of a crop; zeros if there are none."""
+    """Return the (4,) half-open box around the True pixels of a crop; zeros if there are none."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return np.zeros(4)
@@ -80,7 +80,7 @@ def extent(mask: NDArray[np.bool_], offset_xy: tuple[int, int]) -> NDArray[np.fl
 
 
 def random_poses(name: str, size_px: float) -> Iterator[tuple[SceneSpec, Mesh]]:
-    """Scenes of one object in the middle half of the frame, at the distance that gives it about that size."""
+    """Yield scenes with one object in the middle half of the frame, at a distance that gives it about that size."""
     model = load_model(name)
     for number in range(100_000):
         rng = stream(0, "bench", "boxes", name, f"{size_px:g}", number)
@@ -92,7 +92,7 @@ def random_poses(name: str, size_px: float) -> Iterator[tuple[SceneSpec, Mesh]]:
         distance_m = 900.0 * float(mesh.size_m.max()) / size_px
         for _ in range(4):
             camera = CameraSpec(distance_m, pitch, roll, 50.0, 36.0, SIZE_WH)
-            # Sideways and up in the picture, by a share of the frame: a point in the plane of the scene's origin.
+            # Shift by a share of the frame, sideways and up in the picture, in the plane of the scene's origin.
             offset = (shift[0] * camera.world_to_camera[0] + shift[1] * camera.world_to_camera[1]) * (
                 distance_m / camera.focal_px
             )

@@ -1,7 +1,7 @@
-"""Measured work in child processes: each on one processor core of its own, Blender's chatter in a log file.
+"""Run measurements in child processes, each on its own processor core, with Blender's output in a log file.
 
-A measurement in a process of its own starts from the same state every time, and its CPU time and memory are its
-own. One core each because Cycles' main thread waits by spinning: given a second core it would burn CPU time there.
+A separate process gives each measurement the same initial state, and its own count of CPU time and memory. It has one
+core because Cycles' main thread waits by spinning: on a second core it would waste CPU time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 
 
 class ChildError(RuntimeError):
-    """A child process failed; the message holds its traceback."""
+    """A child process failed; the message contains its traceback."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Child:
         """Return the function's value.
 
         Raises:
-            ChildError: If it raised, or the process died.
+            ChildError: The function raised an exception, or the process died.
         """
         try:
             good, value = self.pipe.recv()
@@ -63,7 +63,7 @@ def start(function: Callable[..., Any], *args: Any, core: int, log: Path) -> Chi
 def in_parallel(
     function: Callable[..., Any], shares: Sequence[tuple[Any, ...]], cores: Sequence[int], log: Path
 ) -> list[Any]:
-    """Results of `function(*share)` for every share, as many at a time as there are cores, each on one of them."""
+    """Return the results of `function(*share)` for every share; one share at a time runs on each core."""
     results: list[Any] = []
     for begin in range(0, len(shares), len(cores)):
         batch = shares[begin : begin + len(cores)]
@@ -81,13 +81,13 @@ def own_cores(count: int = 2) -> list[int]:
 
 
 def cpu_s() -> float:
-    """CPU seconds, user and system, that this process and all its threads have used."""
+    """Return the CPU seconds (user and system) that all threads of this process have used."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 class Stopwatch:
-    """CPU and wall-clock seconds between `with` and its end."""
+    """Measure the CPU and wall-clock seconds of a `with` block."""
 
     cpu_s = 0.0
     wall_s = 0.0

@@ -3,7 +3,7 @@
     .venv/bin/python bench/evaluate.py [--pictures 585] [--threads 1]
 
 Weights are those of an untrained YOLOv8n with the statistics of noise; pictures are noise of 320 x 256 px. Each command
-is a process of its own, so that imports count as they do for a user. Ends with 1 if the ratio is above 1.5.
+runs in its own process, so that imports count as they do for users. The exit code is 1 if the ratio is above 1.5.
 """
 
 from __future__ import annotations

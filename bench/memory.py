@@ -1,4 +1,4 @@
-"""Does a worker's memory stay flat?"""
+"""Measure whether the memory of a worker stays constant."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Memory:
     """Resident memory of one worker.
 
     Attributes:
-        rss_mb: After each frame, MiB.
-        peak_mb: The most it ever was, MiB.
+        rss_mb: Resident memory after each frame, MiB.
+        peak_mb: Largest resident memory, MiB.
     """
 
     rss_mb: list[float]
@@ -31,13 +31,13 @@ class Memory:
 
     @property
     def slope_mb_per_100_frames(self) -> float:
-        """Least squares over the frames after the settling ones."""
+        """Slope by least squares over the frames after the settling ones."""
         y = np.array(self.rss_mb[min(SETTLING_FRAMES, len(self.rss_mb) // 2) :])
         return float(np.polyfit(np.arange(len(y)), y, 1)[0] * 100) if len(y) > 1 else 0.0
 
 
 def measure_memory(work: Work, frames: int) -> Memory:
-    """Make that many frames in this one process, without recycling it; the work's frames over and over if need be."""
+    """Make this number of frames in one process that is never replaced, repeating the work's frames if needed."""
     maker = FrameMaker(work.settings)
     rss = []
     for n in range(frames):
@@ -49,6 +49,6 @@ def measure_memory(work: Work, frames: int) -> Memory:
 
 
 def resident_mb() -> float:
-    """Resident memory of this process now, MiB."""
+    """Return the current resident memory of this process, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * PAGE_BYTES / 2**20

@@ -1,4 +1,4 @@
-"""The plot of a benchmark run."""
+"""Plot of a benchmark run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLOURS = {"naive": "#8a8a8a", "defaults": "#c9a227", "program": "#1f6f8b"}
 def draw_bench(
     report: Mapping[str, Any], errors: Mapping[str, NDArray[np.float32]], rss_mb: Sequence[float], path: Path
 ) -> None:
-    """Four panels: CPU time per frame, distribution of the error, box fit, memory."""
+    """Draw four panels: CPU time per frame, distribution of the error, box fit, memory."""
     figure, ((time, error), (boxes, memory)) = pyplot.subplots(2, 2, figsize=(11, 7.5), layout="constrained")
     keys = {"naive": "naive_cpu_s_per_frame", "defaults": "defaults_cpu_s_per_frame", "program": "cpu_s_per_frame"}
     names = list(keys)
@@ -39,7 +39,7 @@ def draw_bench(
     error.axvline(4, color="k", lw=0.8, ls=":")
     error.axhline(0.01, color="k", lw=0.8, ls=":")
     error.set(yscale="log", xlim=(0, 8), ylim=(1e-4, 1), xlabel="error, grey levels")
-    error.set_title("share of object pixels with a larger error (dotted: the bar)")
+    error.set_title("share of object pixels with a larger error (dotted: the limit)")
     error.legend()
 
     labels = list(report["boxes"])

@@ -1,4 +1,4 @@
-"""How far a picture is from the one with 2,048 samples."""
+"""Measure the error of pictures against renders with 2,048 samples."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from infrablend.pipeline.frame_settings import percentile_settings
 from infrablend.sampling.scene import sample_scene
 
 REFERENCE_SAMPLES = 2048
-# The reference's samples must not be the measured picture's.
+# The reference must not use the same samples as the measured picture.
 OTHER_SEED = 0x5555_5555
 LEAST_SPAN_GREY = 120.0
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Differences in grey levels at all pixels that the reference covers, frame after frame.
+    """Differences in grey levels at all pixels that the reference covers, in all frames.
 
     Attributes:
-        by_way: Way of making the picture -> absolute differences of all frames, one array.
-        span_grey: Levels each frame's object spans.
+        by_way: Absolute differences of all frames in one array, by the way of making the picture.
+        span_grey: Number of levels that the object spans, per frame.
         pixels: Number of pixels per frame.
     """
 
@@ -41,10 +41,10 @@ class Errors:
 
 
 def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
-    """Compare each frame with its reference: this program's (`program`), and the whole frames kept in folders.
+    """Compare frames with their references: those of this program (`program`), and whole frames kept in folders.
 
-    Final composited float pictures, before quantisation and JPEG. The frame's own grey-level mapping is stretched
-    until the object itself spans `LEAST_SPAN_GREY` levels, where it does not already.
+    The final composited float pictures are compared, before quantisation and JPEG. If the object spans fewer than
+    `LEAST_SPAN_GREY` levels, the grey-level mapping of the frame is stretched until it does.
     """
     from infrablend.blender.renderer import BlenderRenderer
 
@@ -52,7 +52,7 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
         reference = False
 
         def _set_sampling(self, samples: int, seed: int) -> None:
-            # Not by the scene's own seed: the bodies' temperature pattern hangs on that too.
+            # The scene's own seed must stay: the temperature pattern of the bodies depends on it.
             super()._set_sampling(samples, seed ^ OTHER_SEED if self.reference else seed)
 
     recipe = work.recipe
@@ -92,7 +92,7 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
 
 
 def covered(result: RenderResult) -> NDArray[np.bool_]:
-    """(h, w) of the frame: True where the render covers any of the pixel, before the optics' blur."""
+    """Return an (h, w) mask of the frame: True where the render covers any part of a pixel, before the optics' blur."""
     w, h = result.frame_wh
     where = np.zeros((h, w), np.bool_)
     (x, y), (rows, columns) = result.offset_xy, result.alpha.shape
@@ -101,7 +101,7 @@ def covered(result: RenderResult) -> NDArray[np.bool_]:
 
 
 def stretched(mapping: GreyMapping, reference: RenderResult) -> tuple[GreyMapping, float]:
-    """Widen the mapping until the object's levels span `LEAST_SPAN_GREY`; return it with that span."""
+    """Widen the mapping until the object spans `LEAST_SPAN_GREY` levels; return it and the final span."""
     inside = reference.alpha > 0.5
     if not inside.any():
         inside = reference.alpha > 0
@@ -123,7 +123,7 @@ def joined(parts: list[Errors]) -> Errors:
 
 
 def summary(differences: NDArray[np.float32]) -> dict[str, float]:
-    """Mean, 99th percentile and largest difference, grey levels."""
+    """Return the mean, 99th percentile and maximum of the differences, grey levels."""
     if not len(differences):
         return {"mean": float("nan"), "p99": float("nan"), "max": float("nan"), "pixels": 0}
     return {

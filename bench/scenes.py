@@ -1,4 +1,4 @@
-"""The frames that are measured: drawn by the shipped recipe, evenly spread over its plan."""
+"""Select the measured frames: drawn by the shipped recipe, spread evenly over its plan."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """What a measuring process needs; picklable.
+    """Input of a measuring process; can be pickled.
 
     Attributes:
-        frames: To make, in order.
-        settings: Of a worker.
+        frames: Frames to make, in order.
+        settings: Settings of a worker.
     """
 
     frames: tuple[PlannedFrame, ...]
@@ -38,7 +38,7 @@ class Work:
 
     @property
     def recipe(self) -> Recipe:
-        """The recipe of the frames."""
+        """Recipe of the frames."""
         return recipe_from_json(self.settings.recipe_json)
 
     def into(self, out: Path) -> Work:
@@ -46,7 +46,7 @@ class Work:
         return Work(self.frames, replace(self.settings, out=out))
 
     def part(self, number: int, of: int) -> Work:
-        """Every `of`-th frame from the `number`-th on."""
+        """Return every `of`-th frame, starting with the `number`-th."""
         return Work(self.frames[number::of], self.settings)
 
 
@@ -56,7 +56,7 @@ def plan_of(data: Path) -> RunPlan:
 
 
 def spread(plan: RunPlan, count: int, out: Path) -> Work:
-    """`count` frames evenly spread over the plan, each with an object in view; all of them if there are fewer."""
+    """Return `count` frames with an object in view, spread evenly over the plan, or all if there are fewer."""
     total = len(plan.frames)
     picked = sorted({math.floor(i * total / count) for i in range(min(count, total))})
     settings = FrameSettings(
@@ -70,7 +70,7 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
 
 
 def part_of_plan(plan: RunPlan, frames: Sequence[PlannedFrame]) -> RunPlan:
-    """Return the plan with those frames only."""
+    """Return the plan with these frames only."""
     return replace(plan, frames=tuple(frames))
 
 
@@ -81,7 +81,7 @@ def scene_of(frame: PlannedFrame, plan: RunPlan) -> PlacedScene:
 
 
 def distribution(work: Work, plan: RunPlan) -> dict[str, dict[str, float]]:
-    """How distance, pitch and size of the frames are distributed; `objects` counts what is in view."""
+    """Return the distributions of distance, pitch and size; `objects` counts the objects in view."""
     distances, pitches, sizes = [], [], []
     for frame in work.frames:
         scene = scene_of(frame, plan)
@@ -99,7 +99,7 @@ def distribution(work: Work, plan: RunPlan) -> dict[str, dict[str, float]]:
 
 
 def quantiles(values: Sequence[float]) -> dict[str, Any]:
-    """Count, mean and quantiles."""
+    """Return count, mean and quantiles."""
     if not values:
         return {"n": 0}
     q = np.quantile(np.asarray(values, np.float64), [0, 0.05, 0.25, 0.5, 0.75, 0.95, 1])

@@ -1,4 +1,4 @@
-"""The three ways to make a frame that are timed: the paper's, Blender's defaults, this program's."""
+"""Make frames in the three ways that are timed: the paper's, Blender's defaults, this program's."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ DEFAULT_THRESHOLD = 0.01
 def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
     """Make every frame the way the paper does: the whole frame, 640 samples, boxes and masks from the alpha channel.
 
-    Same scenes, materials, pixel filter, overlay and files as this program's; the differences are the ones named.
-    Start-up is not counted. Float pictures are kept beside, uncounted, for the error measurement.
+    Scenes, materials, pixel filter, overlay and files are those of this program. Start-up is not counted, and neither
+    is saving the float pictures for the error measurement.
 
     Args:
-        work: The frames and where to write.
-        defaults: Blender's default sampling instead: adaptive at 0.01, at most 640 samples, then denoised.
+        work: Frames to make, and the output folder.
+        defaults: True for Blender's default sampling: adaptive at 0.01, at most 640 samples, then denoised.
     """
     from infrablend.blender.renderer import BlenderRenderer
 
@@ -61,7 +61,7 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
     models = {o.model: load_model(o.model) for o in recipe.objects}
     renderer = (Defaults if defaults else BlenderRenderer)(whole_frame=True)
     out = work.settings.out
-    # Once beforehand, uncounted and cheap: kernels load, caches fill.
+    # A cheap render that is not counted loads the kernels and fills the caches.
     warm = sample_scene(work.frames[0].key((64, 64)), recipe, models, work.settings.seed)
     renderer.render(with_samples(warm, 1))
     rows = []
@@ -87,7 +87,7 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
 
 
 def write_labels(out: Path, name: str, source: ImageRecord, mask: NDArray[np.bool_]) -> None:
-    """YOLO, oriented and polygon labels of a mask and of the original objects, as the paper's way gets them."""
+    """Return YOLO, oriented and polygon labels of a mask and of the original objects, derived the paper's way."""
     height, width = mask.shape
     size = np.array([width, height], np.float64)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -116,7 +116,7 @@ def write_labels(out: Path, name: str, source: ImageRecord, mask: NDArray[np.boo
 
 
 def time_program(work: Work) -> list[dict[str, Any]]:
-    """Make every frame with this program's worker: background decoded -> image and record on disk."""
+    """Make every frame with this program's worker, from decoding the background to image and record on disk."""
     maker = FrameMaker(work.settings)
     maker(Task("warm", work.frames[0]))
     rows = []
@@ -128,7 +128,7 @@ def time_program(work: Work) -> list[dict[str, Any]]:
     return rows
 
 
-# What a frame consists of, by the names that pipeline.frame calls; rendering tells its own parts.
+# Stages of a frame, by the names that pipeline.frame calls; the renderer reports its own parts.
 STAGES = {
     "load_background": "decode background",
     "sample_scene": "draw scene, build shape",
@@ -143,7 +143,7 @@ STAGES = {
 
 
 def split_program(work: Work) -> dict[str, float]:
-    """Where the time of a frame goes: CPU seconds per frame by stage, from a pass of its own."""
+    """Measure CPU seconds per frame by stage, in a separate pass."""
     spent = dict.fromkeys([*STAGES.values(), "render"], 0.0)
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -167,7 +167,7 @@ def split_program(work: Work) -> dict[str, float]:
     with watch:
         for frame in work.frames:
             seconds.update(maker(Task(frame.frame_id, frame)).seconds)
-    # The renderer's own parts are by the clock; here they only share out its CPU time.
+    # The renderer reports wall-clock times of its parts; here they only divide its CPU time.
     render = spent.pop("render")
     total = sum(seconds.values())
     spent |= {f"render: {name}": render * value / total for name, value in seconds.items()}
@@ -176,7 +176,7 @@ def split_program(work: Work) -> dict[str, float]:
 
 
 def time_label_files(plan: RunPlan, out: Path) -> float:
-    """CPU seconds for the label files of all the plan's frames, whose records are there."""
+    """Measure the CPU seconds for the label files of all frames of the plan; their records must exist."""
     watch = Stopwatch()
     with watch:
         write_formats(plan, RunFolder(out))
@@ -184,7 +184,7 @@ def time_label_files(plan: RunPlan, out: Path) -> float:
 
 
 def with_samples(scene: PlacedScene, samples: int) -> PlacedScene:
-    """Return the scene with that many samples per pixel."""
+    """Return the scene with this number of samples per pixel."""
     return replace(scene, spec=replace(scene.spec, samples=samples))
 
 

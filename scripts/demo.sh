@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# The main job, small: a virtual thermal world in HIT-UAV's layout, drones rendered into it, a contact sheet.
-# Everything lands in build/demo; the last line of the output is the sheet's path alone.
-# DEMO_IMAGES and DEMO_NAME (a folder in build/) make other sizes elsewhere.
+# A small example of the main task: a virtual thermal world in HIT-UAV's layout, drones rendered into it, a contact sheet.
+# All output is in build/demo; the last line printed is the path of the sheet.
+# DEMO_IMAGES and DEMO_NAME (a folder in build/) change the size and the place.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out="build/$(basename "${DEMO_NAME:-demo}")"
 sheet="$out/contact_sheet.png"
 infrablend=.venv/bin/infrablend
-# A demo starts clean; the folder is this script's own.
+# A demo starts from an empty folder; only this script uses it.
 rm -rf "$out"
 mkdir -p "$out"
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Writes the hashed requirement files anew from their .in files and pyproject.toml. Versions stay as they are unless
-# the inputs forbid them; `make lock UPGRADE=1` takes the newest allowed ones. No registry address gets into a file.
+# Regenerates the hashed requirement files from their .in files and pyproject.toml. Versions change only if the inputs
+# forbid them; `make lock UPGRADE=1` selects the newest allowed ones. No registry address is written to a file.
 set -euo pipefail
 cd "$(dirname "$0")/../requirements"
 compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-emit-index-url --no-emit-find-links

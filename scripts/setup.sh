@@ -7,13 +7,13 @@ cd "$(dirname "$0")/.."
 say() { printf 'setup: %s\n' "$*" >&2; }
 stop() { say "$*"; exit 1; }
 
-[ "$(uname -s)" = Linux ] || say "this system is $(uname -s): only Linux is tested, going on anyway"
+[ "$(uname -s)" = Linux ] || say "this system is $(uname -s): only Linux is tested; continuing anyway"
 
 # One set-up at a time, also under `make -j`.
 mkdir -p build
 if command -v flock >/dev/null; then exec 9>build/.setup.lock; flock 9; fi
 
-# What .venv must have been made from; the path is part of it because a moved environment does not work.
+# Inputs that .venv must have been built from; the path is one because a moved environment does not work.
 inputs=(requirements/uv.txt requirements/project.txt pyproject.toml scripts/setup.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
@@ -61,7 +61,7 @@ home="$(.venv/bin/python -c 'import sys; print(sys.prefix, *sys.version_info[:2]
 if [ "$home" != "$PWD/.venv 3 11" ] || ! grep -qF "$PWD/.venv" .venv/bin/activate 2>/dev/null; then
   if [ -e .venv ]; then
     [ -f .venv/pyvenv.cfg ] || [ -z "$(ls -A .venv)" ] || stop ".venv is there but is no environment; move it away"
-    say ".venv was moved, is broken or has another Python: making it anew"
+    say ".venv was moved, is broken or has another Python: creating it again"
     rm -rf .venv
   fi
   "$python" -m venv .venv || { rm -rf .venv; stop "$python could not make .venv"; }
@@ -79,23 +79,23 @@ if ! uv_version="$(.venv/bin/uv --version 2>/dev/null)" ||
     -r requirements/uv.txt || stop "$registry"
 fi
 
-# A mirror or a certificate told to pip alone is meant for uv too.
+# Mirrors and certificates that are configured for pip only also apply to uv.
 index="${PIP_INDEX_URL:-$(.venv/bin/python -m pip config get global.index-url 2>/dev/null || true)}"
 if [ -n "$index" ] && [ -z "${UV_DEFAULT_INDEX:-}${UV_INDEX_URL:-}" ]; then export UV_DEFAULT_INDEX="$index"; fi
 if [ -n "${PIP_CERT:-}" ] && [ -z "${SSL_CERT_FILE:-}" ]; then export SSL_CERT_FILE="$PIP_CERT"; fi
 export UV_HTTP_TIMEOUT="${UV_HTTP_TIMEOUT:-300}"
 
-say "installing what requirements/project.txt locks (about 450 MB to download the first time, 1.3 GB on disk)"
+say "installing the packages of requirements/project.txt (about 450 MB to download the first time, 1.3 GB on disk)"
 free_mb="$(df -Pm . | awk 'NR == 2 { print $4 }')"
 [ "${free_mb:-9999}" -ge 3000 ] || say "only $free_mb MB free on this disk: that may not be enough"
 .venv/bin/uv --quiet pip sync --python .venv/bin/python --require-hashes \
   requirements/uv.txt requirements/project.txt || stop "$registry"
-rm -f .venv/infrablend-train.stamp  # what `make tools` added is gone with the sync
+rm -f .venv/infrablend-train.stamp  # the sync removes what `make train` added
 
 # The build back end is among the locked packages, so nothing is fetched unlocked for building.
 .venv/bin/uv --quiet pip install --python .venv/bin/python --no-deps --no-build-isolation --offline --editable . ||
-  stop "could not install the project itself; the lines above say why"
-.venv/bin/infrablend --version >/dev/null || stop "the installed command does not start; the lines above say why"
+  stop "could not install the project itself; the lines above show the reason"
+.venv/bin/infrablend --version >/dev/null || stop "the installed command does not start; the lines above show the reason"
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

@@ -17,24 +17,24 @@ want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv/infrablend-train.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then exit 0; fi
 
-say "Ultralytics and torch go into .venv. To download: about 270 MB (1.1 GB on disk) where pip's settings lead to the
-train: CPU build of torch (PIP_FIND_LINKS or a mirror that has it); else on Linux about 2.7 GB (4.5 GB on disk), because
-train: the registry's own build comes with CUDA. To do without: make test TOOLS=0"
+say "installing Ultralytics and torch into .venv. To download: about 270 MB (1.1 GB on disk) if pip's settings lead to the
+train: CPU build of torch (PIP_FIND_LINKS or a mirror that has it); otherwise on Linux about 2.7 GB (4.5 GB on disk),
+train: because the registry's own build includes CUDA. To skip this: make test TOOLS=0"
 
-registry="the package registry could not be used, or gave other files than the locked ones: check the network and pip's
-train: settings and run the same command again, or do without: make test TOOLS=0"
-# pip and not uv: it is pip's settings that may lead to the small build of torch.
+registry="the package registry could not be used, or its files differ from the locked ones: check the network and pip's
+train: settings and run the same command again, or skip this: make test TOOLS=0"
+# pip instead of uv, because pip's settings may select the small build of torch.
 install=(.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes
   --only-binary :all:)
 log=build/train-env.log
 "${install[@]}" -r requirements/train.txt >"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
 if ! "${install[@]}" -r requirements/torch-cpu.txt >>"$log" 2>&1 || ! .venv/bin/python -W ignore -c 'import torch' 2>>"$log"
 then
-  say "no CPU build of torch within reach (see $log): fetching the registry's own"
+  say "no CPU build of torch is available (see $log): installing the registry's default build"
   "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
 fi
 # Ultralytics and its `yolo` import torchvision. The registry has no CPU build of it for Linux, and the CUDA one does not
-# import beside torch's CPU build; the stand-in has the one operator that detection needs.
+# work with torch's CPU build; the stand-in has the one operator that detection needs.
 if ! .venv/bin/python -W ignore -c 'import torchvision' 2>>"$log"; then
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index --no-build-isolation \
     --force-reinstall requirements/torchvision-stand-in >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }

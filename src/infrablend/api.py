@@ -353,7 +353,7 @@ def list_sources() -> list[SourceEntry]:
 
 
 def describe_source(name: str, *, licence_only: bool = False) -> str:
-    """Return where to get a public dataset, its licence, and how."""
+    """Return the source, licence and download steps of a public dataset."""
     source = fetching.require_source(name)
     return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
 
@@ -398,7 +398,7 @@ def write_infrared_effect(path: str | Path) -> Path:
 
 
 def diagnose() -> Diagnosis:
-    """Return what this machine has and lacks: Python, Blender, libraries, devices, disk."""
+    """Check whether this machine can run InfraBlend: Python, Blender, libraries, devices, disk."""
     from infrablend.report.doctor import diagnose as survey
 
     return survey()

@@ -142,7 +142,7 @@ def cover_of(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
 
 
 def partly_covered(original: Sequence[Instance], cover: NDArray[np.bool_] | None) -> dict[int, Instance]:
-    """Return the originals that new objects hide in part, by index, with what is still visible of them.
+    """Return the originals that new objects hide in part, by index, with their visible parts.
 
     `visibility` is multiplied by the share that is not covered (an unknown one counts as 1). A mask, which means
     visible pixels, loses the covered ones. Boxes stay.

@@ -140,7 +140,7 @@ def _require_inside(file: Path) -> None:
 
 
 def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
-    """Return the evaluated triangles of everything that a render of the scene would show."""
+    """Return the evaluated triangles of everything that is visible in a render of the scene."""
     scene = bpy.context.scene
     for thing in scene.objects:
         for modifier in thing.modifiers:

@@ -109,7 +109,7 @@ def make_reading(
     metadata: Path | None = None,
     options: list[str] | None = None,
 ) -> Reading:
-    """Return how to read a dataset, from the options `--split`, `--format`, `--form`, `--metadata` and `--read`."""
+    """Return the reading settings from the options `--split`, `--format`, `--form`, `--metadata` and `--read`."""
     from infrablend.formats.reading import Reading
 
     return Reading(split_list(split), format, form, metadata, key_values(options, "--read"))

@@ -114,7 +114,7 @@ def local_mapping(
     settings: LocalSettings,
     rng: np.random.Generator,
 ) -> tuple[GreyMapping, dict[str, Any]]:
-    """Return the mapping for the inserts of one frame, and what was estimated on the way.
+    """Return the mapping for the inserts of one frame, and the estimates behind it.
 
     Each insert is matched to the ground around it. Cameras stretch what is warmer than the ground and what is colder
     differently, so warm inserts take their gain mainly from warm anchors, cold ones from cold anchors.

@@ -156,7 +156,7 @@ def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str] | None:
-    """Return why a recipe in these modes has no field at `path` and what to do about it; None for a misspelt field.
+    """Return why a recipe in these modes has no field at `path`, and the remedy; None for a misspelt field.
 
     Args:
         path: Steps of the field's dotted name, such as `("objects", 0, "group")`.
@@ -176,7 +176,7 @@ def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str
 
 
 def _explained(field: Field, modes: Modes) -> tuple[str, str]:
-    """Return which modes a field needs that the recipe does not have, and what to do."""
+    """Return the modes that a field needs and the recipe lacks, and the remedy."""
     meaningful = [m for m in all_modes() if field in fields_of(m)]
     nearest = min(meaningful, key=lambda m: sum(a != b for a, b in zip(m, modes, strict=True)))
     needed = [

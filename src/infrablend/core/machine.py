@@ -76,7 +76,7 @@ def usable_cores() -> float:
 
 
 def usable_memory_bytes() -> int:
-    """Return the memory this process may still take: what is available, limited by the container."""
+    """Return the memory that this process may still use: the available memory, within the limit of the container."""
     available = int(psutil.virtual_memory().available)
     limit, used = (_read(_CGROUP / name).strip() for name in ("memory.max", "memory.current"))
     if limit.isdigit() and used.isdigit():

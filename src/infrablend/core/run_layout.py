@@ -36,7 +36,7 @@ class RunLayout:
         return self.root / IMAGES / relative
 
     def record(self, frame_id: str) -> Path:
-        """Return the record of a frame, e.g. `train/a_c0`: its scene, its labels and what was decided."""
+        """Return the record of a frame, e.g. `train/a_c0`: its scene, its labels and the decisions made."""
         return self.root / SCENES / f"{frame_id}.json"
 
     def records(self, split: str = "") -> list[Path]:

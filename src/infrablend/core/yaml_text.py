@@ -47,7 +47,7 @@ def read_yaml(text: str) -> Any:
 
 
 def _describe(error: YAMLError) -> str:
-    """Return what is wrong and where, on one line, without the library's hints on its own settings."""
+    """Return the error and its place on one line, without the library's hints about its own settings."""
     problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
     if problem is None or mark is None:
         return " ".join(str(error).split())

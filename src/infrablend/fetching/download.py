@@ -319,7 +319,7 @@ def _opener() -> urllib.request.OpenerDirector:
 
 
 def _refused(url: str, error: urllib.error.HTTPError) -> Exception:
-    """Return what to raise for an HTTP status: another try, or the end."""
+    """Return the exception for an HTTP status: a retry, or a final error."""
     status = f"HTTP {error.code} {error.reason}".strip()
     if error.code in _RETRY_STATUS:
         return _NotWhole(f"the server answers {status}", _retry_after(error.headers.get("Retry-After")))
@@ -341,7 +341,7 @@ def _retry_after(value: str | None) -> float:
 
 
 def _unreachable(url: str, error: Exception) -> Exception:
-    """Return what to raise if there was no answer."""
+    """Return the exception for a request without an answer."""
     reason = error.reason if isinstance(error, urllib.error.URLError) else error
     if isinstance(reason, ssl.SSLCertVerificationError):
         found = f"the server's certificate was not accepted: {reason.verify_message}"

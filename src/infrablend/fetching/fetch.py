@@ -130,7 +130,7 @@ def how_to_get(source: Source) -> str:
 
 
 def licence_lines(source: Source) -> list[str]:
-    """Return the licence, and what to know about it."""
+    """Return the licence and remarks about it."""
     licence = source.licence
     lines = [f"Licence: {licence.name}" + (f", {licence.url}" if licence.url else "")]
     return lines + ([source.licence_note] if source.licence_note else [])

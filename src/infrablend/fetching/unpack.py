@@ -340,7 +340,10 @@ def _tar_content(tar: tarfile.TarFile, member: tarfile.TarInfo) -> IO[bytes]:
 
 
 def _tar_refusal(member: tarfile.TarInfo, folder: Path) -> str:
-    """Return why an entry must not be written; empty if it may. Stricter than `data_filter`, which keeps some links."""
+    """Return the reason not to write an entry, or an empty string if it may be written.
+
+    This is stricter than `data_filter`, which keeps some links.
+    """
     if member.issym() or member.islnk():
         return "a link"
     if not (member.isreg() or member.isdir()) or member.issparse():
@@ -371,7 +374,7 @@ def _parts(name: str) -> list[str]:
 
 
 def _bad_name(name: str) -> str:
-    """Return why a name must not become a path below the folder; empty if it may."""
+    """Return the reason why a name is not a safe path below the folder, or an empty string if it is."""
     parts = _parts(name)
     if name.startswith("/") or re.match(r"[A-Za-z]:", name):
         return "an absolute path"

@@ -29,7 +29,7 @@ def leaves_folder(path: Path) -> bool:
 
 
 def _unfit(path: Path, where: str, expected: str, limit: int) -> Problem | None:
-    """Return why a file must not be opened: it is a link out of its folder, not a regular file, or too large."""
+    """Return why a file must not be opened: a link out of its folder, not a regular file, or too large."""
     if leaves_folder(path):
         found, todo = f"{path.name!r} is a link out of its folder", "copy the file, or link the whole folder instead"
         return Problem(where, "name-climbs", found, "a file inside it", todo)
@@ -81,7 +81,7 @@ def _nested(path: Path) -> Problem:
 
 
 def _depth(value: Any) -> int:
-    """Return how deeply lists and objects are nested, at most one level more than allowed."""
+    """Return the nesting depth of lists and objects, counted up to one level more than allowed."""
     level, depth = [value], 0
     while level and depth <= MAX_JSON_DEPTH:
         inner: list[Any] = []

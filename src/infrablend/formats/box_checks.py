@@ -61,7 +61,7 @@ def _show(numbers: Sequence[float]) -> str:
 
 
 def overhang_px(points_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> float:
-    """Return how far the outermost of (n, 2) points is outside the frame; 0 if all are inside."""
+    """Return the distance of the outermost of (n, 2) points from the frame; 0 if all are inside."""
     out = np.maximum(-points_xy, points_xy - np.array(size_wh, np.float64))
     return float(max(out.max(), 0.0))
 

@@ -206,7 +206,7 @@ def _has_own_box(instance: Instance) -> bool:
 
 
 def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings) -> Problem | None:
-    """Return why a format cannot be written with the source's ids, or None; to be called before anything is written."""
+    """Return why a format cannot be written with the source's ids, or None. Call it before writing anything."""
     if settings.ids == "new" or "ids" not in find_writer(name).takes:
         return None
     ordered = sort_images(images)

@@ -46,7 +46,7 @@ def require_thermal_levels(background: Background) -> None:
 
 
 def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: Path) -> dict[str, Any]:
-    """Return what a frame's record says of its background."""
+    """Return the facts about the background for a frame's record."""
     return {
         "id": source.id,
         "path": os.path.relpath(source.path, data_root),

@@ -22,6 +22,7 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
+from infrablend.core.run_layout import RunLayout
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.errors import DatasetError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
@@ -162,7 +163,7 @@ def _background_key(record: FrameRecord) -> str:
 def _records(run: Path, time_of_day: Time) -> list[FrameRecord]:
     inserted = []
     for split in SPLITS:
-        for path in sorted((run / "scenes" / split).glob("*.json")):
+        for path in RunLayout(run).records(split):
             record = read_record(path)
             if record is None:
                 raise DatasetError(f"{path}: this frame record cannot be read. Run `generate --resume`.")

@@ -247,7 +247,7 @@ def _count_findings(predictions: Predictions, case: Case, counts: dict[str, int]
 
 
 def _without_hits(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
-    """Return a warning if there are findings, but no class with an AP that its three decimals would show."""
+    """Return a warning if there are findings, but the AP of every class rounds to 0.000."""
     best = max(row["map50"] for row in table.values() if row["map50"] is not None)
     if not counts["findings"] or best >= _LEAST_AP:
         return []
@@ -272,7 +272,7 @@ def _output(out: Path) -> OutputFolder:
 
 
 def _check_out(out: Path, overwrite: bool) -> list[str]:
-    """Return what the folder already contains; refuse what may not be replaced."""
+    """Return the results already in the folder; refuse a folder whose content must not be replaced."""
     folder = _output(out)
     entries = folder.entries()
     folder.require_only(_OWN, entries)

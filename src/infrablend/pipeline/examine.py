@@ -24,7 +24,7 @@ _RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
 def inspect_folder(
     root: Path, out: Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
 ) -> Inspection:
-    """Return what a dataset contains; with `out`, also write `inspect.json` and the charts `inspect.png`.
+    """Return the contents of a dataset; with `out`, also write `inspect.json` and the charts `inspect.png`.
 
     Raises:
         DatasetError: The dataset cannot be read.

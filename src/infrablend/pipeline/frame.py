@@ -113,7 +113,7 @@ class FrameMaker:
         self._renderer.close()
 
     def _site(self, frame: PlannedFrame, background: Background) -> Site:
-        """Return what placement may know of the background."""
+        """Return the facts about the background that placement may use."""
         source, levels = frame.as_read, self._settings.levels
         unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
         return Site(background.pixels, source.instances, frozenset(self._settings.ignored), source.altitude_m, unit)

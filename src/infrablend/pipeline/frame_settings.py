@@ -81,7 +81,7 @@ def sensor_strength(sensor: Sensor) -> SensorStrength:
 
 
 def merge_settings(recipe: Recipe) -> MergeSettings:
-    """Return which labels an image carries.
+    """Return the kinds of labels on an image.
 
     Ignore regions stay in the record: each format leaves them out, or not, when it is written.
     """

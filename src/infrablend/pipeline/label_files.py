@@ -163,7 +163,7 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
 
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
-    """Return how often scenes were redrawn, why, and how that shifts the distribution of the camera distance."""
+    """Return the numbers of redrawn scenes by reason, and the resulting shift of the camera distances."""
     scenes = [r.scene for r in records if r.scene is not None and r.scene.draws.get("wanted")]
     if not scenes:
         return {}

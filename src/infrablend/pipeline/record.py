@@ -69,7 +69,7 @@ class FrameRecord:
         }
 
     def originals(self, background: Sequence[Instance]) -> tuple[Instance, ...]:
-        """Return the background's labels that the image keeps, with what is visible of them in it."""
+        """Return the background's labels that the image keeps, with their visible parts."""
         found = []
         for n in self.kept:
             seen = self.covered.get(n)

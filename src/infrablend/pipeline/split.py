@@ -185,7 +185,7 @@ def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
-    """Return what has to be shared out in a group: images, then objects of every class."""
+    """Return the counts of a group that are balanced over the splits: images, then objects of each class."""
     counts = Counter(o.category for i in group for o in i.instances)
     return [len(group), *(counts[n] for n in names)]
 

@@ -108,7 +108,7 @@ def _parts(scene: PlacedScene) -> _Parts:
 
 
 def _radiance(state: PartState, scene: SceneSpec) -> float:
-    """Return what a surface shows: 0 to 1 in the artistic look, W m^-2 sr^-1 in the physical one."""
+    """Return the light from a surface: 0 to 1 in the artistic look, W m^-2 sr^-1 in the physical one."""
     look, e = scene.appearance, state.emissivity
     if look.mode == "physical":
         if scene.weather is None:

@@ -38,7 +38,7 @@ from infrablend.report.figures import markdown_table
 CARD_FILE = "README.md"
 SOURCE_FILE = "SOURCE.json"
 LICENCE_COPY = "LICENSE-source.txt"
-WORLD_FILE = "world.json"  # that `infrablend world` writes
+WORLD_FILE = "world.json"  # written by `infrablend world`
 
 _LICENCE_NAMES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md")
 _LICENCE_BYTES = 1_000_000
@@ -109,7 +109,7 @@ class Provenance:
         licence_note: Remark about the licence, or empty.
         attribution: Authors to name, or empty.
         citation: BibTeX entry, or empty.
-        how: Sentence that says how the origin is known.
+        how: Sentence on how the origin is known.
         licence_text: Content of the licence file beside the data, if any.
         changes: Earlier changes, a sentence each, if the source was itself generated.
         limits: Known limits of the source, a sentence each.
@@ -270,7 +270,7 @@ def read_source(path: Path) -> Provenance | None:
         _text(data, "licence_note"),
         _text(data, "attribution"),
         _text(data, "citation", lines=True),
-        f"As its `{SOURCE_FILE}` says" + (f", commit {commit}." if (commit := _commit(data)) else "."),
+        f"According to its `{SOURCE_FILE}`" + (f", commit {commit}." if (commit := _commit(data)) else "."),
         changes=tuple(" ".join(c.split()) for c in changes if isinstance(c, str)) if isinstance(changes, list) else (),
         limits=known.limits if known else (),
         own=data.get("own") is True,
@@ -335,7 +335,7 @@ def card_text(card: Card) -> str:
         _bullets(card.changes),
         "## Classes and counts",
         _table(card),
-        "These counts are before the losses of single formats; see the next section.",
+        "Some formats hold less: the next section lists their losses.",
         "## Files",
         _tree(card),
         *_formats(card),

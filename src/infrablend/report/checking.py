@@ -205,7 +205,7 @@ def _key(o: Instance) -> tuple[Any, ...]:
 
 
 def _apart(o: Instance, size_wh: tuple[int, int] | None) -> float:
-    """Return how far (px) the box is from the oriented box's bounds inside the frame; 0 where they may differ."""
+    """Return the distance (px) of the box from the oriented box's bounds inside the frame; 0 where they may differ."""
     if o.corners_xy is None or o.inserted or o.extra.get("tight_box"):
         return 0.0
     bounds = np.concatenate([o.corners_xy.min(axis=0), o.corners_xy.max(axis=0)])

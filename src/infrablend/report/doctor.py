@@ -1,7 +1,6 @@
-"""Is this machine fit to run InfraBlend? Facts are gathered by `survey`, judged by `judge`; `diagnose` does both.
+"""Check whether this machine can run InfraBlend: `survey` gathers facts, `judge` rates them, `diagnose` does both.
 
-Blender is asked in a process of its own, so that this module needs no bpy and a broken one cannot take us down; so is
-torch.
+Blender and torch are queried in separate processes: this module then needs neither, and survives a broken one.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ _NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'
 
 @dataclass(frozen=True)
 class Check:
-    """One verdict: what was looked at, how it stands, what was found, what to do (empty if nothing)."""
+    """One check: its name, its status, what was found, and the remedy (empty if none is needed)."""
 
     name: str
     status: Status
@@ -88,24 +87,24 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """True if nothing stands in the way of a run; warnings do not."""
+        """True if a run can work; warnings do not prevent it."""
         return all(c.status != "error" for c in self.checks)
 
     def to_json(self) -> dict[str, object]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {"ok": self.ok, "checks": [c.to_json() for c in self.checks]}
 
 
 @dataclass(frozen=True)
 class Blender:
-    """What Blender's Python module answered.
+    """State of Blender's Python module.
 
     Attributes:
-        installed: The module is there, whether or not it loads.
-        version: Of Blender, or None if the module does not load.
-        devices: GPU type -> names of the devices Cycles sees.
-        trouble: Last line of what went wrong, or empty.
-        unresolved: Shared objects its loader cannot find, sorted.
+        installed: True if the module is present, whether or not it loads.
+        version: Version of Blender, or None if the module does not load.
+        devices: Names of the devices that Cycles sees, by GPU type.
+        trouble: Last line of the error output, or empty.
+        unresolved: Shared libraries that its loader cannot find, sorted.
     """
 
     installed: bool
@@ -117,13 +116,13 @@ class Blender:
 
 @dataclass(frozen=True)
 class Trainer:
-    """What training and prediction need.
+    """State of the packages for training and prediction.
 
     Attributes:
-        torch: Its version, or None if it is not installed.
-        ultralytics: Its version, or None.
+        torch: Version of torch, or None if it is not installed.
+        ultralytics: Version of Ultralytics, or None.
         devices: Names of the CUDA devices that torch sees.
-        trouble: Why torch did not answer, or empty.
+        trouble: Reason why torch did not answer, or empty.
     """
 
     torch: str | None = None
@@ -134,7 +133,7 @@ class Trainer:
 
 @dataclass(frozen=True)
 class Machine:
-    """Facts about this machine. Free space by folder in bytes, None where a folder cannot be written."""
+    """Facts about this machine. Free space is in bytes; None means that the folder cannot be written."""
 
     system: str
     architecture: str
@@ -151,12 +150,12 @@ class Machine:
 
 
 def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s: float = 60.0) -> Machine:
-    """Facts about this machine; takes a few seconds because Blender is started.
+    """Return facts about this machine; it takes a few seconds because Blender is started.
 
     Args:
-        folder: Where output would go; the current folder by default. It need not exist.
-        ask_blender_s: After this long Blender counts as hung.
-        ask_torch_s: After this long torch does.
+        folder: Folder for the output, by default the current one. It need not exist.
+        ask_blender_s: Time limit for the answer of Blender, in seconds.
+        ask_torch_s: Time limit for the answer of torch, in seconds.
     """
     folder = (folder or Path.cwd()).absolute()
     temp = tempfile.gettempdir()
@@ -177,7 +176,7 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
 
 
 def judge(machine: Machine) -> Diagnosis:
-    """Judge the facts; the checks are in reading order."""
+    """Return the checks of the facts, in the order in which they are shown."""
     return Diagnosis(
         (
             _check_system(machine),
@@ -197,7 +196,7 @@ def judge(machine: Machine) -> Diagnosis:
 
 
 def diagnose(folder: Path | None = None) -> Diagnosis:
-    """Look at this machine and say whether a run that writes to `folder` (default: the current one) can work."""
+    """Check whether a run that writes to `folder` (by default the current one) can work on this machine."""
     return judge(survey(folder))
 
 
@@ -205,7 +204,7 @@ def _check_system(m: Machine) -> Check:
     found = f"{m.system} {m.architecture}"
     if m.system == "Linux" and m.architecture == "x86_64":
         return Check("system", "ok", found)
-    return Check("system", "warning", found, "only Linux on x86_64 is tested; tell us how it goes")
+    return Check("system", "warning", found, "only Linux on x86_64 is tested; please report how it works")
 
 
 def _check_python(m: Machine) -> Check:
@@ -213,12 +212,12 @@ def _check_python(m: Machine) -> Check:
     if m.python[:2] == SUPPORTED_PYTHON:
         return Check("Python", "ok", found)
     wanted = ".".join(map(str, SUPPORTED_PYTHON))
-    return Check("Python", "error", found, f"use Python {wanted}: Blender's module exists for no other version")
+    return Check("Python", "error", found, f"use Python {wanted}: Blender's module needs exactly this version")
 
 
 def _check_libraries(m: Machine) -> Check:
     if not m.missing_packages:
-        return Check("system libraries", "ok", "all that Blender loads are there")
+        return Check("system libraries", "ok", "complete")
     return Check(
         "system libraries",
         "error",
@@ -243,9 +242,7 @@ def _check_blender(m: Machine) -> Check:
     if b.version[:2] == SUPPORTED_BLENDER:
         return Check("Blender (bpy)", "ok", found)
     wanted = ".".join(map(str, SUPPORTED_BLENDER))
-    return Check(
-        "Blender (bpy)", "error", found, f"InfraBlend is made for Blender {wanted}: pip install 'bpy=={wanted}.*'"
-    )
+    return Check("Blender (bpy)", "error", found, f"InfraBlend needs Blender {wanted}: pip install 'bpy=={wanted}.*'")
 
 
 def _check_devices(m: Machine) -> Check:
@@ -253,17 +250,17 @@ def _check_devices(m: Machine) -> Check:
     if gpus:
         return Check("Cycles devices", "ok", "; ".join(["cpu", *gpus]))
     if m.blender.version is None:
-        return Check("Cycles devices", "warning", "unknown: Blender does not load", "mend Blender first")
+        return Check("Cycles devices", "warning", "unknown: Blender does not load", "fix Blender first")
     return Check("Cycles devices", "ok", "cpu only")
 
 
 def _check_torch(m: Machine) -> Check:
-    """Training is an extra: without it all else works."""
+    """Training is an extra: everything else works without torch."""
     t = m.trainer
     if t.torch is None:
         return Check("torch", "ok", _NOT_INSTALLED)
     if t.trouble:
-        return Check("torch", "warning", f"{t.torch}, does not work: {t.trouble}", "install it anew: make train")
+        return Check("torch", "warning", f"{t.torch}, does not work: {t.trouble}", "reinstall it: make train")
     found = f"CUDA devices: {', '.join(t.devices)}" if t.devices else "no CUDA device"
     return Check("torch", "ok", f"{t.torch}, {found}")
 
@@ -285,12 +282,12 @@ def _check_memory(m: Machine) -> Check:
 
 def _check_space(name: str, folder: str, free: int | None) -> Check:
     if free is None:
-        return Check(name, "error", f"{folder} cannot be written", "choose another folder or change its rights")
+        return Check(name, "error", f"{folder} cannot be written", "choose another folder or change its permissions")
     found = f"{_size(free)} free in {folder}"
     if free < NO_DISK_BYTES:
         return Check(name, "error", found, "free some space")
     if free < LITTLE_DISK_BYTES:
-        return Check(name, "warning", found, "`infrablend generate ... --plan` says how much a run takes")
+        return Check(name, "warning", found, "`infrablend generate ... --plan` shows how much a run needs")
     return Check(name, "ok", found)
 
 
@@ -333,7 +330,7 @@ def _ask_trainer(limit_s: float) -> Trainer:
 
 
 def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | None, str]:
-    """Return the JSON that code says in a process of its own; if it says none, None and why."""
+    """Return the JSON printed by code in a separate process, or None and the reason if it prints none."""
     try:
         # A file of ours in the current folder must not be imported in place of the real thing: -P.
         done = subprocess.run(
@@ -353,7 +350,7 @@ def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | N
 
 
 def _unresolved(module: Path | None) -> tuple[str, ...]:
-    """Shared objects that `ldd` does not find for the module; empty where there is no ldd."""
+    """Return the shared libraries that `ldd` does not find for the module; empty where there is no ldd."""
     if module is None or shutil.which("ldd") is None:
         return ()
     listing = subprocess.run(["ldd", str(module)], capture_output=True, text=True, check=False).stdout
@@ -361,12 +358,12 @@ def _unresolved(module: Path | None) -> tuple[str, ...]:
 
 
 def parse_ldd(listing: str) -> tuple[str, ...]:
-    """Names of the shared objects that an `ldd` listing calls not found, sorted, once each."""
+    """Return the shared libraries that an `ldd` listing marks as not found, sorted and without repeats."""
     return tuple(sorted(set(re.findall(r"^\s*(\S+) => not found", listing, re.MULTILINE))))
 
 
 def _free_bytes(folder: Path) -> int | None:
-    """Free bytes where `folder` is or would be made; None if it cannot be written."""
+    """Return the free bytes on the disk of `folder`, which need not exist; None if it cannot be written."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):

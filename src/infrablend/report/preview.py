@@ -486,10 +486,10 @@ def _title(run: Path, entry: _Entry) -> str:
         record = json.loads(RunLayout(run).record(f"{entry.split}/{name}").read_text("utf-8"))
         facts = dict(record["background"])
         if record["scene"] is not None:
-            # The camera that was used: it is not the metadata's where a recipe fixes or draws the pitch.
+            # The pitch of the virtual camera differs from the metadata if a recipe fixes or draws it.
             facts["pitch_deg"] = math.degrees(record["scene"]["camera"]["pitch_rad"])
     except (OSError, ValueError, KeyError, TypeError):
-        log.debug("%s: no record, so its title says less", entry.path)
+        log.debug("%s: no record, so its title is shorter", entry.path)
     if facts.get("pitch_deg") is not None:
         parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")
     if facts.get("altitude_m") is not None:

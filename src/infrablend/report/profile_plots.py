@@ -1,4 +1,4 @@
-"""Plots of a fitted sensor profile: what the pictures show against what the fitted chain makes."""
+"""Plots of a fitted sensor profile: measurements of the pictures beside those of the fitted chain."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from infrablend.compositing.fitting import LAGS, Fit, Readings
 from infrablend.compositing.measure import EDGE_PX
 
-# Apart from each other also for colour-blind readers.
+# Distinct for colour-blind readers too.
 FOUND, FITTED, OTHER, FAINT = "#1b1b1b", "#d55e00", "#0072b2", "#9a9a9a"
 
 
@@ -69,11 +69,11 @@ def _sigmas(ax: Any, fit: Fit) -> None:
     top = 3.0
     ax.hist(np.minimum(fit.found.sigmas_px, top), bins=np.arange(0, top + 0.051, 0.05), color="#c9c9c9")
     low, high = fit.profile.edge_bounds_px
-    ax.axvspan(low, high, color=FITTED, alpha=0.15, lw=0, label="believed of a picture's sharpest")
+    ax.axvspan(low, high, color=FITTED, alpha=0.15, lw=0, label="allowed for a single picture")
     ax.axvline(fit.found.sigma_px, color=FOUND, lw=1.8, label=f"20th percentile, {fit.found.sigma_px:.2f} px")
     ax.axvline(fit.chain.sigma_px, color=FITTED, lw=1.4, ls="--", label=f"fitted chain, {fit.chain.sigma_px:.2f} px")
     ax.set(
-        title="Sharpness of all clean edges", xlabel="sigma, px (3 and more together)", ylabel="edges", xlim=(0, top)
+        title="Sharpness of all clean edges", xlabel="sigma, px (last bar: 3 and more)", ylabel="edges", xlim=(0, top)
     )
 
 
@@ -87,7 +87,7 @@ def _grain(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
             label = f"{name}: {r.noise_grey:.2f} levels"
             ax.plot([0, *LAGS], [1, *r.correlations], color=colour, marker="o", ms=5, lw=1.8, label=label)
     ax.set(
-        title="Grain of flat places", xlabel="distance, px", ylabel="correlation", xticks=[0, *LAGS], ylim=(-0.1, 1.03)
+        title="Grain of flat areas", xlabel="distance, px", ylabel="correlation", xticks=[0, *LAGS], ylim=(-0.1, 1.03)
     )
 
 
@@ -110,14 +110,14 @@ def _levels(ax: Any, fit: Fit, histogram: NDArray[np.int64]) -> None:
 
 def _blocks(ax: Any, fit: Fit) -> None:
     if fit.found.steps is None:
-        ax.set(title="Steps in the codec's grid: pictures are too small")
+        ax.set(title="Steps in the codec's grid: the pictures are too small")
         return
     ax.bar(np.arange(8), fit.found.steps - 1, color=[FITTED, *["#c9c9c9"] * 7], bottom=1, width=0.8)
     ax.axhline(1, color=FAINT, lw=0.7)
     reach = max(float(np.abs(fit.found.steps - 1).max()) * 1.3, 0.05)
     ax.set(
         title=f"Steps between neighbours: blockiness {fit.found.blockiness:.3f}",
-        xlabel="place in the 8 px grid (0: from one block to the next)",
+        xlabel="position in the 8 px grid (0: between two blocks)",
         ylabel="relative to their mean",
         ylim=(1 - reach, 1 + reach),
     )
@@ -126,14 +126,14 @@ def _blocks(ax: Any, fit: Fit) -> None:
 def _codec(ax: Any, fit: Fit) -> None:
     q = fit.profile.codec_quality
     if not fit.codec or fit.found.blockiness is None:
-        ax.set(title="Codec: not to be seen in these pictures")
+        ax.set(title="Codec: not visible in these pictures")
         return
-    ax.plot(*zip(*fit.codec, strict=True), color=FOUND, marker="o", ms=4, label="moved half a block, through JPEG")
-    ax.axhline(fit.found.blockiness, color=FITTED, lw=1.4, label=f"as they are: {fit.found.blockiness:.3f}")
+    ax.plot(*zip(*fit.codec, strict=True), color=FOUND, marker="o", ms=4, label="shifted half a block, saved as JPEG")
+    ax.axhline(fit.found.blockiness, color=FITTED, lw=1.4, label=f"unchanged: {fit.found.blockiness:.3f}")
     if q is not None:
         ax.axvline(q, color=FITTED, lw=1.0, ls=":")
     ax.set(
-        title="Codec: none beside the files' own" if q is None else f"Codec: as JPEG of quality {q}",
+        title="Codec: only that of the files" if q is None else f"Codec: as JPEG of quality {q}",
         xlabel="JPEG quality (100: none)",
         ylabel="blockiness",
     )

@@ -151,7 +151,7 @@ def place_as_paper(
 
 
 def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Placement) -> str | None:
-    """Return why an object with these (V, 3) vertices breaks the rules on visibility and size, or None."""
+    """Return the rule on visibility or size that an object with these (V, 3) vertices breaks, or None."""
     inside, depth_m = inside_fraction(camera, world_m, item.mesh.triangles)
     if depth_m < rules.min_depth_m:
         return "too_near"

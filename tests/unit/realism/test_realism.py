@@ -396,6 +396,7 @@ def crowd(tmp_path_factory):
         "camera.focal_length_mm": 35.0,
         "camera.sensor_width_mm": 10.88,
         "camera.distance_m": [90, 130],
+        "output.group_by": ["pitch", "day_night"],
     }
     run = root / "run"
     api.generate(

@@ -45,7 +45,7 @@ def measured_rates(work: Path) -> Rates:
 
 
 def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
-    """Return how long a stage took and on how many images; 0 images for kinds whose time says nothing of others."""
+    """Return the time that a stage took and its number of images; 0 images if the kind is no basis for estimates."""
     result, seconds = record["result"], float(record["seconds"])
     match record["kind"]:
         case "train":
@@ -58,7 +58,7 @@ def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
 
 
 def _network(inputs: Mapping[str, Any]) -> str:
-    """Return what the time of a training for one image depends on; empty for other stages."""
+    """Return the settings that determine the training time per image; empty for other stages."""
     preset = inputs.get("preset") or {}
     return " ".join(str(preset[k]) for k in ("model", "image_size") if k in preset)
 

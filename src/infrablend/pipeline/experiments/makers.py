@@ -156,7 +156,7 @@ def _has_class(part: Dataset, category: str | None) -> bool:
 
 
 def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
-    """Return how many images to draw like those of a class, so that as many images with the class can match them."""
+    """Return how many images to draw so that the images with the class can match them in number."""
     classes = [{o.category for o in i.instances} for i in part.images]
     others = set(without) - {like}
     return min(sum(not c & set(without) for c in classes), sum(like in c and not c & others for c in classes))

@@ -14,7 +14,7 @@ from infrablend.config.recipe import Recipe
 
 
 def recipe_inputs(spec: Generate) -> dict[str, Any]:
-    """Return what a run's recipe contributes to the stage's key; the user's own models count by their content."""
+    """Return the contribution of a run's recipe to the stage's key; the user's own models count by their content."""
     recipe = load_recipe(spec.recipe, spec.settings)
     own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
     return {

@@ -51,7 +51,7 @@ def _missing_folders(experiment: Experiment, given: dict[str, Path]) -> list[Pro
 
 
 def where_to_get(source: Source) -> str:
-    """Return where a source can be obtained, in one line."""
+    """Return one line on how to obtain a source."""
     try:
         return f"see {require_source(source.format).page}"
     except InfraBlendError:

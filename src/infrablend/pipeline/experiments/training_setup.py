@@ -41,7 +41,7 @@ def training_seconds(preset: Preset, images: int, *, gpu: bool) -> float:
 
 
 def runs_on_gpu(device: str) -> bool:
-    """Return whether a network would run on a GPU; False where nothing can be trained at all."""
+    """Return True if networks run on a GPU; False also if nothing can be trained at all."""
     if device == "cpu":
         return False
     try:

@@ -10,7 +10,7 @@ from infrablend.report.results.text import duration
 
 
 def list_differences(facts: Mapping[str, Any]) -> list[str]:
-    """Return what differs from the paper, one line per difference."""
+    """Return the differences from the paper, one line each."""
     return [*_sources(facts), *_trainings(facts), *_boxes(facts), *_scale(facts)]
 
 

@@ -15,7 +15,7 @@ def page_name(experiment: str, scale: str) -> str:
 
 
 def standing(facts: Mapping[str, Any]) -> str:
-    """Return how complete a run is; one without some of the datasets is complete only for those given."""
+    """Return the state of a run; if some datasets were not given, it is complete only for the others."""
     some_left_out = facts["status"] == "complete" and facts["left_out"]
     return "complete for the data at hand" if some_left_out else str(facts["status"])
 
