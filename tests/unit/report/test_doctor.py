@@ -53,7 +53,7 @@ def test_a_good_machine_gets_no_advice() -> None:
         ({"free_bytes": {"/out": 1024**3}}, "disk", "warning", "--plan"),
         ({"free_bytes": {"/out": 1024}}, "disk", "error", "free some space"),
         ({"free_bytes": {"/out": None}}, "disk", "error", "choose another folder"),
-        ({"free_temp_bytes": None}, "temporary folder", "error", "rights"),
+        ({"free_temp_bytes": None}, "temporary folder", "error", "permissions"),
         ({"free_shm_bytes": 1024}, "shared memory", "warning", "--shm-size"),
     ],
 )
