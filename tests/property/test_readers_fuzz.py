@@ -60,10 +60,11 @@ import resource, sys
 from pathlib import Path
 from infrablend import api
 from infrablend.errors import InfraBlendError
+from infrablend.formats.reading import Reading
 import infrablend.formats.hit_uav, infrablend.formats.coco, infrablend.formats.yolo, infrablend.report.checking
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
-    report = api.check(sys.argv[1], format=sys.argv[2])
+    report = api.check(sys.argv[1], reading=Reading(format=sys.argv[2]))
     print(sorted(report.by_code()))
 except InfraBlendError as error:
     print([p.code for p in error.problems])
