@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from infrablend.assets import catalogue
+from infrablend.assets.model import ObjectModel
 from infrablend.config import loading
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing, require_apart
@@ -60,7 +61,8 @@ __all__ = [
     "ClassChanges", "ConvertReport", "Execution", "ExperimentRequest", "FetchReport",
     "FetchRequest", "Judging", "PlanReport", "Reading", "RealismReport", "RunReport", "Selection", "SourceEntry",
     "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest", "WriteSettings", "check",
-    "compare_evaluations", "convert", "describe_source", "diagnose", "evaluate", "experiment", "fetch", "generate",
+    "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose", "evaluate",
+    "experiment", "fetch", "generate",
     "inspect", "list_experiments", "list_models", "list_recipes", "list_sources", "make_world", "plan",
     "plan_experiment", "plan_train", "preview", "preview_ground", "profile", "read_dataset", "realism", "rerender",
     "show_model", "show_recipe", "split", "train", "write_infrared_effect",
@@ -374,6 +376,15 @@ def make_world(
 def list_models() -> dict[str, str]:
     """Return the shipped models and their descriptions."""
     return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
+
+
+def describe_model(name: str) -> ObjectModel:
+    """Return a model, shipped or your own .yaml: description, options, and the temperatures of its parts.
+
+    >>> describe_model("drone").options["layout"]
+    'one of x, h, plus, deadcat, or a list of several'
+    """
+    return ready_model(name)
 
 
 def show_model(name: str, out: str | Path, seed: int = 0) -> Path:

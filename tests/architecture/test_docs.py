@@ -39,6 +39,20 @@ def test_links_inside_the_repository_lead_somewhere(page: Path) -> None:
     assert broken == []
 
 
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as repository hosts derive them."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S), re.M)
+    plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", h).lower() for h in headings]
+    return {re.sub(r"[^\w\- ]", "", h).strip().replace(" ", "-") for h in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_links_to_headings_lead_to_one(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text("utf-8"))
+    targets = [(page.parent / link if link else page, anchor) for link, anchor in links if "://" not in link]
+    assert [a for target, a in targets if target.suffix == ".md" and a not in anchors(target)] == []
+
+
 def test_every_page_is_reachable_from_the_index() -> None:
     seen: set[Path] = set()
     queue = [ROOT / "README.md"]

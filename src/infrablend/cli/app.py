@@ -116,7 +116,11 @@ def build_app() -> typer.Typer:
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
-        ("models", {"list": models.list_models, "show": models.show_model}, "Object models."),
+        (
+            "models",
+            {"list": models.list_models, "describe": models.describe_model, "show": models.show_model},
+            "Object models.",
+        ),
         ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Shipped recipes."),
         ("asset", {"infrared-effect": asset.infrared_effect}, "Blender assets."),
     )

@@ -16,6 +16,25 @@ def list_models() -> None:
     print_result(table(api.list_models()))
 
 
+def describe_model(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.")],
+) -> None:
+    """List the options, parts and temperatures of a model that a recipe can set."""
+    from infrablend import api
+    from infrablend.cli.results import print_result, table
+
+    model = api.describe_model(name)
+    parts = {
+        part: f"{role.delta_t_k[0]:+g} to {role.delta_t_k[1]:+g} K, {role.emissivity[0]:g} to {role.emissivity[1]:g}"
+        + (f"  {role.what}" if role.what else "")
+        for part, role in model.parts.items()
+    }
+    print_result(f"{model.name}: {model.description}\nCategory: {model.category}. Origin: {model.origin}.")
+    if model.options:
+        print_result(f"\nOptions (objects.N.options)\n{table(model.options)}")
+    print_result(f"\nParts (objects.N.parts): surface minus air temperature, emissivity\n{table(parts)}")
+
+
 def show_model(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.")],
     out: Annotated[

@@ -160,7 +160,7 @@ class ObjectKind(Strict):
     scale: range_of(1e-4, 1e4) = (1.0, 1.0)  # type: ignore[valid-type]
     """Factor on the model's size; log-uniform."""
     options: dict[str, Any] = Field(default_factory=dict)
-    """Options of the model, e.g. `pose: grazing`; see `infrablend models show NAME`."""
+    """Options of the model, e.g. `pose: grazing`; `infrablend models describe NAME` lists them."""
     parts: dict[str, PartOverride] = Field(default_factory=dict)
     """Other temperatures or emissivities for named parts."""
 

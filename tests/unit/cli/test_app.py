@@ -486,3 +486,11 @@ def test_facts_read_units_from_names():
         "m": "x 1, y 2",
     }
     assert facts({"frames_per_s": 9.5, "rows": [{}] * 3}) == {"frames per s": "9.5", "rows": "3"}
+
+
+def test_a_model_is_described_by_its_options_and_parts(capsys):
+    assert main(["models", "describe", "drone"]) == 0
+    shown = capsys.readouterr().out
+    assert any(line.split()[:3] == ["layout", "one", "of"] for line in shown.splitlines())
+    for part in ("motor", "battery"):
+        assert any(line.startswith(part + " ") and " K, " in line for line in shown.splitlines())
