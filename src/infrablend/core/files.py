@@ -16,15 +16,15 @@ from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
 
-# What os.link answers where hard links do not exist or are not allowed; anything else is a real error.
+# Errors of os.link where hard links are not supported or not allowed; any other error is real.
 _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 def part_path(path: Path) -> Path:
-    """Return the name of a file while it is written: hidden, beside the final one, for an atomic rename.
+    """Return the temporary path of a file while it is being written: hidden, in the same folder.
 
-    It keeps the suffix, which some writers insist on, and is the same each time: what a killed process left behind is
-    overwritten by the next one.
+    The path keeps the suffix, which some writers require. It is always the same, so the next write replaces what a
+    killed process left behind.
     """
     return path.with_name(f".{path.stem}.part{path.suffix}")
 
@@ -42,15 +42,16 @@ def output_error(path: Path, error: OSError) -> OutputError:
 
 @contextlib.contextmanager
 def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool = False) -> Iterator[Path]:
-    """Give a temporary path beside `path`; move it onto `path` when the block ends well, remove it if not.
+    """Yield a temporary path; rename it to `path` when the block succeeds, remove it when the block fails.
 
     Args:
-        path: The file to make; its folder is made too.
-        beside: Another temporary path in the same folder, where several processes may write the same file.
-        durable: Whole even after a power cut. Costs milliseconds, so not for each of ten thousand labels.
+        path: File to write; its folder is created.
+        beside: Temporary path in the same folder to use instead, if several processes may write the same file.
+        durable: Flush to disk, so that the file survives a power cut. Costs milliseconds per file: too slow for
+            thousands of label files.
 
     Raises:
-        OutputError: If the folder cannot be written or the disk is full; `path` is then as it was before.
+        OutputError: The folder cannot be written or the disk is full; `path` is then unchanged.
     """
     temporary = beside or part_path(path)
     try:
@@ -70,44 +71,44 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
 
 
 def flush(path: Path) -> None:
-    """Have what was written to a file, or renamed in a folder, on the disk and not only on its way there."""
+    """Flush a file, or the renames in a folder, to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that cannot, folders above all
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # not every file system can, least of all for folders
             raise
     finally:
         os.close(handle)
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = False) -> Path:
-    """Write `data` to `path`, whole or not at all; see `replace_atomically`."""
+    """Write `data` to `path` atomically; see `replace_atomically`."""
     with replace_atomically(path, durable=durable) as temporary:
         temporary.write_bytes(data)
     return path
 
 
 def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
-    """Write UTF-8 text with LF line ends, whole or not at all."""
+    """Write UTF-8 text with LF line ends atomically."""
     return write_bytes(path, text.encode("utf-8"), durable=durable)
 
 
 def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool = False) -> Path:
-    """Write `data` as JSON with sorted keys, whole or not at all; the same data gives the same bytes."""
+    """Write `data` as JSON with sorted keys atomically; the same data gives the same bytes."""
     text = json.dumps(data, sort_keys=True, indent=indent, ensure_ascii=False, allow_nan=False)
     return write_text(path, text + "\n", durable=durable)
 
 
 def link_or_copy(source: Path, target: Path) -> Path:
-    """Make `target` a hard link of `source`, or a copy where links are impossible; atomic, makes folders.
+    """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders.
 
     Raises:
-        OutputError: Neither worked.
+        OutputError: Both failed.
     """
     try:
         real = Path(os.path.realpath(source))
-        # Renaming one link of a file over another does nothing at all, so the case is settled before.
+        # Renaming one hard link over another of the same file does nothing, so handle this case first.
         if target.exists() and not target.is_symlink() and target.samefile(real):
             return target
     except OSError as error:

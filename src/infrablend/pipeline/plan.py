@@ -1,4 +1,4 @@
-"""What a run will do: which frames on which backgrounds, which categories, what is left out and why."""
+"""Plans a run: its frames and their backgrounds, its categories, and what is left out and why."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
-# For estimates only, measured with Cycles on the CPU: 4 frames with one worker took 6.4 CPU seconds, 24 took 11.8.
-# Workers start at the same time, so that their number does not change the time until the first frame.
+# For estimates only. Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8.
+# Workers start in parallel, so their number does not change the time until the first frame.
 START_S = 5.5
 TYPICAL_FRAME_CPU_S = 0.26
 READ_PICTURE_S = 0.01
 WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
-# Labels, records and per-format copies of one frame, bytes; images are hard-linked.
+# Bytes per frame of labels, records and per-format files; images are hard links.
 TYPICAL_LABELS_BYTES = 12_000
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedFrame:
-    """One frame to make: configuration k on a background, or (k None) the background itself, unchanged.
+    """One frame of the run: a background with inserted objects, or the unchanged background.
 
     Attributes:
-        background: With its classes named as the recipe wants them.
-        configuration: k.
-        as_read: With the source's own class names, which say what the picture shows: camera height, grey levels and
-            free places must not depend on what the labels are to be called.
+        background: Background with classes renamed as the recipe asks.
+        configuration: Number k of the configuration, from 0; None for the unchanged background.
+        as_read: Background with the source's own class names. Camera height, grey levels and free places are
+            derived from these, so that renaming classes does not change the picture.
     """
 
     background: ImageRecord
@@ -51,7 +51,7 @@ class PlannedFrame:
 
     @property
     def name(self) -> str:
-        """Stem of the image file: `<background>_c<k>`, or the background's own."""
+        """Stem of the image file: `<background>_c<k>`, or that of the unchanged background."""
         return self.background.id if self.configuration is None else f"{self.background.id}_c{self.configuration}"
 
     @property
@@ -66,7 +66,7 @@ class PlannedFrame:
         return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, b.time_of_day)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
-        """Path below `images/`: split, the groups asked for, name."""
+        """Return the path below `images/`: split, requested groups, file name."""
         b = self.background
         groups = {
             "pitch": "pitch_unknown" if b.pitch_deg is None else f"pitch_{b.pitch_deg:g}",
@@ -78,21 +78,21 @@ class PlannedFrame:
 
 @dataclass(frozen=True, eq=False)
 class RunPlan:
-    """All that is decided before the first frame.
+    """All decisions made before the first frame.
 
     Attributes:
-        recipe: As validated.
-        seed: The run's seed.
-        dataset: The backgrounds, after splits and limit.
-        models: Every model the recipe names.
-        categories: The source's, then the new ones, with their ids.
-        new_categories: Names of those the recipe adds.
-        frames: In order: split, background, configuration.
-        problems: What is left out and why; warnings too.
-        key: What must be equal for a run to be resumed; field -> digest or value.
-        ignored: The source's own names of the categories that mark ignore regions.
-        sample: Pictures that the dataset's grey levels are measured on, spread over all that were read: a run of the
-            first few backgrounds gives the same frames as a run of all.
+        recipe: Validated recipe.
+        seed: Seed of the run.
+        dataset: Backgrounds, restricted to the requested splits and limit.
+        models: Models by the names used in the recipe.
+        categories: Categories of the source, then the new ones, with their ids.
+        new_categories: Names of the categories that the recipe adds.
+        frames: Frames, ordered by split, background and configuration.
+        problems: Left-out items with reasons, and warnings.
+        key: Values or digests, by field, that must match for a run to be resumed.
+        ignored: Original names of the categories that mark ignore regions.
+        sample: Pictures from which to measure the grey levels of the dataset. They are spread over all pictures read,
+            so that a run with a limit gives the same frames as a full run.
     """
 
     recipe: Recipe
@@ -144,17 +144,17 @@ def make_plan(
     """Return the plan of a run.
 
     Args:
-        recipe: What to do.
-        dataset: The backgrounds, read for the wanted splits.
-        seed: The run's seed.
-        splits: For the record only: what was asked for.
-        limit: Only the first so many backgrounds, in sorted order.
-        dropped: Fields that reading the recipe dropped.
+        recipe: Recipe of the run.
+        dataset: Backgrounds of the requested splits.
+        seed: Seed of the run.
+        splits: Requested splits, for error messages only.
+        limit: Number of backgrounds to use, the first ones in sorted order; None for all.
+        dropped: Fields that were dropped when the recipe was read.
 
     Raises:
-        DatasetError: If no background is left.
-        RecipeError: If an option is none of its model's, or a category none of the dataset's.
-        ModelError: If a model does not exist or has no part that the recipe names.
+        DatasetError: No background is left.
+        RecipeError: A model does not have an option of the recipe, or the dataset lacks a category that it names.
+        ModelError: A model does not exist, or lacks a part that the recipe names.
     """
     models = {o.model: ready_model(o.model) for o in recipe.objects}
     require_parts(recipe, models)
@@ -201,8 +201,8 @@ def make_plan(
             problems,
         )
     if recipe.labels.mode == "merged" and not any(image.instances for image in usable):
-        found = "no labels in any image: what they show already counts as background"
-        todo = "check --data, or set labels.mode to new if that is so"
+        found = "no labels in any image, so objects in the backgrounds stay unlabelled"
+        todo = "check --data, or set labels.mode to new if the data has no labels"
         problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
     _require_ids(recipe, usable)
     categories = list(dataset.categories)
@@ -244,17 +244,17 @@ def make_plan(
 
 
 def is_text(name: str) -> bool:
-    """Return False for a file name with bytes that are no UTF-8 (Python keeps them as lone surrogates)."""
+    """Return False for a file name with bytes that are not UTF-8 (Python keeps them as lone surrogates)."""
     return name == as_text(name)
 
 
 def as_text(name: str) -> str:
-    """Return the name with whatever is not UTF-8 written as `\\udcff`."""
+    """Return the name with bytes that are not UTF-8 written as escapes such as `\\udcff`."""
     return name.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
-    """Try each object's options once: a wrong one would else fail every frame."""
+    """Try each object's options once: an invalid one would otherwise fail every frame."""
     problems = []
     for i, o in enumerate(recipe.objects):
         try:
@@ -263,16 +263,16 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
             message = error.message if isinstance(error, InfraBlendError) else str(error)
             problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
     if problems:
-        raise RecipeError(f"recipe {recipe.name}: options that its models do not take", problems)
+        raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
 
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
-    """Return the facts about a picture's camera that the recipe needs and nobody states."""
+    """Return a problem if the recipe needs the camera's pitch or height and it is unknown; None otherwise."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
     height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
     if not pitch and not height:
         return None
-    found = ["no camera pitch known"] * pitch + ["no camera height known, which metric placement needs"] * height
+    found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
     wanted = ["a pitch"] * pitch + ["an altitude"] * height
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
     return Problem(
@@ -294,13 +294,13 @@ def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset
 
 
 def _require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
-    """Source ids that cannot be kept are told before the first frame, not after the last."""
+    """Check that the source's ids can be kept, before the first frame rather than after the last."""
     settings = WriteSettings(ids=recipe.output.ids)
     problems = []
     if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
         found = f"source with {recipe.configurations} configuration(s){' and originals' * recipe.output.originals}"
         todo = "set output.ids to new, or configurations to 1 and output.originals to false"
-        problems.append(Problem("output.ids", "recipe-value", found, "one frame for each background", todo))
+        problems.append(Problem("output.ids", "recipe-value", found, "one frame per background", todo))
     for name in recipe.output.formats:
         problem = None if name == NATIVE else unwritable(name, images, settings)
         if problem is not None:
@@ -310,7 +310,7 @@ def _require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
 
 
 def fingerprint(dataset: Dataset) -> str:
-    """Digest of a dataset's images and labels as read (not of the pixels: each frame's record holds those)."""
+    """Return a digest of the images and labels of a dataset. Pixels are excluded: each frame's record covers those."""
     digest = hashlib.sha256()
     for c in dataset.categories:
         digest.update(f"{c.id}\x1f{c.name}\x1e".encode())

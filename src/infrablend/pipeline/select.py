@@ -1,4 +1,4 @@
-"""A part of a dataset: pictures with or without a class, as many as asked for, with as many of its objects."""
+"""Selects part of a dataset: by class, number of pictures, number of objects, or flight conditions."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
 
-# No picture is drawn more often, however rare its height is.
+# Upper limit on the copies of one picture, however rare its flight conditions are.
 MOST_COPIES = 4
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which pictures to take; the default takes all.
+    """Pictures to select; the default selects all.
 
     Attributes:
-        with_class: Only pictures that show this class.
-        without: No pictures that show one of these classes; those to ignore (DontCare) may be among them.
-        images: As many pictures, drawn at random.
-        like: Draw them so that times of day, heights and camera pitches are shared out as among the pictures that show
-            this class, some up to `MOST_COPIES` times (under names of their own); as many as there are to choose from
-            by default.
-        objects: Of `with_class`: the pictures are drawn so that they show this many, or as nearly as can be.
-        seed: Of the draw.
+        with_class: Class that every selected picture shows; None for no such condition.
+        without: Classes that no selected picture shows; ignored classes (DontCare) are allowed here.
+        images: Number of pictures to draw at random; None for all that qualify.
+        like: Class whose pictures set the distribution of times of day, heights and camera pitches to match. A picture
+            may be used up to `MOST_COPIES` times; each copy has its own name.
+        objects: Number of `with_class` objects that the pictures should contain in total, matched as closely as
+            possible.
+        seed: Seed of the random draw.
     """
 
     with_class: str | None = None
@@ -47,7 +47,7 @@ class Selection:
         return self != Selection(seed=self.seed)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "with_class": self.with_class,
             "without": sorted(self.without),
@@ -62,16 +62,16 @@ SELECT_ALL = Selection()
 
 
 def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:
-    """Return the part of a dataset that a selection asks for, and what it left out, counted by reason.
+    """Return the selected part of a dataset, and the facts of the selection with counts of left-out pictures by reason.
 
-    Same dataset and selection, same pictures; they keep their order, splits, and all their labels.
+    The same dataset and selection give the same pictures. Pictures keep their order, their splits and all their labels.
 
     Raises:
-        DatasetError: No such class, no picture left, or fewer pictures than asked for; all problems at once.
+        DatasetError: A class does not exist, no picture qualifies, or too few do. The error lists all problems.
     """
     problems = _faults(dataset, wanted)
     if problems:
-        raise DatasetError(f"{dataset.root}: no such selection", problems)
+        raise DatasetError(f"{dataset.root}: invalid selection", problems)
     named, avoided = wanted.with_class, set(wanted.without)
     left_out: Counter[str] = Counter()
     pool: list[ImageRecord] = []
@@ -89,8 +89,8 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
         expected = "at least one" if wanted.images is None else f"{wanted.images} (--images)"
         what = "; ".join(f"{n} {why}" for why, n in sorted(left_out.items())) or "none left out"
         raise DatasetError(
-            f"{dataset.root}: too few pictures to choose from",
-            [Problem("selection", "selection-short", f"{len(pool)} picture(s) that fit ({what})", expected)],
+            f"{dataset.root}: too few pictures match the selection",
+            [Problem("selection", "selection-short", f"{len(pool)} matching picture(s) ({what})", expected)],
         )
     if wanted.like is not None:
         like = [i for i in dataset.images if any(o.category == wanted.like for o in i.instances)]
@@ -138,20 +138,21 @@ Flight = tuple[str, float, float]
 
 
 def _flight(image: ImageRecord) -> Flight:
-    """Time of day, height, and camera pitch; -1 for what is unknown."""
+    """Return time of day, height and camera pitch; unknown numbers are -1."""
     height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.altitude_m, image.pitch_deg))
     return image.time_of_day or "", height, pitch
 
 
 def _apart(a: Flight, b: Flight) -> tuple[bool, float]:
-    """How unlike two flights are: the time of day first, then steps of 20 m and of 10 degrees alike."""
+    """Return the distance between two flights: time of day first, then height and pitch (20 m weigh as 10 degrees)."""
     return a[0] != b[0], abs(a[1] - b[1]) / 20 + abs(a[2] - b[2]) / 10
 
 
 def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
-    """How often to take each of a pool, `size` in all, so that its flights are shared out as those of `like`.
+    """Return the number of copies of each picture in the pool so that flights are distributed as in `like`.
 
-    What a flight cannot give, even with every picture taken `MOST_COPIES` times, the nearest one (see `_apart`) gives.
+    The copies add up to `size`. If a flight has too few pictures, even with `MOST_COPIES` copies of each, the nearest
+    flight (see `_apart`) supplies the rest.
     """
     members: dict[Flight, list[int]] = {}
     for k in stream(seed, "select").permutation(len(pool)).tolist():
@@ -164,7 +165,7 @@ def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed
     copies = [0] * len(pool)
     room = {f: MOST_COPIES * len(of) for f, of in members.items()}
     given: Counter[Flight] = Counter()
-    # First what each flight can give of its own, then what others lack.
+    # Each flight first supplies its own share; the nearest flights then fill the gaps.
     lacking: list[Flight] = []
     for f, n in wanted.items():
         own = min(n, room.get(f, 0))
@@ -180,10 +181,10 @@ def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed
 
 
 def draw_with_sum(counts: NDArray[np.int64], order: NDArray[np.int64], size: int, total: int) -> NDArray[np.int64]:
-    """`size` of the indices in `order` whose counts add up to `total`, or as nearly as exchanges of two bring them.
+    """Return `size` of the indices in `order` whose counts add up to `total`, or come close to it.
 
-    The first ones are taken, then the exchange of one taken with one left that comes nearest to `total` is made, as
-    long as one helps: so the others stay as they were drawn.
+    Starts with the first `size` indices and swaps one selected index for one unselected index, best swap first, as long
+    as the sum comes closer to `total`. All other indices stay as they were drawn.
     """
     taken, left = order[:size].copy(), order[size:].copy()
     missing = int(total - counts[taken].sum())
@@ -211,18 +212,22 @@ def _faults(dataset: Dataset, wanted: Selection) -> list[Problem]:
             problems.append(Problem(option, "category-unknown", ", ".join(unknown), expected))
     if wanted.with_class is not None and wanted.with_class in wanted.without:
         problems.append(
-            Problem("--without", "selection-empty", f"{wanted.with_class}, as --with-class", "another class")
+            Problem("--without", "selection-empty", f"{wanted.with_class}, also given as --with-class", "another class")
         )
     for option, number in (("--images", wanted.images), ("--objects", wanted.objects)):
         if number is not None and number < 1:
-            problems.append(Problem(option, "selection-number", str(number), "a number above 0"))
+            problems.append(Problem(option, "selection-number", str(number), "a positive number"))
     if wanted.like is not None and wanted.objects is not None:
-        problems.append(Problem("--like-class", "selection-class", "--objects, too", "one of the two"))
+        problems.append(
+            Problem("--like-class", "selection-class", "given together with --objects", "only one of the two")
+        )
     elif wanted.like in {c.name for c in dataset.categories} and not any(
         o.category == wanted.like for i in dataset.images for o in i.instances
     ):
-        problems.append(Problem("--like-class", "selection-empty", f"no {wanted.like}", "a class that is shown"))
+        problems.append(
+            Problem("--like-class", "selection-empty", f"no object of class {wanted.like}", "a class with objects")
+        )
     if wanted.objects is not None and wanted.with_class is None:
-        found = f"{wanted.objects} objects of no class"
+        found = f"{wanted.objects} objects, but no class"
         problems.append(Problem("--objects", "selection-class", found, "objects of one class", "give --with-class"))
     return problems

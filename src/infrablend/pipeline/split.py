@@ -1,4 +1,4 @@
-"""New splits that keep what belongs together together: whole flights, days or runs of frames in one split each."""
+"""Splits a dataset anew so that related images (a flight, a day, a run of frames) stay in the same split."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from infrablend.report.card import dataset_card, write_card
 
 SHARES = (0.7, 0.1, 0.2)
 RECORD = "split.json"
-# Orders in which the groups are dealt out; the best result is taken.
+# Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 
 
 @dataclass(frozen=True, eq=False)
 class SplitReport:
-    """What a new split is and how good.
+    """Result of a new split and its quality.
 
     Attributes:
-        out: Where it was written.
-        by: What was kept together.
-        gap: In frame numbers; for `by="gap"`.
-        seed: Of the order in which groups were dealt out.
-        wanted: Share of train, val and test that was asked for.
-        images: Images by split.
-        objects: Grouping class and split.
-        groups: Split by group.
-        before: Neighbours across the splits as they were.
-        after: Neighbours across the new ones.
-        format: What was written; `list` for lists alone.
-        losses: What the format could not hold.
-        files: Files written.
-        problems: Warnings: splits without images or classes.
+        out: Folder that was written.
+        by: Grouping: images of one group stay in the same split.
+        gap: Largest distance of frame numbers within a group; only for `by="gap"`.
+        seed: Seed of the order in which groups were assigned.
+        wanted: Requested shares of train, val and test.
+        images: Number of images per split.
+        objects: Number of objects per class and split.
+        groups: Split of each group.
+        before: Neighbouring images in different splits, in the source's splits.
+        after: Neighbouring images in different splits, in the new splits.
+        format: Format that was written; `list` if only lists were written.
+        losses: Counts of what the format cannot hold.
+        files: Number of files written.
+        problems: Warnings, e.g. about splits without images or without objects of a class.
     """
 
     out: Path
@@ -67,12 +67,12 @@ class SplitReport:
     problems: tuple[Problem, ...] = ()
 
     def shares(self, counts: Mapping[str, int]) -> dict[str, float]:
-        """Share of each split in some counts by split."""
+        """Return the share of each split, from counts per split."""
         total = sum(counts.values())
         return {s: round(n / total, 4) if total else 0.0 for s, n in counts.items()}
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values, without the place it was written to."""
+        """Return plain JSON values, without the output folder."""
         return {
             "by": self.by,
             "gap": self.gap if self.by == "gap" else None,
@@ -94,12 +94,12 @@ class SplitReport:
 
 @dataclass(frozen=True)
 class SplitRule:
-    """How to split a dataset.
+    """Rule for splitting a dataset.
 
     Attributes:
-        by: What stays together: a `sequence`, a `date`, or (`gap`) runs of frame numbers.
-        gap: For `by="gap"`: a run ends where the next frame number is more than this many away; None for 5.
-        shares: Shares of train, val and test; they are scaled to a sum of 1. A share of 0 leaves that split empty.
+        by: Grouping whose groups stay in one split: `sequence`, `date`, or `gap` (runs of nearby frame numbers).
+        gap: Largest step between frame numbers within a run, for `by="gap"`; None for 5.
+        shares: Shares of train, val and test, scaled to a sum of 1. A share of 0 leaves that split empty.
         seed: Seed of the order in which groups are assigned.
     """
 
@@ -112,21 +112,23 @@ class SplitRule:
 def split_dataset(
     dataset: Dataset, out: Path, rule: SplitRule, *, to: str = NATIVE, lists: bool = False
 ) -> SplitReport:
-    """Deal whole groups of images out to train, val and test and write the dataset so.
+    """Assign whole groups of images to train, val and test, and write the dataset with these splits.
 
-    The counts of images and of every class come as close to the shares as whole groups allow (greedy, then moves of
-    single groups as long as they help, the best of several orders). Same dataset, same arguments, same bytes.
+    The number of images and of objects of each class come as close to the shares as whole groups allow: groups are
+    assigned greedily, single groups are then moved while that helps, and the best of several orders is used. The same
+    dataset and arguments give the same bytes.
 
     Args:
-        dataset: As read; its own splits are only used for the leakage before.
-        out: Folder to write, new or empty.
-        rule: What stays together, and the share of each split.
-        to: The format to write; `native` is the dataset's own.
-        lists: Write `train.txt`, `val.txt`, `test.txt` (paths as in the dataset, one a line) and the record alone.
+        dataset: Dataset as read; its own splits only serve to report the leakage before.
+        out: Folder to write; must be new or empty.
+        rule: Grouping and shares.
+        to: Format to write; `native` is the dataset's own.
+        lists: Write only the record and the lists `train.txt`, `val.txt` and `test.txt`, with one path relative to the
+            dataset per line.
 
     Raises:
-        DatasetError: The dataset does not say what is to be kept together, its format has no writer, or the shares are
-            none.
+        DatasetError: The dataset lacks the facts that the grouping needs, its format has no writer, or the shares are
+            invalid.
         OutputError: `out` is not empty or cannot be written.
     """
     require_apart(dataset.root, out)
@@ -135,7 +137,7 @@ def split_dataset(
     by, gap, seed = rule.by, NEAR if rule.gap is None else rule.gap, rule.seed
     wanted = check_shares(rule.shares)
     if gap < 1:
-        raise DatasetError(f"gap: found {gap}, expected a number of frames above 0")
+        raise DatasetError(f"gap: found {gap}, expected a positive number of frames")
     OutputFolder(out, "split dataset", RECORD).require_empty()
     native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if native is None and not lists:
@@ -171,29 +173,31 @@ def split_dataset(
 
 
 def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
-    """Three shares with a sum of 1.
+    """Return the three shares, scaled to a sum of 1.
 
     Raises:
-        DatasetError: They are not three finite numbers of at least 0, with at least two above 0.
+        DatasetError: The shares are not three finite, non-negative numbers, at least two of them positive.
     """
     good = len(shares) == 3 and all(math.isfinite(s) and s >= 0 for s in shares)
     if not good or sum(s > 0 for s in shares) < 2:
-        raise DatasetError(f"shares: found {list(shares)}, expected three numbers for train, val and test, two above 0")
+        raise DatasetError(
+            f"shares: found {list(shares)}, expected three numbers for train, val and test, two of them positive"
+        )
     total = sum(shares)
     train, val, test = (s / total for s in shares)
     return train, val, test
 
 
 def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
-    """Return the counts of a group that are balanced over the splits: images, then objects of each class."""
+    """Return the counts to balance over the splits: the group's images, then its objects of each class."""
     counts = Counter(o.category for i in group for o in i.instances)
     return [len(group), *(counts[n] for n in names)]
 
 
 def deal_out(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
-    """Return the split of each of n groups that divides every column of (n, k) counts as wanted.
+    """Return the index of the split of each of n groups so that every column of the (n, k) counts follows the shares.
 
-    Columns count alike, whatever their sums; those that are all 0 do not count.
+    All columns weigh the same, whatever their sums; columns of zeros are ignored.
     """
     totals = counts.sum(axis=0)
     parts = counts[:, totals > 0] / totals[totals > 0]
@@ -201,7 +205,7 @@ def deal_out(counts: NDArray[np.float64], shares: Sequence[float], seed: int) ->
     allowed = [k for k, share in enumerate(shares) if share > 0]
     best: tuple[float, list[int]] | None = None
     for attempt in range(_TRIES):
-        # Large groups first, small ones fill up; beyond the first attempt the order is shaken a little.
+        # Large groups go first and small ones fill the gaps; later attempts vary the order slightly.
         shake = stream(seed, "split", attempt).uniform(0.5, 1.5, len(parts)) if attempt else np.ones(len(parts))
         order = np.argsort(-parts.sum(axis=1) * shake, kind="stable")
         chosen = np.full(len(parts), -1)
@@ -217,7 +221,7 @@ def deal_out(counts: NDArray[np.float64], shares: Sequence[float], seed: int) ->
 
 
 def _cost_of(held: NDArray[np.float64], part: NDArray[np.float64], split: int, target: NDArray[np.float64]) -> float:
-    """How much worse the split becomes by a part: what lies below its share is free to be filled."""
+    """Return by how much adding a part increases the squared deviation of a split from its target."""
     before = held[split] - target[split]
     return float(((before + part) ** 2 - before**2).sum())
 
@@ -229,7 +233,7 @@ def _improve(
     target: NDArray[np.float64],
     allowed: Sequence[int],
 ) -> None:
-    """Move single groups as long as that helps; in place."""
+    """Move single groups to other splits, in place, until no move helps."""
     for _ in range(100):
         moved = False
         for g in range(len(parts)):
@@ -254,8 +258,8 @@ def _warnings(
             continue
         here = [i for i in images if i.split == split]
         if not here:
-            found = "no group is left for it"
-            todo = "take a smaller --gap, if there is one" if by == "gap" else "take --by gap"
+            found = "no group left to assign"
+            todo = "use a smaller --gap if possible" if by == "gap" else "use --by gap"
             problems.append(Problem(split, "split-empty", found, "more and smaller groups", todo, "warning"))
             continue
         lacking = [
@@ -267,7 +271,7 @@ def _warnings(
         if lacking:
             found = f"no object of {', '.join(lacking)}"
             problems.append(
-                Problem(split, "class-absent", found, "some of every class", "take another seed", "warning")
+                Problem(split, "class-absent", found, "objects of every class", "try another --seed", "warning")
             )
     return tuple(problems)
 
@@ -299,7 +303,7 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
 
 
 def _renamed(images: Sequence[ImageRecord]) -> list[ImageRecord]:
-    """Pictures of like name that come together in one split get names of their own."""
+    """Give unique names to pictures that would have the same name within a split."""
     count = Counter((i.split, i.name) for i in images)
     if max(count.values(), default=0) < 2:
         return list(images)

@@ -379,11 +379,11 @@ def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):
     plain.mkdir()
     for k, p in enumerate(sorted((dataset / "normal_json").rglob("*.jpg"))):
         shutil.copy(p, plain / f"picture {k}.jpg")
-    with pytest.raises(DatasetError, match="no camera pitch known; expected a pitch in") as caught:
+    with pytest.raises(DatasetError, match="unknown camera pitch; expected a pitch in") as caught:
         generate(plain, tmp_path / "a")
     assert len(caught.value.problems) == 4
     metric = {"placement.mode": "metric"}
-    with pytest.raises(DatasetError, match="no camera pitch known and no camera height known"):
+    with pytest.raises(DatasetError, match="unknown camera pitch and unknown camera height"):
         generate(plain, tmp_path / "a", settings=metric)
     with pytest.raises(DatasetError, match=r"set camera.altitude to \{fixed_m"):
         generate(plain, tmp_path / "a", settings=metric | {"camera.pitch.fixed_deg": 45})

@@ -113,7 +113,7 @@ def test_pitches_are_shared_out_too():
     ("wanted", "match"),
     [
         (Selection("Dog", ("Cat",)), r"--with-class: Dog[\s\S]*--without: Cat"),
-        (Selection("Car", ("Car",)), "--without: Car, as --with-class"),
+        (Selection("Car", ("Car",)), "--without: Car, also given as --with-class"),
         (Selection("Car", images=0), "--images: 0"),
         (Selection(objects=3), "Give --with-class"),
         (Selection(like="Car", objects=3), "--like-class"),
