@@ -1,4 +1,4 @@
-"""Backgrounds of a run's frames: reading one, refusing those that cannot be used, facts for the record."""
+"""Checks backgrounds for physical matching and returns their facts for the frame record."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
 from infrablend.pipeline.record import sha256_of
 
-# With fewer levels between dark and bright than this, the picture does not show how brightness follows temperature.
+# With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4
 
 
 def require_thermal_levels(background: Background) -> None:
-    """Refuse a picture whose grey levels do not follow temperature: physical matching would be meaningless.
+    """Refuse a picture with grey levels that do not follow temperature, which physical matching requires.
 
     Raises:
         DatasetError: The picture is colour-mapped or has no contrast.
@@ -30,7 +30,7 @@ def require_thermal_levels(background: Background) -> None:
             "image-colour-mapped",
             "colours; grey levels computed from them do not follow temperature",
             "a grey picture, as physical matching needs",
-            "export it from the camera in white-hot grey, or use appearance.mode: artistic",
+            "export it in white-hot grey, or use appearance.mode: artistic",
         )
         raise DatasetError(f"{background.path}: colour-mapped", [problem])
     low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))

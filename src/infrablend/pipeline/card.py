@@ -1,4 +1,4 @@
-"""Dataset card of a run: its plan and its counts in words."""
+"""Writes the dataset card of a run from its plan and counts."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def run_card(
         made=(
             ("recipe", f"`{recipe.name}`" + (f", {recipe.description}" if recipe.description else "")),
             ("seed", str(plan.seed)),
-            ("all settings, versions and counts", f"`{RUN_FILE}`; `infrablend rerender` makes a single frame again"),
+            ("all settings, versions and counts", f"`{RUN_FILE}`; `infrablend rerender` renders a single frame again"),
         ),
         inserts=(
             *source.inserts,
@@ -127,7 +127,7 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
 
 
 def _recipe_yaml(plan: RunPlan) -> str:
-    """Return the settings that the recipe changes; of a user's model the file name alone, without its local folder."""
+    """Return the settings that differ from the defaults, as YAML; user models appear without their local folder."""
     data = json.loads(plan.recipe.model_dump_json(exclude_defaults=True))
     for o in data["objects"]:
         if is_description(o["model"]):

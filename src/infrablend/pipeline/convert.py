@@ -1,4 +1,4 @@
-"""A dataset in one format written in another: pictures linked, labels translated, every loss counted."""
+"""Converts a dataset to another format: links pictures, translates labels and counts every loss."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ RECORD_FILE = "convert.json"
 
 @dataclass(frozen=True)
 class ConvertReport:
-    """What was written, and what was lost on the way.
+    """Result of a conversion.
 
     Attributes:
-        out: The folder.
-        format: The name of the format written.
-        counts: Images and labels read and dropped on wish, by split and class.
-        losses: What the format cannot hold, by kind; see `losses.LOSSES`.
-        problems: Everything wrong with the source, and warnings of the writer.
+        out: Folder that was written.
+        format: Name of the format that was written.
+        counts: Number of images per split, and of labels written and dropped per class.
+        losses: Counts of what the format cannot hold, by kind; see `losses.LOSSES`.
+        problems: Errors in the source, and warnings of the writer.
     """
 
     out: Path
@@ -50,11 +50,11 @@ class ConvertReport:
 
     @property
     def ok(self) -> bool:
-        """False if something of the source could not be used."""
+        """True if every part of the source could be used."""
         return not any(p.severity == "error" for p in self.problems)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "out": str(self.out),
             "format": self.format,
@@ -94,7 +94,7 @@ def convert_dataset(
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
-    """Write a dataset in the format `to`, and `convert.json`, the record of how.
+    """Write a dataset in the format `to`, with `convert.json`, the record of the conversion.
 
     Args:
         dataset: Dataset as read.
@@ -103,13 +103,13 @@ def convert_dataset(
         classes: Classes to rename and to leave out.
         selection: Pictures to take, by class names after renaming and before dropping.
         loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, up to the border of the picture:
-            boxes drawn by hand leave a margin, rendered ones do not. Oriented boxes and masks stay as they are.
-        settings: Choices of the writer.
-        overwrite: First delete what the earlier call wrote.
+            hand-drawn boxes have a margin, boxes of rendered objects do not. Oriented boxes and masks stay unchanged.
+        settings: Settings of the writer.
+        overwrite: Delete the output of the earlier call first.
 
     Raises:
-        UnknownFormatError: There is no such format to write.
-        DatasetError: A class does not exist, ids cannot be kept, or no picture has a size.
+        UnknownFormatError: No writer has this name.
+        DatasetError: A class does not exist, ids cannot be kept, or no picture has a readable size.
         OutputError: The folder cannot be used or written.
     """
     require_apart(dataset.root, out)
@@ -132,16 +132,16 @@ def convert_dataset(
     wanted = drop_classes(renamed, drop)
     if not 1 <= loosen <= 2:
         factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
-        raise DatasetError(f"{dataset.root}: boxes cannot be made so loose", [factor])
+        raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this factor", [factor])
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_where, wanted.root), problems)
     loosened = 0
     if loosen > 1:
         images, loosened = _loosened(images, loosen)
         if not loosened:
-            none = Problem("--loosen-inserted", "loosen-none", "no object that is marked as inserted", "some",
-                           "convert a run's coco folder, which has the mark")  # fmt: skip
-            raise DatasetError(f"{dataset.root}: no box to make loose", [none])
+            none = Problem("--loosen-inserted", "loosen-none", "no object marked as inserted", "at least one",
+                           "convert the coco folder of a run, which marks them")  # fmt: skip
+            raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
     if not images:
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)
@@ -174,7 +174,7 @@ def convert_dataset(
         try:
             written = writing.write(to, out, images, wanted.categories, settings=settings, source=wanted)
         except BaseException as error:
-            # What is there was made by this call: the folder was empty before.
+            # All entries come from this call: the folder was empty before.
             write_json(out / RECORD_FILE, header | {"status": "interrupted", "entries": _entries(folder)}, indent=2)
             if isinstance(error, ValueError):  # a label that the format does not allow
                 raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
@@ -183,8 +183,8 @@ def convert_dataset(
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if loosen > 1:
             changes.append(
-                f"The axis-aligned boxes of {loosened} inserted objects are {loosen:g} times as wide and high as the "
-                "objects, as far as the picture goes: by hand, boxes are drawn with room."
+                f"The axis-aligned boxes of {loosened} inserted objects were enlarged by the factor {loosen:g}, up to "
+                "the border of the picture, because hand-drawn boxes have a margin."
             )
         card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
         problems += write_card(out, card)
@@ -196,7 +196,7 @@ def convert_dataset(
 
 
 def _loosened(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
-    """Enlarge the boxes of inserted objects, cut at the frame; return the images and the number of boxes."""
+    """Enlarge the boxes of inserted objects up to the picture's border; return the images and the number of boxes."""
     loose, n = [], 0
     for image in images:
         instances = []
@@ -217,20 +217,20 @@ def _changes(
     problems: Sequence[Problem],
     chosen: Mapping[str, Any] | None,
 ) -> list[str]:
-    """Return the changes, for the card."""
-    texts = [f"The labels were written in the form `{to}`; the pictures are the same files."]
+    """Return the changes to list on the dataset card."""
+    texts = [f"The labels were converted to the format `{to}`; the picture files are unchanged."]
     if rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
     if dropped:
         which = ", ".join(f"{name} {n}" for name, n in dropped.items())
-        texts.append(f"{sum(dropped.values())} labels of left-out classes ({which}) are not in it.")
+        texts.append(f"{sum(dropped.values())} labels of dropped classes ({which}) were left out.")
     if chosen is not None:
         what = ", ".join(f"{n} {why}" for why, n in chosen["left_out"].items()) or "none"
-        texts.append(f"It is a selection of the source's pictures; left out: {what}; see `{RECORD_FILE}`.")
+        texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{RECORD_FILE}`.")
     left_out = Counter(p.code for p in problems if p.severity == "error")
     if left_out:
         found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Left out because something was wrong with it: {found}; `{RECORD_FILE}` lists all.")
+        texts.append(f"Invalid parts of the source were left out: {found}; `{RECORD_FILE}` lists them.")
     return texts
 
 
@@ -239,8 +239,8 @@ def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> l
     zero = next((c.name for c in dataset.categories if c.id == 0), None)
     if name != "coco" or zero is None or settings.category_ids == "from_one":
         return []
-    found = f"{zero} has category id 0, which many tools (Datumaro, torchvision) take for background"
-    todo = "number them with --category-ids from_one if yours does"
+    found = f"{zero} has category id 0, which many tools (Datumaro, torchvision) treat as background"
+    todo = "use --category-ids from_one if your tool does"
     return [Problem("coco", "category-zero", found, "ids from 1", todo, "warning")]
 
 
@@ -253,16 +253,16 @@ def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str],
     if unknown:
         known = ", ".join(c.name for c in dataset.categories) or "it has none"
         problem = Problem(option, "category-unknown", ", ".join(unknown), f"classes of the dataset ({known})")
-        raise DatasetError(f"{dataset.root}: no such class", [problem])
+        raise DatasetError(f"{dataset.root}: unknown class", [problem])
 
 
 def _require_names(dataset: Dataset, names: Iterable[str]) -> None:
-    """Check that all formats can hold the names, by the rule for recipes."""
+    """Check new class names by the rule for recipes, so that every format can hold them."""
     bad = [repr(n) for n in names if not re.fullmatch(CLASS_NAME, n)]
     if bad:
-        expected = "a name without line breaks, and without blanks at its ends"
+        expected = "a name without line breaks and without leading or trailing spaces"
         problem = Problem("--rename", "category-malformed", f"new name {', '.join(bad)}", expected)
-        raise DatasetError(f"{dataset.root}: no name for a class", [problem])
+        raise DatasetError(f"{dataset.root}: invalid class name", [problem])
 
 
 def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
@@ -278,7 +278,7 @@ def _entries(folder: OutputFolder) -> list[str]:
 
 
 def _prepare(folder: OutputFolder, overwrite: bool) -> None:
-    """Delete what an earlier call wrote, if the user asked for that; nothing else is ever deleted."""
+    """Delete the output of an earlier call if the user asked for that; nothing else is ever deleted."""
     entries = folder.require_empty(existing="overwrite" if overwrite else "refuse")
     if not entries:
         return
@@ -289,7 +289,7 @@ def _prepare(folder: OutputFolder, overwrite: bool) -> None:
     except (KeyError, TypeError):
         own, ours = [], False
     if not ours or any("/" in e or e in (".", "..") or "\\" in e for e in own):
-        raise folder.refuse_not_ours(f"no {RECORD_FILE} of a finished one")
+        raise folder.refuse_not_ours(f"no {RECORD_FILE} of a finished conversion")
     folder.require_only([*own, RECORD_FILE], entries)
-    # A card that somebody has edited stays.
+    # A card that the user has edited stays.
     folder.remove(name for name in own if name != CARD_FILE or is_own(folder.root / name))

@@ -1,4 +1,4 @@
-"""A dataset folder read, described and checked, without writing to it."""
+"""Inspects and checks a dataset folder without changing it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,9 @@ from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.report.checking import CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 
-# Faults of the command, not of the data.
+# Codes of problems caused by the command, not by the data.
 _USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
-
-
-# Keys by which an earlier `inspect.json` is recognised.
+# Keys that identify an `inspect.json` written by InfraBlend.
 _RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
 
 
@@ -48,11 +46,11 @@ def inspect_folder(
 def check_folder(
     root: Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
 ) -> CheckReport:
-    """Return every problem of labels and pictures. A dataset that its reader gives up on is a report with errors.
+    """Return every problem of labels and pictures; a dataset that cannot be read at all gives a report with errors.
 
     Raises:
-        UnknownFormatError: No format fits.
-        DatasetError: The folder does not exist, or the format does not have one of the options.
+        UnknownFormatError: No known format matches the folder.
+        DatasetError: The folder does not exist, or the format does not support one of the options.
     """
     try:
         dataset = detection.read(root, reading)

@@ -1,4 +1,4 @@
-"""The folder of a run: claimed, prepared, resumed."""
+"""Prepares the folder of a run for a new, resumed or overwriting run."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from infrablend.core.run_layout import IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError
 from infrablend.report.card import CARD_FILE, is_own
 
-# What `--overwrite` may delete: these names and nothing else.
+# The only folders that `--overwrite` may delete.
 OWN_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES, "realism", LOGS)
 
 
 @dataclass(frozen=True)
 class RunFolder(RunLayout):
-    """The folder of one run."""
+    """Folder of one run."""
 
     def read_run(self) -> dict[str, Any]:
         """Return the run record.
 
         Raises:
-            OutputError: If there is none or it cannot be read.
+            OutputError: The record does not exist or cannot be read.
         """
         try:
             data = json.loads(self.run_file.read_text("utf-8"))
         except (OSError, ValueError) as error:
             raise OutputError(
                 f"{self.run_file}: cannot be read ({error}); expected the record of a run. "
-                "Give the folder that `infrablend generate --out` wrote."
+                "Use a folder written by `infrablend generate --out`."
             ) from error
         if not isinstance(data, dict) or "recipe" not in data:
             raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
         return data
 
     def write_run(self, data: dict[str, Any]) -> None:
-        """Write the run record, whole or not at all."""
+        """Write the run record atomically."""
         write_json(self.run_file, data, indent=2)
 
     def _sweep(self) -> None:
-        """Remove what a killed process had half written; nobody else writes here now."""
+        """Remove partial files of a killed process; the folder is locked, so no other process is writing."""
         for name in OWN_FOLDERS:
             for left in sorted((self.root / name).rglob(".*.part*")):
                 with contextlib.suppress(OSError):
@@ -53,16 +53,16 @@ class RunFolder(RunLayout):
 
     @property
     def output(self) -> OutputFolder:
-        """The folder as an output folder."""
+        """Output folder with the rules for a run."""
         return OutputFolder(self.root, "run", RUN_FILE, can_resume=True, can_overwrite=True)
 
     def forget_start(self) -> None:
-        """Remove what a run leaves that could not make its first frame, so that the same command can be given again."""
+        """Remove the record and logs of a run that failed before its first frame; the command can then be repeated."""
         shutil.rmtree(self.log_folder, ignore_errors=True)
         self.run_file.unlink(missing_ok=True)
 
     def prepare(self, existing: Existing) -> dict[str, Any] | None:
-        """Make the folder ready; return the record of the run to resume, or None for a new run.
+        """Prepare the folder; return the record of the run to resume, or None for a new run.
 
         Raises:
             OutputError: The folder contains a run and `existing` is `refuse`, it contains something else, or it
@@ -73,7 +73,7 @@ class RunFolder(RunLayout):
         if entries and RUN_FILE not in entries:
             raise output.refuse_not_ours()
         if entries:
-            record = self.read_run()  # a run.json may be another program's
+            record = self.read_run()  # raises if another program wrote this run.json
             if existing == "resume":
                 self._sweep()
                 return record

@@ -1,4 +1,4 @@
-"""A run from request to report: load the recipe, read the backgrounds, plan the frames, make them."""
+"""Carries out a run request: loads the recipe, reads the backgrounds, plans and renders the frames."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
     if request.out is None:
-        raise OutputError("no output folder given; a run needs one")
+        raise OutputError("no output folder given; a run needs one. Give --out")
     return run_plan(prepare_run(request), request.out, request.execution, request.existing, on_progress)
 
 
 def describe_run(request: RunRequest) -> dict[str, Any]:
-    """Return frames, disk space, time and categories of the run, without writing anything."""
+    """Return the estimated frames, disk space, time and categories of a run without writing anything."""
     plan = prepare_run(request)
     return {
         **plan.estimate(request.execution.worker_count()),
@@ -49,8 +49,8 @@ def prepare_run(request: RunRequest) -> RunPlan:
     for option, path in (("--data", request.data), ("--out", request.out or Path())):
         if not is_text(str(path)) or "\0" in str(path):
             raise OutputError(
-                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected one that the run record (JSON) "
-                "can hold. Rename the folder, or give a link to it"
+                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected a path that the run record "
+                "(JSON) can hold. Rename the folder, or use a link to it"
             )
     if request.out is not None:
         require_apart(request.data, request.out)

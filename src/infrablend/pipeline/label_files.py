@@ -1,4 +1,4 @@
-"""Label files and card of a run, written from the records of its frames once all of them are finished."""
+"""Writes the label files and the card of a run from its frame records once all frames are finished."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from infrablend.report.card import write_card
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """Contents of the label files of a run.
+    """Summary of the labels of a run.
 
     Attributes:
         counts: Images, labels per category, removals and empty frames by reason.
@@ -41,7 +41,7 @@ class LabelSummary:
 
 
 def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
-    """Write the card and every format of the recipe; the same records give the same bytes."""
+    """Write the card and all formats of the recipe; the same records give the same bytes."""
     records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
     images = [labelled_image(f, r, folder) for f, r in records]
     losses: Counter[str] = Counter()
@@ -65,13 +65,13 @@ def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[
         category_ids=plan.recipe.output.category_ids,
         dont_care=labels.dont_care,
         without_mask=labels.seg_originals,
-        pictures=name != "coco",  # they lie in `images/` already
+        pictures=name != "coco",  # they are in `images/` already
     )
     return writing.write(name, folder.root / name, images, plan.categories, settings=settings, source=plan.dataset)
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:
-    """Return a finished frame as an image of a dataset: metadata of the background, picture and labels of the frame."""
+    """Return a finished frame as a dataset image, with the metadata of its background."""
     source = frame.background
     kept = record.originals(source.instances)
     width, height = record.background["size_wh"]
@@ -86,7 +86,7 @@ def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) 
 
 
 def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """Return the warnings about single backgrounds, one for each kind."""
+    """Return the warnings about backgrounds, merged into one per kind."""
     seen: dict[str, dict[str, Mapping[str, Any]]] = {}
     for r in records:
         for w in r.warnings:
@@ -101,7 +101,7 @@ def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
 
 
 def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
-    """Return a warning if at least half of the wanted objects are missing, e.g. because no ground is in sight."""
+    """Return a warning if at least half of the requested objects were not inserted, e.g. for lack of visible ground."""
     absent, wanted = sum(draws.get("absent", {}).values()), draws.get("wanted", 0)
     if not absent or 2 * absent < wanted:
         return []
@@ -109,7 +109,7 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     why = ", ".join(f"{name} {n}" for name, n in (*draws["absent"].items(), *most))
     todo = "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
     found = f"{absent} of {wanted} objects were not inserted ({why})"
-    return [Problem("placement", "objects-absent", found, "a place for most", todo, "warning")]
+    return [Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning")]
 
 
 def summarize(
@@ -147,9 +147,9 @@ def summarize(
 
 
 def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
-    """Count the frames that show no labelled inserted object, by reason; a frame counts once under each of its reasons.
+    """Count the frames without a labelled inserted object by reason; a frame counts once per reason.
 
-    Unchanged originals, which are meant to show none, do not count.
+    Unchanged originals do not count.
     """
     reasons: Counter[str] = Counter()
     for r in records:
@@ -163,7 +163,7 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
 
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
-    """Return the numbers of redrawn scenes by reason, and the resulting shift of the camera distances."""
+    """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
     scenes = [r.scene for r in records if r.scene is not None and r.scene.draws.get("wanted")]
     if not scenes:
         return {}

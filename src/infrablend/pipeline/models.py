@@ -1,4 +1,4 @@
-"""Getting models ready: the shipped ones as they are, a user's own through Blender once, then from the cache."""
+"""Loads object models; the geometry of user models is imported with Blender once and then cached."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import ModelError, WorkerDiedError
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 
-# A throw-away process: a damaged or hostile file may hang Blender, also when it ends.
+# Time limit of the import process: a damaged or hostile file may hang Blender, even while it exits.
 IMPORT_TIMEOUT_S = 300.0
 
 
 def ready_model(name: str) -> ObjectModel:
-    """Return the model of that name or YAML path, its geometry imported if need be.
+    """Return the model with this name or YAML path; import its geometry if it is not cached yet.
 
     Raises:
-        ModelError: If there is none, its description is wrong, or Blender cannot read its file.
+        ModelError: The model does not exist, its description is invalid, or Blender cannot read its file.
     """
     if is_description(name):
         _, file = read_description(Path(name))
@@ -31,20 +31,20 @@ def ready_model(name: str) -> ObjectModel:
             except WorkerDiedError as error:
                 raise ModelError(
                     f"model file {file}: Blender crashed or hung on it ({error.message}); expected a valid "
-                    f"{file.suffix} file. Open it in Blender, save it anew, and use that file."
+                    f"{file.suffix} file. Open it in Blender, save it again, and use the new file."
                 ) from error
     return load_model(name)
 
 
 def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = IMPORT_TIMEOUT_S) -> Any:
-    """One job in a worker process of its own; gives back its value.
+    """Run one job in a separate worker process and return its value.
 
     Raises:
-        InfraBlendError: Whatever went wrong in it.
+        InfraBlendError: The job failed.
     """
     pool = ProcessPool(WorkerSpec(factory, settings), PoolSettings(workers=1, retries=0, task_timeout_s=timeout_s))
     for result in pool.run([Task(key, payload)]):
         if result.failure is not None:
             raise result.failure.to_exception()
         return result.value
-    raise AssertionError("an executor gives one result for each task")
+    raise AssertionError("an executor yields one result per task")

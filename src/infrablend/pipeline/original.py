@@ -1,4 +1,4 @@
-"""An unchanged background as a frame of the output dataset."""
+"""Copies unchanged backgrounds into the output dataset."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from infrablend.pipeline.record import FrameRecord, sha256_of
 
 
 def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> FrameDone:
-    """Write a background's image and record, byte for byte unless the recipe asks for another file type."""
+    """Write a background's image and record; the image is a byte-for-byte copy unless the recipe asks for PNG."""
     source, folder = frame.background, RunFolder(settings.out)
     background = load_background(source.path, source.size_wh)
     kind = recipe.output.image

@@ -1,4 +1,4 @@
-"""`infrablend profile`: a sensor profile fitted to a dataset's own pictures, with plots of the fit."""
+"""Fits a sensor profile to the pictures of a dataset and plots the fit."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.report.profile_plots import draw_profile
 
-# As `compositing.mapping.measure_levels`: what a dataset uses, a few stray pixels left out.
+# Percentiles of the used range of levels without a few stray pixels, as in `compositing.mapping.measure_levels`.
 LEVEL_PERCENT = (0.05, 99.9)
-# Least distance between darkest and brightest level that counts as contrast, by bit depth.
+# Smallest span from the darkest to the brightest level that counts as contrast, by bit depth.
 LEAST_SPAN = {8: 8, 16: 64}
 BOX_MARGIN_PX = 2
 PROFILE_FILE, PLOT_FILE = "profile.json", "profile.png"
@@ -35,15 +35,15 @@ PROFILE_FILE, PLOT_FILE = "profile.json", "profile.png"
 
 @dataclass(frozen=True)
 class ProfileReport:
-    """A fitted profile, where it was written, and how it compares.
+    """Fitted profile and its comparison with the pictures.
 
     Attributes:
-        profile: Fitted.
-        path: Of its JSON file, for `sensor.profile`.
-        plot: Of the PNG.
-        columns: Titles of the comparison: found, the fitted chain's own, perhaps a shipped profile's.
-        rows: (what, a text for each column).
-        problems: Pictures left out, and why.
+        profile: Fitted profile.
+        path: JSON file of the profile, to use as `sensor.profile`.
+        plot: PNG file of the plots.
+        columns: Column titles of the comparison: pictures, fitted profile, optionally a shipped profile.
+        rows: Rows of the comparison: quantity, and one text per column.
+        problems: Pictures that were left out, with reasons.
     """
 
     profile: SensorProfile
@@ -54,7 +54,7 @@ class ProfileReport:
     problems: tuple[Problem, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "profile": self.profile.model_dump(mode="json"),
             "path": str(self.path),
@@ -74,19 +74,19 @@ def profile_dataset(
     against: str | None = None,
     on_progress: OnProgress | None = None,
 ) -> ProfileReport:
-    """Fit a profile to a dataset's pictures and write it with its plots.
+    """Fit a sensor profile to the pictures of a dataset, and write the profile and its plots.
 
     Args:
-        dataset: Its pictures; annotated objects are left out of edges and grain, not of the levels.
+        dataset: Dataset as read. Annotated objects are excluded from edges and noise, but not from the levels.
         out: Folder to write `profile.json` and `profile.png` into.
-        count: How many pictures to read, evenly spread.
-        name: Of the profile; the dataset folder's by default.
-        against: A shipped profile to compare with.
+        count: Number of pictures to read, evenly spread over the dataset.
+        name: Name of the profile; by default that of the dataset folder.
+        against: Name of a shipped profile to compare with.
         on_progress: Called after each picture.
 
     Raises:
-        DatasetError: No picture can be used, 8 and 16 bit are mixed, there is no contrast, or too few clean edges.
-        RecipeError: No shipped profile of the name `against`.
+        DatasetError: No picture is usable, bit depths are mixed, contrast is too low, or there are too few clean edges.
+        RecipeError: There is no shipped profile named `against`.
         OutputError: `out` cannot be written.
     """
     require_apart(dataset.root, out)
@@ -109,7 +109,7 @@ def profile_dataset(
     if edges < MIN_EDGES:
         raise DatasetError(
             f"{dataset.root}: {edges} clean edges in {survey.read} picture(s); expected at least {MIN_EDGES} steps of "
-            "more than 35 levels between two flat sides. Give more pictures (--count), or scenes with roofs or roads",
+            "more than 35 levels between two flat areas. Use more pictures (--count), or scenes with roofs or roads",
             problems,
         )
     fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
@@ -127,7 +127,7 @@ def taken_by(dataset: Dataset, time: str) -> Dataset:
     """Return the dataset with only the pictures known to be taken by `day` or by `night`.
 
     Raises:
-        DatasetError: There are none.
+        DatasetError: There are no such pictures.
     """
     chosen = tuple(i for i in dataset.images if i.time_of_day == time)
     if not chosen:
@@ -147,12 +147,14 @@ def _levels(
     if not usable:
         raise DatasetError(f"{dataset.root}: none of {len(images)} picture(s) can be used", problems)
     if len(depths) > 1:
-        raise DatasetError(f"{dataset.root}: pictures of 8 and of 16 bits; expected one kind. Give them as two folders")
+        raise DatasetError(
+            f"{dataset.root}: found pictures of 8 and of 16 bits, expected one bit depth. Put them in two folders"
+        )
     bits = depths.pop()
     low, high = (float(np.searchsorted(np.cumsum(histogram), p / 100 * histogram.sum())) for p in LEVEL_PERCENT)
     if high - low < LEAST_SPAN[bits]:
         raise DatasetError(
-            f"{dataset.root}: no contrast: all but 0.1 % of the pixels lie between {low:g} and {high:g}; expected a "
+            f"{dataset.root}: no contrast: all but 0.1 % of the pixels are between {low:g} and {high:g}; expected a "
             f"span of at least {LEAST_SPAN[bits]} levels. Check that these are the camera's pictures",
             problems,
         )
@@ -160,7 +162,7 @@ def _levels(
 
 
 def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tuple[ImageRecord, Background]]:
-    """Pictures that can be read and are grey, one at a time."""
+    """Yield the readable grey pictures; add a problem for each of the others."""
     for image in images:
         try:
             picture = load_background(image.path, image.size_wh)
@@ -168,14 +170,14 @@ def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tu
             problems.extend(error.problems)
             continue
         if any(p.code == "image-colour" for p in picture.problems):
-            found, expected = "a picture in colour, e.g. by a palette", "grey levels of a thermal camera"
+            found, expected = "a colour picture, e.g. with a palette", "grey levels of a thermal camera"
             problems.append(Problem(image.path.name, "profile-colour", found, expected, "export it as white-hot"))
             continue
         yield image, picture
 
 
 def _free(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
-    """(h, w) where nothing is annotated; None if nothing is."""
+    """Return an (h, w) mask of the pixels without annotation; None for a picture without annotations."""
     if not image.instances:
         return None
     free = np.ones(picture.pixels.shape, np.bool_)
@@ -187,7 +189,7 @@ def _free(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
 
 
 def jpeg_quality(picture: Background) -> int | None:
-    """Return the quality (1 to 100) whose quantisation table is nearest to the file's; None if it is no JPEG."""
+    """Return the quality (1 to 100) whose quantisation table is closest to that of the file; None if it is not JPEG."""
     if not picture.quantization:
         return None
     table = np.array(picture.quantization[0])
@@ -205,7 +207,7 @@ def _quality_table(quality: int) -> NDArray[np.int64]:
 def _table(
     fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: Readings | None
 ) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
-    """Return readings and settings of the pictures, of the fitted chain and of a shipped profile's chain."""
+    """Return the columns and rows of the comparison of pictures, fitted profile and shipped profile."""
     chains = [(fit.found, None), (fit.chain, fit.profile)]
     columns = ["pictures", "fitted"]
     if reference is not None and of_reference is not None:

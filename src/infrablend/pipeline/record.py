@@ -1,4 +1,4 @@
-"""The record of one finished frame: its scene, its labels and every decision. One JSON file per frame."""
+"""Reads and writes frame records: scene, labels and label decisions of a finished frame, one JSON file per frame."""
 
 from __future__ import annotations
 
@@ -19,22 +19,24 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
-    """The content of `scenes/<split>/<frame>.json`.
+    """Content of `scenes/<split>/<frame>.json`.
 
     Attributes:
-        frame_id: `<split>/<name>`.
-        image: Path below `images/`.
+        frame_id: Id of the frame, `<split>/<name>`.
+        image: Path of the image below `images/`.
         image_sha256: SHA-256 of the image file.
-        background: Id, path relative to the data folder, sha256, size, pitch, altitude, time of day.
-        scene: The scene; None for an unchanged original.
-        mapping: The grey-level mapping used (`dark`, `bright`, perhaps `limits`); None for an unchanged original.
-        kept: Indices of the background's labels that the image keeps, in order.
-        inserted: Labels of the new objects that the image carries.
-        removed: Labels that the image does not carry, each with the reason.
-        facts: Special cases met while labelling (see `annotation.labels.LabelReport`), and what was estimated from
-            the background: `matching`, and `sensor`, which the picture was made with.
+        background: Facts about the background: id, path relative to the data folder, SHA-256, size, pitch, altitude,
+            time of day.
+        scene: Description of the scene; None for an unchanged original.
+        mapping: Grey-level mapping (`dark`, `bright`, optionally `limits`); None for an unchanged original.
+        kept: Indices of the background's labels that were kept, in order.
+        inserted: Labels of the inserted objects.
+        removed: Labels that were removed, each with the reason.
+        facts: Special cases of labelling (see `annotation.labels.LabelReport`), and values estimated from the
+            background: `matching`, and `sensor`, which was applied to the picture.
         warnings: Problems that did not stop the frame.
-        covered: Kept labels that new objects hide in part, by index: `visibility`, and `mask` where one is known.
+        covered: Visible remains of kept labels that inserted objects partly cover, by index: `visibility`, and `mask`
+            where known.
     """
 
     frame_id: str
@@ -69,7 +71,7 @@ class FrameRecord:
         }
 
     def originals(self, background: Sequence[Instance]) -> tuple[Instance, ...]:
-        """Return the background's labels that the image keeps, with their visible parts."""
+        """Return the kept labels of the background, restricted to their visible parts."""
         found = []
         for n in self.kept:
             seen = self.covered.get(n)
@@ -85,7 +87,7 @@ class FrameRecord:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> FrameRecord:
-        """Return the record that `to_json` wrote."""
+        """Return the record from JSON values written by `to_json`."""
         if data.get("version") != VERSION:
             raise ValueError(f"record version {data.get('version')!r}, expected {VERSION}")
         return cls(
@@ -113,7 +115,7 @@ def covered_facts(merged: MergedLabels) -> dict[int, dict[str, Any]]:
 
 
 def read_record(path: Path) -> FrameRecord | None:
-    """Read a record; None if there is none or it is damaged (the frame is then made again)."""
+    """Read a record; return None if it is missing or damaged, in which case the frame has to be rendered again."""
     try:
         return FrameRecord.from_json(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""What a run is asked to do: made once by the command line or the caller, and handed on whole."""
+"""Defines the request for a run, built by the command line or the Python caller."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Settings = Sequence[str] | Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Execution:
-    """How frames are computed. Labels do not depend on it; pixels depend on the device in the last grey level only.
+    """Settings for computing frames. They do not change labels; the device may change pixels by one grey level.
 
     Attributes:
         workers: Worker processes; None for one per processor core.
@@ -39,9 +39,9 @@ class Execution:
     in_process: bool = False
 
     def worker_count(self) -> int:
-        """Return the number of workers to start: those asked for, but no more than memory and cores can take.
+        """Return the number of workers to start: the requested number, limited by free memory and cores.
 
-        A run that exhausts the memory of the machine swaps until somebody ends it.
+        A run that exhausts the memory would swap endlessly.
         """
         cores = available_cores()
         if self.workers is None or self.workers <= cores:
@@ -60,12 +60,12 @@ DEFAULT_EXECUTION = Execution()
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A run of the generator.
+    """Request for a run of the generator.
 
     Attributes:
         recipe: Name of a shipped recipe, or path of a YAML file.
         data: Folder of the background dataset.
-        out: Folder to write; None only for a plan.
+        out: Folder to write; None only for describing a run.
         limit: Number of backgrounds to use, the first ones in sorted order; None for all.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
         settings: Recipe fields to set.

@@ -1,4 +1,4 @@
-"""Render one frame of a run again from its record."""
+"""Renders one frame of a run again from its record."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from infrablend.sampling.scene import rebuild_scene
 
 @dataclass(frozen=True)
 class Rerender:
-    """The job of the worker process.
+    """Job of the worker process.
 
     Attributes:
-        record: The frame's record, as JSON values.
-        recipe_json: The run's recipe.
-        background: The background's file.
+        record: Record of the frame, as JSON values.
+        recipe_json: Recipe of the run, as JSON.
+        background: File of the background.
         out: File to write.
-        renderer: Name in `rendering.RENDERERS`.
+        renderer: Name of the renderer in `rendering.RENDERERS`.
         device: Device that Cycles computes on.
     """
 
@@ -49,16 +49,16 @@ class Rerender:
 
 
 def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path | None = None) -> Path:
-    """Render a frame again from its record; the same bytes on the same kind of device.
+    """Render a frame again from its record; the same kind of device gives the same bytes.
 
     Args:
         run: Folder of a run.
         frame_id: `<split>/<background>_c<k>`.
-        out: File to write; by default the frame's own file name in the working folder. A .png is written lossless.
+        out: File to write; by default the frame's own file name in the working folder. A .png file is lossless.
         data: Folder of the backgrounds if they have moved.
 
     Raises:
-        OutputError: There is no such run or frame.
+        OutputError: The run or the frame does not exist.
         DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
@@ -74,9 +74,9 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
     background = Path(data or record_run["data"]["root"]) / record.background["path"]
     if not background.is_file():
-        raise DatasetError(f"{background}: the frame's background is not there; give its folder with --data")
+        raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
     if sha256_of(background) != record.background["sha256"]:
-        raise DatasetError(f"{background}: not the picture the frame was made from (its sha256 differs)")
+        raise DatasetError(f"{background}: not the background of the frame (its SHA-256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
     recipe = recipe_from_json(recipe_json(record_run))
     for o in recipe.objects:
@@ -94,7 +94,7 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
 
 
 def recipe_json(record_run: dict[str, Any]) -> str:
-    """Return the recipe of a run, from its record."""
+    """Return the recipe of a run from the run record, as JSON."""
     recipe = upgrade_recorded(record_run["recipe"])
     recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
     return json.dumps(recipe)
@@ -103,7 +103,7 @@ def recipe_json(record_run: dict[str, Any]) -> str:
 def render_record(
     record: FrameRecord, background: Background, recipe: Recipe, models: Mapping[str, ObjectModel], renderer: Renderer
 ) -> GreyImage:
-    """Render a recorded frame again: the same pixels as the first time on the same device."""
+    """Render a recorded frame again; the same device gives the same pixels as in the run."""
     if record.scene is None or record.mapping is None:
         raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
     scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")

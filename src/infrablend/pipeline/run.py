@@ -1,4 +1,4 @@
-"""Running a plan: frames to workers, progress, resume, label files, the run record."""
+"""Runs a plan: distributes frames to workers, reports progress, resumes, and writes labels and the run record."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 log = logging.getLogger(__name__)
 
 FACTORY = "infrablend.pipeline.frame:make_frame_maker"
-# Versions that decide pixels or labels.
+# Packages that affect pixels or labels.
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """How a run ended.
+    """Result of a run.
 
     Attributes:
         out: Folder of the run.
-        status: `complete`.
-        counts: Frames, objects, labels, problems; what the run record holds under `counts`.
-        problems: Everything that was skipped, failed or is worth a warning.
+        status: Status of the run, always `complete`.
+        counts: Counts of frames, objects, labels and problems, as under `counts` in the run record.
+        problems: Skipped backgrounds, failed frames and warnings.
         seconds: Wall-clock time of this call.
     """
 
@@ -56,11 +56,11 @@ class RunReport:
 
     @property
     def ok(self) -> bool:
-        """False if backgrounds or frames were skipped or failed."""
+        """True if no background was skipped and no frame failed."""
         return not (self.counts.get("skipped_backgrounds") or self.counts.get("failed_frames"))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "out": str(self.out),
             "status": self.status,
@@ -73,7 +73,7 @@ class RunReport:
 
 @dataclass
 class _State:
-    """What is counted while frames come in."""
+    """Counts of a run, updated with each finished frame."""
 
     done: int = 0
     resumed: int = 0
@@ -91,10 +91,10 @@ def run_plan(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
-    """Make every frame of the plan, then the label files.
+    """Render every frame of the plan, then write the label files.
 
     Args:
-        plan: Frames to make.
+        plan: Plan of the run.
         out: Folder of the run.
         execution: Workers, device and renderer.
         existing: What to do if `out` already contains a run; `resume` keeps its finished frames.
@@ -110,7 +110,7 @@ def run_plan(
     started = time.monotonic()
     folder = RunFolder(out)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(folder.output.claimed())  # no other run may write to it meanwhile
+        stack.enter_context(folder.output.claimed())  # locks out other runs
         previous = folder.prepare(existing)
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
@@ -158,8 +158,8 @@ def run_plan(
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": "interrupted"})
             raise Interrupted(
-                f"interrupted while labels were written; all {state.done + state.resumed} frames are kept. "
-                "Give the same command with --resume to write the labels."
+                f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept. "
+                "Repeat the command with --resume to write the labels."
             ) from error
         problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
         counts = _counts(plan, state, finished)
@@ -172,7 +172,7 @@ def run_plan(
                 "removed": list(finished.removed),
                 "losses": dict(finished.losses),
                 "problems": [p.to_json() for p in sorted(set(problems))],
-                # Timing stands apart: it is the one part that differs between equal runs.
+                # Timing has its own section because it differs between equal runs.
                 "timing": {
                     "seconds": round(time.monotonic() - started, 3),
                     "frames_seconds": round(made - started, 3),
@@ -187,13 +187,13 @@ def run_plan(
         if status == "interrupted":
             raise Interrupted(
                 f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; finished ones are kept. "
-                "Give the same command with --resume to go on."
+                "Repeat the command with --resume to continue."
             )
     return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
-    """Return the dataset's levels if the recipe needs them; a resumed run keeps its first ones."""
+    """Return the dataset's levels if the recipe needs them; a resumed run keeps the recorded ones."""
     if not plan.needs_levels:
         return None
     if previous is not None and previous.get("levels"):
@@ -203,14 +203,14 @@ def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, f
 
 
 def dataset_levels(plan: RunPlan) -> tuple[float, float]:
-    """Darkest and brightest level that the plan's dataset uses, measured on at most 64 pictures, evenly spread.
+    """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
 
     Raises:
-        DatasetError: If none of them can be read.
+        DatasetError: None of these pictures can be read.
     """
     pictures = []
     for image in plan.sample or plan.dataset.images:
-        with contextlib.suppress(DatasetError):  # named and counted when its frame is made
+        with contextlib.suppress(DatasetError):  # reported when its frame is rendered
             pictures.append(load_background(image.path, image.size_wh).pixels)
     if not pictures:
         raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
@@ -225,7 +225,7 @@ def _make_frames(
     workers: int,
     on_progress: OnProgress | None,
 ) -> None:
-    """Make every frame of `todo`; a frame that fails is counted and does not stop the others."""
+    """Render the frames of `todo`; a failed frame is counted and does not stop the others."""
     of_key = {f.frame_id: f for f in todo}
     pace = Pace(workers)
     for finished, result in enumerate(executor.run(Task(f.frame_id, f) for f in todo), start=1):
@@ -256,7 +256,7 @@ def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
         problem = (
             failure.problems[0] if failure.problems else Problem(str(frame.background.path), "image", failure.message)
         )
-        known = frame.background.id in state.skipped  # its other configurations meet the same trouble
+        known = frame.background.id in state.skipped  # another configuration failed for the same reason
         state.skipped[frame.background.id] = problem
         if not known:
             log.warning("skipped background %s: %s", frame.background.id, problem)
@@ -269,11 +269,11 @@ def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
         "run again with --resume; the traceback is in log/run.log",
     )
     log.error("frame %s failed (%s): %s: %s", result.key, failure.kind, failure.error, failure.message)
-    log.info("traceback of frame %s:\n%s", result.key, failure.traceback)  # for the log file, not for the screen
+    log.info("traceback of frame %s:\n%s", result.key, failure.traceback)  # info level: log file only, not the screen
 
 
 def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedFrame]:
-    """Frames whose record or image is missing or damaged."""
+    """Return the frames to render: their record or image is missing or damaged, or their background has changed."""
     todo = []
     of_background: dict[Path, str | None] = {}
     for frame in plan.frames:
@@ -281,7 +281,9 @@ def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedF
         if record is None or record.frame_id != frame.frame_id or not _is_whole(folder, record):
             todo.append(frame)
         elif _digest(frame.background.path, of_background) != record.background.get("sha256"):
-            log.warning("%s: its background has changed since it was made; it is made again", frame.frame_id)
+            log.warning(
+                "%s: the background has changed since the frame was rendered; rendering it again", frame.frame_id
+            )
             todo.append(frame)
         else:
             state.resumed += 1
@@ -295,7 +297,7 @@ def _is_whole(folder: RunFolder, record: FrameRecord) -> bool:
 
 
 def _digest(path: Path, known: dict[Path, str | None]) -> str | None:
-    """SHA-256 of a background, None if it cannot be read; each is read once."""
+    """Return the SHA-256 of a background, None if it cannot be read; results are kept in `known`."""
     if path not in known:
         try:
             known[path] = sha256_of(path) if path.is_file() else None
@@ -305,20 +307,20 @@ def _digest(path: Path, known: dict[Path, str | None]) -> str | None:
 
 
 def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, device: str, renderer: str) -> None:
-    """Refuse to resume a run that would give other frames; warn where it may."""
+    """Refuse to resume if frames would differ; warn if they might."""
     machine = previous.get("machine", {})
     if machine.get("renderer", renderer) != renderer:
-        raise OutputError(f"{out}: was made with renderer {machine['renderer']}, not {renderer}; give another --out")
+        raise OutputError(f"{out}: was rendered with {machine['renderer']}, not {renderer}; use another --out")
     if machine.get("device", device) != device:
         log.warning(
-            "%s: begun with --device %s, goes on with %s; devices may differ in the last grey level",
+            "%s: started with --device %s, resumed with %s; devices may differ by one grey level",
             out,
             machine["device"],
             device,
         )
     versions, now = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
     for name in sorted(n for n in now if versions.get(n, now[n]) != now[n]):
-        log.warning("%s: begun with %s %s, goes on with %s", out, name, versions[name], now[name])
+        log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], now[name])
     was = previous.get("key", {})
     differing = sorted(k for k in plan.key if was.get(k) != plan.key[k])
     if differing:
@@ -330,8 +332,8 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
             else:
                 texts.append(f"{k} was {was.get(k)!r}, is {plan.key[k]!r}")
         raise OutputError(
-            f"{out}: cannot be resumed, this is another run: {'; '.join(texts)}. "
-            "Give the same recipe, data, seed, splits and limit, or use --overwrite or another --out."
+            f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
+            "Use the same recipe, data, seed, splits and limit, or --overwrite, or another --out."
         )
 
 
@@ -374,7 +376,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
 
 def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, Any]:
     codes = Counter(p.code for p in plan.problems if p.severity == "error")
-    # By what was found too: several images are missing from one annotation file.
+    # Also distinguished by `found`, because one annotation file may lack several images.
     left_out = {
         (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES
     }
@@ -389,7 +391,7 @@ def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, A
     }
 
 
-# Problems of the reader that cost a whole image, or a file with the labels of many.
+# Reader problems that leave out a whole image, or an annotation file with many.
 _IMAGE_CODES = {
     "annotation-layout",
     "annotation-missing",
@@ -410,7 +412,7 @@ _IMAGE_CODES = {
 
 
 class _QuietFileHandler(logging.FileHandler):
-    """A full disk ends the run with one clear error; the log does not add tracebacks of its own."""
+    """File handler that ignores write errors: a full disk ends the run with one clear error, without log tracebacks."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
         pass
@@ -422,7 +424,7 @@ class _QuietFileHandler(logging.FileHandler):
 
 @contextlib.contextmanager
 def _log_file(path: Path) -> Iterator[None]:
-    """Write InfraBlend's log lines to a file as well, for the length of a run."""
+    """Also write InfraBlend's log messages to a file within this context."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handler = _QuietFileHandler(path, encoding="utf-8", errors="backslashreplace")

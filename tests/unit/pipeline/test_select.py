@@ -1,4 +1,4 @@
-"""A part of a dataset: pictures with or without a class, as many as asked for, with as many of its objects."""
+"""Selecting part of a dataset: by class, number of pictures, number of objects, or flight conditions."""
 
 from __future__ import annotations
 

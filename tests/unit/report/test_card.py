@@ -333,7 +333,7 @@ def test_converted_and_split_datasets_have_cards(data, tmp_path):
     rows = table(text)
     assert (rows["pictures"]["all"], rows["Truck"]["test"], "Bicycle" in rows) == ("4", "1", False)
     assert "Classes were renamed: OtherVehicle to Truck." in text
-    assert "1 labels of left-out classes (Bicycle 1) are not in it." in text
+    assert "1 labels of dropped classes (Bicycle 1) were left out." in text
     assert PAPER_BIBTEX not in text  # nothing was inserted
     assert "no object was inserted" in text
     assert "synthetic" not in front_matter(text)["tags"]
