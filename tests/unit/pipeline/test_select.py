@@ -117,9 +117,9 @@ def test_pitches_are_shared_out_too():
         (Selection("Car", images=0), "--images: 0"),
         (Selection(objects=3), "Give --with-class"),
         (Selection(like="Car", objects=3), "--like-class"),
-        (Selection(like="DontCare"), "no DontCare"),
-        (Selection("Car", images=3), r"2 picture\(s\) that fit \(1 without Car\); expected 3"),
-        (Selection(without=("Car", "Person")), r"0 picture\(s\) that fit"),
+        (Selection(like="DontCare"), "no object of class DontCare"),
+        (Selection("Car", images=3), r"2 matching picture\(s\) \(1 without Car\); expected 3"),
+        (Selection(without=("Car", "Person")), r"0 matching picture\(s\)"),
     ],
 )
 def test_what_cannot_be_selected_is_said(wanted, match):
