@@ -1,9 +1,9 @@
 """Labels of the inserted objects: box, oriented box, mask, visibility, truncation.
 
-Boxes come from geometry, so they do not depend on samples or noise: from the projected triangles of the parts that
-labels count, cut at the near plane and at the frame's edge. Where something nearer hides a corner of that shape's
-convex hull, the hull is rebuilt from the corners still visible and from the visible samples of a depth buffer. Masks
-come from the renderer's coverage.
+Boxes come from geometry, so they do not depend on samples or noise. They enclose the projected triangles of the
+labelled parts, clipped at the near plane and at the frame's edge. If a nearer object hides a corner of the convex hull,
+the hull is rebuilt from the corners that are still visible and the visible samples of a depth buffer. Masks come from
+the renderer's coverage.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ DropReason = Literal["no_labelled_part", "outside_frame", "hidden", "no_visible_
 
 # A pixel belongs to the mask if at least this share of it is covered.
 _MASK_COVERAGE = 0.5
-# Cost limit of one object's depth samples. It decides the samples per pixel: 16 along a side at 20 px.
+# Limit on one object's depth samples. It sets the samples per pixel: an object of 20 px gets 16 along a pixel's side.
 _FRAGMENTS = 200_000
 _SUPERSAMPLE = (2, 16)
 _AMODAL_LONGEST = 512
-# With fewer samples than this inside the frame, the finer lattice over the frame measures better.
+# With fewer samples than this inside the frame, the finer sample grid of the frame is more accurate.
 _ENOUGH_SAMPLES = 400
 # Below this sine of the angle between heading and line of sight, the heading has no direction in the image.
 _END_ON = 1e-3
@@ -152,7 +152,7 @@ def annotate(
 ) -> tuple[tuple[Instance, ...], LabelReport]:
     """Label a scene's objects.
 
-    Each object is decided once: every output format holds what is returned here.
+    All output formats use the labels returned here, so they agree on every object.
 
     Args:
         scene: The frame's scene.
@@ -272,7 +272,7 @@ def _joined(pieces: Sequence[ProjectedTriangles]) -> ProjectedTriangles:
 def _visible_shape(
     k: int, surfaces: Sequence[_Surfaces], size_wh: tuple[int, int], with_coverage: bool
 ) -> _Shape | DropReason:
-    """Return the visible shape of object k, or why nothing of it can be seen."""
+    """Return the visible shape of object k, or the reason why it is not visible."""
     own = surfaces[k].labelled
     if not len(own.xy):
         return "outside_frame" if own.cut else "no_labelled_part"
@@ -289,7 +289,7 @@ def _visible_shape(
         return "outside_frame" if truncated else "no_visible_pixel"
     hull = points[convex_hull_indices(points[:, :2])]
 
-    # At equal depth the first object counts as the nearer one, so that of two in one place only one is visible.
+    # At equal depth the first object counts as nearer, so that only one of two coinciding objects is visible.
     others = [p.every if j > k else _nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
@@ -373,7 +373,7 @@ def _share_in_frame(
     total = int(whole.sum())
     if inside >= _ENOUGH_SAMPLES or not in_frame_px:
         return inside / max(total, 1)
-    # The object is so large or so thin that hardly a sample is in the frame: the frame's own lattice measures better.
+    # Few samples of a very large or thin object are inside the frame, so the frame's own sample grid is more accurate.
     return in_frame_px / max(total * grid.pitch_px**2, in_frame_px)
 
 
@@ -412,7 +412,7 @@ def _mask(
 def _heading(placed: PlacedObject) -> FloatArray | None:
     """Return the (2,) direction in the image of the object's heading (its own +X), or None if it is end-on.
 
-    It is taken at the middle of the object's extent, since in perspective the direction depends on the place.
+    In perspective the direction depends on the place, so it is computed at the middle of the object's extent.
     """
     spec, vertices, camera = placed.spec, placed.mesh.vertices_m, placed.camera
     middle = (vertices.min(axis=0) + vertices.max(axis=0))[None] / 2
@@ -428,7 +428,7 @@ def _heading(placed: PlacedObject) -> FloatArray | None:
 
 
 def _oriented_box(shape: _Shape, direction: FloatArray | None, size_wh: tuple[int, int]) -> tuple[FloatArray, bool]:
-    """Return the oriented box's corners (4, 2), and whether it had to be held inside the frame."""
+    """Return the (4, 2) corners of the oriented box, and whether it was fitted into the frame."""
     free = min_area_rectangle(shape.hull_xy) if direction is None else rectangle_along(shape.hull_xy, direction)
     size = np.asarray(size_wh, np.float64)
     in_frame = corners_in_frame(free, size_wh, 1e-9)

@@ -1,4 +1,4 @@
-"""The labels that were in the image before, merged with those of the inserted objects."""
+"""Merging of the original labels of an image with those of the inserted objects."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class MergeSettings:
     Attributes:
         labels: Original and new labels, or only one of the two.
         keep_categories: Original categories that stay, None for all. New labels always stay.
-        cover_share: Share in (0, 1] of an original object's pixels (see `covered_share`) under the new masks from
-            which on its label is removed; None never removes one.
+        cover_share: Covered share in (0, 1] (see `covered_share`) at which the label of an original object is removed;
+            None to remove none.
     """
 
     labels: LabelChoice = "merged"
@@ -36,7 +36,7 @@ class MergeSettings:
 
 @dataclass(frozen=True, eq=False)
 class Removal:
-    """A label that the output does not carry.
+    """A label that was left out of the output.
 
     Attributes:
         reason: `covered` by new objects, `category` not among those to keep, or left out by the choice of `labels`.
@@ -82,8 +82,8 @@ class MergedLabels:
         kept: Indices of the original labels that stay.
         inserted: New labels that the image carries.
         removed: Every label that was left out, with the reason.
-        partly_covered: What is still visible of original objects that new ones hide in part, by index; see
-            `partly_covered`.
+        partly_covered: Original objects partly hidden by new ones, reduced to their visible parts, by index; see the
+            function `partly_covered`.
     """
 
     kept: tuple[int, ...]
@@ -163,8 +163,8 @@ def partly_covered(original: Sequence[Instance], cover: NDArray[np.bool_] | None
 def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
     """Return the share in [0, 1] of an object's pixels that `cover` (h, w) marks.
 
-    The object's pixels are its mask, else those of its box, the oriented one where it is known. A pixel belongs to a
-    box if its centre is inside. A box too small to contain a pixel's centre has the pixel under its own centre. Only
+    The object's pixels are those of its mask; without a mask, those of its oriented box, or else of its box. A pixel
+    belongs to a box if its centre is inside. If a box contains no pixel centre, the pixel under its centre counts. Only
     pixels of the frame count; a box outside the frame has share 0.
     """
     mask = instance.mask

@@ -87,7 +87,7 @@ def evaluate(
     reading: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Judge a detector: P, R, mAP50, mAP50-95 by class with intervals, by size, pitch, altitude, day and night."""
+    """Evaluate a detector: P, R, mAP50, mAP50-95 by class with intervals, by size, pitch, altitude, day and night."""
     session: Session = ctx.obj
     session.json = as_json
     chosen = comma_list(classes, "--classes")

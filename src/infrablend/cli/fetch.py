@@ -1,4 +1,4 @@
-"""`infrablend fetch`: download a public dataset where licence and address allow it."""
+"""`infrablend fetch`: download a public dataset if its licence and address allow it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""State that all commands of one call share: the console, the log file, the form of the output."""
+"""State of one call of the program: the console, the log file, and the output format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from infrablend.core.user_folders import state_folder
 if TYPE_CHECKING:
     from rich.console import Console
 
-LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one begun
+LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one started
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ class _ConsoleHandler(logging.Handler):
 
 @contextlib.contextmanager
 def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Session]:
-    """Open the session and log while it lasts: INFO and above to the file, warnings to stderr."""
+    """Open a session with logging: INFO and above to the file, warnings to stderr (INFO if `verbose`)."""
     from rich.console import Console
 
     console = Console(stderr=True, highlight=False)

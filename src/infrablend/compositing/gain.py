@@ -1,8 +1,8 @@
-"""The camera's gain: grey levels per unit of radiance, estimated for each background and drawn from what is uncertain.
+"""The camera's gain: grey levels per unit of radiance, estimated for each background and drawn from its posterior.
 
-A camera's automatic gain is unknown, differs from image to image and saturates. What is known of it beforehand (the
-prior) is combined with annotated objects of roughly known temperature (anchors). Clipped objects only give a lower
-bound. Nothing is guessed from the picture's own statistics.
+A camera's automatic gain is unknown, differs from image to image and saturates. The estimate combines a prior with
+annotated objects of roughly known temperature (anchors). Clipped objects give only a lower bound. Statistics of the
+whole picture are not used.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from infrablend.core.dataset import Instance, TimeOfDay
 from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 
-# A level this near to the dataset's darkest or brightest counts as clipped, in levels of an 8-bit picture.
+# A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.
 CLIP_MARGIN = 3
-# Uncertainty of an annotated object's level as a reading, beside that of its temperature.
+# Standard deviation of reading an annotated object's level, in addition to that of its temperature; 8-bit levels.
 _READING_GREY = 5.0
 _FACE_K = 301.15
-# An anchor on the other side of the ground is less certain by this factor.
+# An anchor on the other side of the ground's temperature gets its uncertainty multiplied by this factor.
 _OTHER_SIDE = 2.0
-# Share of the clothes' contrast in the middle of a person's box: limbs, straps and the optics take the rest. Measured
+# Share of the clothes' contrast visible in the middle of a person's box; limbs, straps and blur reduce it. Measured
 # on rendered people of 8 to 30 px through the HIT-UAV chain: median 0.79, at all of these sizes.
 _CLOTHING_SEEN = 0.8
 
@@ -159,7 +159,7 @@ def draw_gain(
         weather: Air and ground temperature.
         scale: Levels of the picture per 8-bit level.
         prior: The gain expected beforehand.
-        warm: Side of the ground on which the gain will be used; an anchor on the other side counts for less.
+        warm: Whether the gain is for inserts warmer than the ground; anchors on the other side get less weight.
         rng: Draws the gain.
 
     Returns:
@@ -198,8 +198,8 @@ def draw_gain(
 def ring_level(picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free: NDArray[np.bool_]) -> float:
     """Return the median level of the free pixels around a box.
 
-    The ring reaches out to one and a half of the box's size, at least 12 px, on each side. Where too little of it is
-    free, the whole free picture is used, then the whole picture.
+    On each side the ring extends beyond the box by 1.5 times its longer side, at least 12 px. If too little of the ring
+    is free, all free pixels of the picture are used; if these are too few, the whole picture.
     """
     x0, y0, x1, y1 = box_xyxy
     reach = max(1.5 * max(x1 - x0, y1 - y0), 12.0)

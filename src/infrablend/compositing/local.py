@@ -116,8 +116,8 @@ def local_mapping(
 ) -> tuple[GreyMapping, dict[str, Any]]:
     """Return the mapping for the inserts of one frame, and the estimates behind it.
 
-    Each insert is matched to the ground around it. Cameras stretch what is warmer than the ground and what is colder
-    differently, so warm inserts take their gain mainly from warm anchors, cold ones from cold anchors.
+    Each insert is matched to the ground around it. Cameras apply different gains above and below
+    the ground's temperature, so the gain of warm inserts comes mainly from warm anchors, that of cold ones from cold.
 
     Args:
         backdrop: The background.
@@ -134,14 +134,14 @@ def local_mapping(
     free = backdrop.free()
     anchors = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k)
     gains, gain_facts = {}, {}
-    for warm in (True, False):  # both are drawn, so that one insert's draw does not depend on another's
+    for warm in (True, False):  # always draw both, so that no insert's gain depends on the others
         gains[warm], gain_facts[warm] = draw_gain(anchors, weather, backdrop.grey_unit, settings.prior, warm, rng)
 
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
     grounds, places = [], []
     for insert in inserts:
         ground = ring_level(picture, insert.box_xyxy, free)
-        # Contrasts in the picture have come through the air from the ground; a nearer object loses less.
+        # The gain is that of ground contrasts seen through the air; a nearer object loses less contrast.
         clearer, hazier = _through_air(insert, weather)
         gain = gains[insert.warm]
         span = gain * clearer
@@ -167,7 +167,7 @@ def local_mapping(
 def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> bool:
     """Return whether an object as a whole looks warmer than the ground.
 
-    Labelled parts count by the area that is seen of them (`areas`), and mirror half sky and half ground.
+    Labelled parts are weighted by their visible area (`areas`) and assumed to reflect half sky and half ground.
     """
     zenith, ground = _zenith(weather), float(band_radiance(weather.ground_k))
     total = 0.0
@@ -181,10 +181,10 @@ def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> b
 def expected_contrast(
     item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ground_grey: float, weather: Weather
 ) -> float:
-    """Return the contrast to the ground that a fifth of an object's labelled surface reaches, in the picture's levels.
+    """Return the contrast to the ground that at least a fifth of an object's labelled surface has, in picture levels.
 
-    Each part is assumed to mirror the ground or the zenith, whichever shows more, so that an object judged invisible
-    here certainly is.
+    Each part is assumed to reflect the ground or the zenith, whichever gives more contrast. The result is an upper
+    estimate: an object that is too faint here is certainly too faint in the picture.
 
     Args:
         item: The object.
@@ -217,7 +217,7 @@ def _zenith(weather: Weather) -> float:
 
 
 def _through_air(insert: Insert, weather: Weather) -> tuple[float, float]:
-    """Return factors on the object's radiance and on the air's added one, relative to the ground's contrast.
+    """Return the factors on the object's radiance and on the air's path radiance, relative to the ground's contrast.
 
     With tau(d) of the object's path and tau(R) of the ground's, grey is ground + gain / tau(R) * (tau(d) L +
     (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air). For an object on the ground both paths are equal.

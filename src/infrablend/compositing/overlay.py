@@ -1,4 +1,4 @@
-"""Alpha-over of a premultiplied float layer onto a grey background, quantised once, at the end."""
+"""Compositing of a premultiplied float layer over a grey background, with a single rounding at the end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from infrablend.core.render import RenderResult
 _NOTHING = 1e-6  # alpha below this is a rounding error
 _LEAST_WIDTH_PX = 0.3
 _TABLE_STEP_PX = 0.02
-_TAIL_LENGTHS = 5.0  # a tail is cut off here, 6 lengths from its start; 0.25 % of it is beyond
+_TAIL_LENGTHS = 5.0  # the tail is cut off here, which is 6 lengths from its start; the rest is 0.25 % of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ def make_layer(
 ) -> Layer:
     """Turn the rendered crop into a layer in the background's levels, blurred by a Gaussian of sigma `softness_px`.
 
-    `motion_px` (right, down) adds a motion tail that stretches that way and displaces nothing on average, see
-    `motion_kernel`. The crop grows by the blur's reach and is cut to the frame. Light that the blur carries beyond the
-    frame's edge is lost, as in a camera; this darkens nothing at the edge, since grey and alpha lose the same share.
+    `motion_px` (right, down) adds a motion tail in that direction without a mean displacement, see `motion_kernel`. The
+    crop grows by the blur's reach and is clipped to the frame. Light that the blur carries across the frame's edge is
+    lost, as in a camera. Pixels at the edge do not get darker, because grey and alpha lose the same share.
     """
     (x0, y0), (w, h) = result.offset_xy, result.frame_wh
     if not result.alpha.size:
@@ -78,9 +78,9 @@ def make_layer(
 
 
 def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
-    """Return a layer that shows each object in one level, the median of its own, with a hard edge.
+    """Return a layer that shows each object in a single level, the median of its grey levels, with a hard edge.
 
-    The edge is at half a pixel's coverage. An object that covers no pixel by half gets the pixel it covers most, so
+    Pixels covered by at least half belong to the object. If there is none, the pixel with the largest coverage does, so
     that no labelled object is invisible.
     """
     grey = mapping.apply(result.radiance, result.alpha, result.offset_xy)
@@ -97,11 +97,11 @@ def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
 def motion_kernel(motion_px: tuple[float, float], sigma_px: float) -> NDArray[np.float32]:
     """Return the (2 r + 1, 2 r + 1) kernel of a Gaussian with the one-sided tail that slow detectors leave.
 
-    The Gaussian has sigma `sigma_px`. The tail is an exponential along `motion_px` (right, down), whose length it has;
-    it is shifted back by its mean, so that the kernel's centroid is the centre of its middle pixel and blurring moves
-    nothing on average. The convolution of both is taken in closed form and then sampled, as OpenCV samples its
-    Gaussians; the shift of the centroid by sampling is removed. Widths below 0.3 px cannot be sampled and are raised
-    to that.
+    The Gaussian has sigma `sigma_px`. The tail is an exponential along `motion_px` (right, down); its decay length is
+    the length of that vector. It is shifted back by its mean, so that the kernel's centroid is the centre of the middle
+    pixel and the blur displaces nothing on average. The convolution of the two is computed in closed form and then
+    sampled, as OpenCV samples its Gaussians; the centroid's shift due to sampling is removed. A sigma below 0.3 px
+    cannot be sampled and is raised to 0.3 px.
     """
     length = math.hypot(*motion_px)
     ux, uy = motion_px[0] / length, motion_px[1] / length
@@ -128,8 +128,8 @@ def motion_kernel(motion_px: tuple[float, float], sigma_px: float) -> NDArray[np
 def _tailed_gaussian(t: NDArray[np.float64], length: float, sigma: float) -> NDArray[np.float64]:
     """Gaussian of `sigma` convolved with `exp(-s / length) / length` for s > 0, the mean shifted to 0; unnormalised.
 
-    `exp(a) erfc(b)` with a large and b large overflows where a tail is short against the Gaussian: there the product
-    goes through logarithms.
+    If the tail is short compared with the Gaussian, `exp(a) erfc(b)` has large a and b and overflows, so the product is
+    computed with logarithms.
     """
     s = t + length
     ratio = sigma / length

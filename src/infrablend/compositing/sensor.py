@@ -30,8 +30,8 @@ from infrablend.config.sensor_profile import SensorProfile, find_profile
 
 # Variance of the renderer's pixel filter, a box of one pixel, which is part of the total blur, px^2.
 PIXEL_BOX_VARIANCE = 1 / 12
-# Weight of the profile's own sharpness, in edges. It is high since a camera's optics hardly change, and a picture
-# without sharp edges (sunlit ground) shows more of its scene than of its camera.
+# Weight of the profile's own sharpness, as a number of edges. It is high because a camera's optics hardly change, and
+# the soft edges of some scenes (sunlit ground) would be mistaken for blur of the camera.
 _PRIOR_EDGES = 100.0
 
 
@@ -128,11 +128,12 @@ def fit_sensor(
         background: (h, w) grey, 8 or 16 bit.
         profile: Name of a shipped profile, or a profile.
         strength: Strength of each step.
-        levels: Darkest and brightest level that the dataset uses; for 8-bit pictures a profile's own levels win.
+        levels: Darkest and brightest level that the dataset uses; a profile's levels override them for 8 bit.
         noise_seed: Seed of the grain.
-        range_m: Distance from the camera to the nearest object, for defocus; None for no defocus. A Gaussian of a
-            quarter of the blur disc's diameter has the disc's variance. With the rest of the chain it differs from a
-            true disc by less than 1 % of an edge's step up to 3 px of diameter (HIT-UAV: from 15 m), by 3 % at 9 px.
+        range_m: Distance from the camera to the nearest object, for defocus; None for no defocus. The blur
+            disc is replaced by a Gaussian of the same variance, with a sigma of a quarter of the disc's diameter. After
+            the whole chain an edge differs from that of a true disc by less than 1 % of its step for diameters up to
+            3 px (HIT-UAV: from 15 m), and by 3 % at 9 px.
         motion_px: The scene's motion tail.
     """
     p = find_profile(profile)
@@ -206,8 +207,8 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     grey[inner] = layer.grey
     mixed = np.where(alpha > 0, grey + (1 - alpha) * ground, ground)
     if sensor.halo_gain > 0:
-        # The background is already sharpened. The part that the insert hides must be removed as it was before that, or
-        # its texture would show through the insert, inverted.
+        # The background is already sharpened. The part hidden by the insert must be subtracted in its unsharpened form;
+        # otherwise its texture would show through the insert, inverted.
         wide = 3 * reach
         up, back = min(top, wide), min(left, wide)
         around = background[top - up : bottom + wide, left - back : right + wide].astype(np.float64)
@@ -255,7 +256,7 @@ def grain(shape_hw: tuple[int, ...], sigma_grey: float, grain_px: float, seed: i
     white = rng.standard_normal((h + 2 * reach, w + 2 * reach))
     kernel = cv2.getGaussianKernel(2 * reach + 1, grain_px, cv2.CV_64F)
     soft = cv2.sepFilter2D(white, cv2.CV_64F, kernel, kernel)[reach : reach + h, reach : reach + w]
-    # Scaled by the kernel's norm and not by the sample's, so that a small patch keeps its chance deviation.
+    # Scaled by the kernel's norm and not by the sample's deviation, which varies by chance in small patches.
     return np.asarray(soft * (sigma_grey / float((kernel**2).sum())), np.float64)
 
 
@@ -267,8 +268,8 @@ def recode(
 ) -> GreyImage:
     """Return the picture with its touched 8 px blocks (those with a changed pixel) JPEG-compressed at that quality.
 
-    Around the object the background's own grain, which has been through the codec already, is restored: only the
-    codec's effect on the object and its edges is new.
+    The background around the object has been through the codec already, so its grain is restored: only the object and
+    its edges are compressed anew.
     """
     height, width = picture.shape
     changed = picture != background

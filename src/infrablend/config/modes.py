@@ -1,4 +1,4 @@
-"""Which recipe fields have a meaning in which mode, and what to do with those that have none.
+"""The modes of a recipe: which fields each mode has, and the handling of fields of other modes.
 
 `placement.mode`, `appearance.mode` and whether `sensor.profile` is `off` decide the classes of a recipe's sections.
 A field of another mode's class is an error where its author wrote it. Only a setting that changes a mode

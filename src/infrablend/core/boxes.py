@@ -169,7 +169,7 @@ def clip_triangles_near(xyz_m: FloatArray, near_m: float) -> tuple[FloatArray, N
         return xyz_m, np.arange(len(xyz_m))
 
     def turned(which: NDArray[np.intp], lone: NDArray[np.bool_]) -> FloatArray:
-        """Return the triangles turned so that the corner alone on its side of the plane comes first."""
+        """Return the triangles, renumbered so that the corner alone on its side of the plane comes first."""
         first = np.argmax(lone[which], axis=1)
         return np.asarray(xyz_m[which[:, None], (first[:, None] + np.arange(3)) % 3])
 
@@ -287,7 +287,7 @@ def corners_in_frame(corners_xy: FloatArray, size_wh: tuple[int, int], slack_px:
 def rectangle_along(points_xy: FloatArray, direction_xy: FloatArray) -> FloatArray:
     """Return the tight rectangle (4, 2), clockwise, around points (N, 2) with a side along a direction.
 
-    The first corner to the second runs in the direction's sense.
+    The side from the first corner to the second points in that direction.
 
     Raises:
         ValueError: If the direction has no length.

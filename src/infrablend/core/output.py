@@ -54,10 +54,10 @@ class OutputFolder:
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
-        """Make the folder and lock it against other processes; the lock ends with this process, however that ends.
+        """Create the folder and lock it; the lock is released when the block or the process ends.
 
         Raises:
-            OutputError: Another process is writing here, or the folder cannot be made.
+            OutputError: Another process is writing to the folder, or it cannot be created.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ class OutputFolder:
         return sorted(p.name for p in self.root.iterdir() if p.name not in left_out)
 
     def require_empty(self, *, existing: Existing = "refuse", ignore: Iterable[str] = ()) -> list[str]:
-        """Check that the folder is empty, unless the user asked to resume or overwrite; return what is in it.
+        """Check that the folder is empty, unless the user asked to resume or overwrite; return its entries.
 
         Raises:
             OutputError: It is not empty and `existing` is `refuse`.
@@ -117,7 +117,7 @@ class OutputFolder:
         return entries
 
     def refuse_not_ours(self, why: str = "") -> OutputError:
-        """Return the error for a folder with something else in it than what the command writes."""
+        """Return the error for a folder whose contents the command did not write."""
         reason = why or (f"no {self.record}" if self.record else "")
         return OutputError(
             f"{self.root}: not empty and not a {self.noun} of InfraBlend{f' ({reason})' if reason else ''}; "
@@ -150,11 +150,11 @@ class OutputFolder:
         """Delete these names, in this order: files, links (not their targets), and folders with all that is in them.
 
         Raises:
-            OutputError: A name is not one of this folder, or something cannot be deleted.
+            OutputError: A name leads out of the folder, or an entry cannot be deleted.
         """
         for name in names:
             if name in ("", ".", "..") or "/" in name or "\\" in name:
-                raise self.refuse_not_ours(f"{name!r} is no name in it")
+                raise self.refuse_not_ours(f"{name!r} is not a name in the folder")
             path = self.root / name
             try:
                 if path.is_dir() and not path.is_symlink():
@@ -165,10 +165,10 @@ class OutputFolder:
                 raise output_error(self.root, error) from error
 
     def make_writable(self) -> None:
-        """Make the folder, and check by writing a file that it can be written.
+        """Create the folder and check that files can be written to it.
 
         Raises:
-            OutputError: It cannot.
+            OutputError: The folder cannot be created or written to.
         """
         probe = self.root / ".writable"
         try:
@@ -199,7 +199,7 @@ def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
         ours: Whether the file, if it exists, carries the command's mark.
 
     Raises:
-        OutputError: Something else is there.
+        OutputError: The path is a folder, or a file that the command did not write.
     """
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; expected the name of a file")
@@ -217,9 +217,9 @@ def require_apart(data: Path, out: Path) -> None:
     """
     a, b = data.resolve(), out.resolve()
     if a == b or b in a.parents:
-        raise OutputError(f"--out {out}: is or holds the data folder {data}; choose a folder of its own")
+        raise OutputError(f"--out {out}: is or contains the data folder {data}; choose a separate folder")
     if a in b.parents:
         raise OutputError(
-            f"--out {out}: lies inside the data folder {data}, which is never written to (and a later run would "
-            "take its pictures for backgrounds); choose a folder outside it"
+            f"--out {out}: is inside the data folder {data}, which is never written to (and a later run would "
+            "use its images as backgrounds); choose a folder outside it"
         )

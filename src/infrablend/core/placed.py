@@ -1,7 +1,7 @@
 """Placed objects: the geometry of a frame's objects in the world and in the image, computed once and shared.
 
-Matching, the renderer, the labels and the realism report all need to know where an object's triangles are. They take
-this from here, so that they cannot disagree.
+Matching, the renderer, the labels and the realism report all need the positions of an object's triangles. They share
+this computation, so that they always agree.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class PlacedObject:
     def triangles_of(self, chosen: BoolArray) -> ProjectedTriangles:
         """Return the projected triangles among those with `chosen` (T,) True.
 
-        Their `cut` says whether one of these reaches nearer than the near plane, whatever the others do.
+        `cut` of the result is True if a chosen triangle crosses the near plane; the others do not matter.
         """
         pieces = self.triangles
         keep = chosen[pieces.source]
@@ -83,7 +83,7 @@ class PlacedObject:
         mesh = self.mesh
         corners = self.xy[mesh.triangles]
         a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        # Counter-clockwise from outside in the world is clockwise, negative, with y down.
+        # Faces are counter-clockwise from outside; with y down they become clockwise, so their area is negative.
         ahead = (self.depth_m[mesh.triangles] > 0).all(axis=1)
         facing = np.where(ahead, np.maximum(b[:, 0] * a[:, 1] - a[:, 0] * b[:, 1], 0), 0)
         areas = np.bincount(mesh.part_of_triangle, facing / 2, len(mesh.part_names))
@@ -117,7 +117,7 @@ def place(spec: SceneSpec, meshes: Sequence[Mesh]) -> PlacedScene:
     """Place the meshes (object coordinates, unscaled) of a scene's objects.
 
     Raises:
-        ValueError: The scene has another number of objects than there are meshes.
+        ValueError: The numbers of objects and meshes differ.
     """
     n = len(spec.objects)
     if len(meshes) != n:

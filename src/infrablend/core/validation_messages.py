@@ -63,8 +63,8 @@ def field_problems(
         data: Plain values that were validated.
         model: Class that they were validated against.
         code: Start of the problems' codes: `recipe` gives `recipe-value` and `recipe-unknown-key`.
-        see: What to do about an unknown key that resembles none that exists.
-        explain: What is wrong with an unknown key at a path and what to do about it, if more is known.
+        see: Remedy for an unknown key that resembles no known one.
+        explain: Returns the cause and the remedy of an unknown key at a path, or None for the default message.
     """
     alternatives: dict[Path, dict[str, list[tuple[Path, ErrorDetails]]]] = {}
     found: list[Problem] = []
@@ -87,13 +87,13 @@ def field_problems(
         else:
             alternatives.setdefault(at, {}).setdefault(member, []).append((path, e))
     for at, members in alternatives.items():
-        meant = _meant(at, members, _value(data, at))
-        if meant is not None:
-            for path, e in meant:
+        intended = _errors_of_intended_member(at, members, _value(data, at))
+        if intended is not None:
+            for path, e in intended:
                 add(path, e)
         else:
             found.append(_none_fits(at, members, _value(data, at), code, see))
-    # A list is "too short" only because its items are wrong: the items say it better.
+    # A list may be "too short" only because its items are wrong; then the items' own problems are clearer.
     wrong = {p.where for p in found}
     return sorted(
         {
@@ -105,7 +105,7 @@ def field_problems(
 
 
 def _locate(e: ErrorDetails, data: Any) -> tuple[Path, Path, str | None]:
-    """Return the field's path as the user wrote it and, in a union, the union's path and the member's name."""
+    """Return the field's path as the user wrote it, and for a union also its path and the member's name."""
     path: list[int | str] = []
     at: Path = ()
     member: str | None = None
@@ -127,10 +127,10 @@ def _locate(e: ErrorDetails, data: Any) -> tuple[Path, Path, str | None]:
     return tuple(path), at, member
 
 
-def _meant(
+def _errors_of_intended_member(
     at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any
 ) -> list[tuple[Path, ErrorDetails]] | None:
-    """Return the errors of the union's member that the user meant; None if that cannot be known."""
+    """Return the errors of the union member that the user intended; None if this is ambiguous."""
     if len(members) == 1:
         return next(iter(members.values()))
     if not isinstance(value, Mapping):
@@ -147,7 +147,7 @@ def _meant(
 def _none_fits(
     at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any, code: str, see: str
 ) -> Problem:
-    """Return the problem of a value that fits no member of a union: it lists what the value may be."""
+    """Return the problem of a value that fits no member of a union; it lists the allowed values."""
     errors = [(path, e) for m in members.values() for path, e in m]
     if isinstance(value, Mapping):
         fields = sorted({str(p[-1]) for p, e in errors if e["type"] == "missing"})
@@ -177,7 +177,7 @@ def _expected(e: ErrorDetails) -> str:
 
 
 def _known_names(model: type[BaseModel], path: Path) -> set[str]:
-    """Return the names of the fields that exist where `path` leads, less its last step."""
+    """Return the names of the fields at the parent of `path`."""
     models = [model]
     for step in path[:-1]:
         inner = [m for o in models if step in o.model_fields for m in models_in(o.model_fields[str(step)].annotation)]

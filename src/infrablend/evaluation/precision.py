@@ -65,7 +65,7 @@ def average_precisions(
 
 
 def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the (b,) mean of the precision still reached at 101 recalls, from (b, s) cumulative counts."""
+    """Return the (b,) mean of the interpolated precision at 101 recalls, from (b, s) cumulative counts."""
     precision = hits / (hits + misses + np.spacing(1.0))
     reached = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
     recall = hits / total[:, None]
@@ -83,7 +83,7 @@ def _chunks(rows: int, columns: int) -> Iterator[slice]:
 
 
 def precision_by_recall(matches: ClassMatches) -> FloatArray:
-    """Return the (101,) precision still reached at each recall at IoU 0.5; its mean is the average precision."""
+    """Return the (101,) interpolated precision at each recall at IoU 0.5; its mean is the average precision."""
     right, neutral = matches.right[0, 0], matches.neutral[0, 0]
     hits, misses = np.cumsum(right), np.cumsum(~right & ~neutral)
     total = int(matches.objects[0].sum())

@@ -1,8 +1,8 @@
 """Runs tasks in worker processes that may crash, hang or grow without ending the run.
 
 Workers are fresh Python interpreters, like those of multiprocessing's `spawn`. They are started by `subprocess`, which
-gives each worker its own environment, its own process group (Ctrl-C in the terminal reaches only the parent) and a pipe
-for what Blender prints from C, and which does not import the caller's main module again.
+gives each worker its own environment, its own process group (so that Ctrl-C reaches only the parent) and a pipe for the
+output of Blender's C code. Unlike `spawn`, it does not import the caller's main module again.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class _Worker:
     process: subprocess.Popen[bytes]
     conn: Connection
     output: IO[bytes]
-    since: float  # start of the worker or of its current task, by the monotonic clock
+    since: float  # start of the worker or of its current task, on the monotonic clock
     ready: bool = False
     ending: bool = False  # receives no more tasks
     finished: int = 0
@@ -190,7 +190,7 @@ class _Run:
     # ---- starting and feeding
 
     def _start_workers(self) -> None:
-        # A worker that is leaving counts: it may still hold what its successor needs (a processor core, GPU memory).
+        # An ending worker counts too: it may still occupy resources that its successor needs (a core, GPU memory).
         for _ in range(min(self._settings.workers, self._outstanding) - len(self._workers)):
             self._workers.append(self._start())
 
@@ -213,7 +213,7 @@ class _Run:
         assert process.stdout is not None
         os.set_blocking(process.stdout.fileno(), False)
         worker = _Worker(number, process, ours, process.stdout, time.monotonic())
-        # Linux treats the end of the thread that started a child as that of the parent: ask in the main thread only.
+        # Linux signals the child when the thread that started it ends, so request that signal in the main thread only.
         main_thread = threading.current_thread() is threading.main_thread()
         self._send(worker, Hello(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
         return worker
@@ -230,7 +230,7 @@ class _Run:
                     self._send(w, ("task", attempt.index, attempt.task))
 
     def _send(self, worker: _Worker, message: Any) -> None:
-        # The death of a worker is noticed when its end of the stream is read.
+        # `_read_messages` notices the death of a worker.
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             worker.conn.send(message)
 
@@ -250,7 +250,7 @@ class _Run:
         now = time.monotonic()
         for w in list(self._workers):
             limit = self._limit(w)
-            # A slow consumer is not a hang: only judge when the stream has been read empty.
+            # A slow consumer is not a hang, so check the limit only when no message is waiting.
             if limit is not None and now - w.since > limit and not w.conn.poll():
                 yield from self._bury(w, "timeout")
 
@@ -329,7 +329,7 @@ class _Run:
             if self._log is not None:
                 with contextlib.suppress(OSError):
                     self._log.write(b"worker %d: %s\n" % (w.number, line))
-            # A full disk is reported by what the run itself writes; the log must not end the run.
+            # A failing log must not end the run; a full disk is reported when the run writes its own files.
 
     # ---- endings
 
@@ -368,7 +368,7 @@ class _Run:
         yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)
 
     def _raise_no_start(self, w: _Worker, failure: Failure) -> None:
-        """Raise the error of a worker factory: it would fail again in every new worker."""
+        """Raise the error of a worker factory, which would fail again in every new worker."""
         self._reap(w, patience_s=5.0)
         error = failure.to_exception()
         logger.info("worker %d could not start:\n%s", w.number, failure.traceback)  # the error itself is raised

@@ -46,7 +46,7 @@ _PR_SET_PDEATHSIG = 1
 
 @dataclass(frozen=True)
 class Hello:
-    """What a new worker is told first. `spec` is a pickled `WorkerSpec`."""
+    """First message to a new worker. `spec` is a pickled `WorkerSpec`."""
 
     number: int
     spec: bytes

@@ -78,7 +78,7 @@ def public_url(url: str) -> str:
 
 
 def require_url(url: str) -> None:
-    """Refuse what is not a plain web address.
+    """Check that an address is a plain web address.
 
     Raises:
         FetchError: The scheme is not http or https, there is no host, or it contains a user name or invalid characters.
@@ -104,7 +104,7 @@ def download(
     on_bytes: OnBytes = lambda done, total: None,
     patience: Patience | None = None,
 ) -> dict[str, Any]:
-    """Fetch `url` into `part`, going on with what is there from an earlier call if the server still has that file.
+    """Fetch `url` into `part`; resume an earlier download if the file on the server has not changed.
 
     Args:
         url: http or https.
@@ -162,7 +162,7 @@ def _size(path: Path) -> int:
 
 
 def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
-    """Return the remote file and the bytes that an earlier call left; (None, 0) if they are of no use."""
+    """Return the remote file and the bytes that an earlier call left; (None, 0) if they cannot be resumed."""
     try:
         remote = _Remote(**json.loads(_memo(part).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
@@ -188,7 +188,7 @@ def _attempt(
     on_bytes: OnBytes,
     timeout_s: float,
 ) -> tuple[_Remote, str]:
-    """One request. Returns when the file is whole; `_NotWhole` if it is worth another try."""
+    """Send one request and return when the file is complete; raises `_NotWhole` if another attempt may succeed."""
     remote, here = _known(url, part)
     if remote is not None and remote.total == here:
         on_bytes(here, here)
@@ -220,11 +220,11 @@ def _attempt(
                 f"{public_url(final)}: sent with encoding {response.headers['Content-Encoding']}; expected the "
                 "unencoded file that was requested. Try another --url"
             )
-        begin, told = _placed(response, remote, here, part)
+        begin, total = _placed(response, remote, here, part)
         if begin == 0 and here:
             log.info("%s: the server restarts from the beginning", public_url(url))
-        now = _Remote(url, told, response.headers.get("ETag", ""), response.headers.get("Last-Modified", ""))
-        expected = told if told is not None else size_bytes
+        now = _Remote(url, total, response.headers.get("ETag", ""), response.headers.get("Last-Modified", ""))
+        expected = total if total is not None else size_bytes
         if expected is not None:
             room(max(expected - begin, 0))
         try:
@@ -234,7 +234,7 @@ def _attempt(
                 write_json(_memo(part), asdict(now))
                 file.seek(begin)
                 file.truncate()
-                _receive(response, file, begin, told, on_bytes)
+                _receive(response, file, begin, total, on_bytes)
         except OSError as error:
             if isinstance(error, InfraBlendError):
                 raise
@@ -243,7 +243,7 @@ def _attempt(
 
 
 def _placed(response: Any, remote: _Remote | None, here: int, part: Path) -> tuple[int, int | None]:
-    """Where the body begins in the file, and the file's length if it is told."""
+    """Return where the body begins in the file, and the file's length, or None if the server does not report it."""
     length = response.headers.get("Content-Length", "")
     if response.status != 206:
         return 0, int(length) if length.isdecimal() else None
@@ -262,9 +262,9 @@ def _changed(part: Path) -> _NotWhole:
     return _NotWhole("the file on the server has changed")
 
 
-def _receive(response: Any, file: IO[bytes], begin: int, told: int | None, on_bytes: OnBytes) -> None:
+def _receive(response: Any, file: IO[bytes], begin: int, total: int | None, on_bytes: OnBytes) -> None:
     done = begin
-    on_bytes(done, told)
+    on_bytes(done, total)
     while True:
         try:
             chunk = response.read1(CHUNK_BYTES)
@@ -274,13 +274,13 @@ def _receive(response: Any, file: IO[bytes], begin: int, told: int | None, on_by
             break
         file.write(chunk)
         done += len(chunk)
-        on_bytes(done, told)
-    if told is not None and done < told:
-        raise _NotWhole(f"the connection ended at byte {done} of {told}")
+        on_bytes(done, total)
+    if total is not None and done < total:
+        raise _NotWhole(f"the connection ended at byte {done} of {total}")
 
 
 def _beyond_the_end(error: urllib.error.HTTPError, remote: _Remote, here: int, part: Path) -> tuple[_Remote, str]:
-    """416: there is nothing after what is here. Then the file is whole, or another one by now."""
+    """Handle HTTP 416, no bytes after those already here: the file is complete, or it has changed on the server."""
     found = re.fullmatch(r"bytes \*/(\d+)", (error.headers.get("Content-Range") or "").strip())
     if found and int(found[1]) == here:
         if remote.total != here:
@@ -290,7 +290,7 @@ def _beyond_the_end(error: urllib.error.HTTPError, remote: _Remote, here: int, p
 
 
 class _Redirects(urllib.request.HTTPRedirectHandler):
-    """Redirects stay on the web, and what began encrypted stays encrypted."""
+    """Follows redirects to web addresses only, and never from https to http."""
 
     def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Any:
         old, new = urlsplit(req.full_url).scheme, urlsplit(newurl).scheme
@@ -303,7 +303,7 @@ class _Redirects(urllib.request.HTTPRedirectHandler):
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Web addresses only (urllib's own opener would read local files), proxies from the environment."""
+    """Return an opener for web addresses only (urllib's own also reads local files), with the environment's proxies."""
     opener = urllib.request.OpenerDirector()
     for handler in (
         urllib.request.ProxyHandler(),

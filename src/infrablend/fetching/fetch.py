@@ -66,7 +66,7 @@ class FetchReport:
     problems: tuple[Problem, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             **{k: getattr(self, k) for k in ("name", "files", "size_bytes")},
             "out": str(self.out),
@@ -96,7 +96,7 @@ class _Order:
 
     @property
     def own_file(self) -> bool:
-        """Whether the user named the file, which may then differ from the known one."""
+        """Whether the user gave the file or its address; it may then differ from the known one."""
         return self.url is not None or self.archive is not None
 
 
@@ -113,7 +113,7 @@ def require_source(name: str) -> Source:
 
 
 def how_to_get(source: Source) -> str:
-    """For people: licence, address, and what to do."""
+    """Return readable text on how to get a dataset: licence, address and command."""
     parts = [a.part for a in source.archives]
     lines = [source.title, f"Page: {source.page}", *licence_lines(source)]
     if all(a.url for a in source.archives):
@@ -230,7 +230,7 @@ def _wanted(source: Source, parts: Sequence[str] | None, *, single: bool) -> lis
 
 
 def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
-    """Return the parts that are there already; refuses a folder that holds anything else than this dataset."""
+    """Return the parts that are already present; refuse a folder that contains anything but this dataset."""
     record = order.out / SOURCE_FILE
     names = {p.name for p in sorted(order.out.iterdir())}
     known: dict[str, Any] = {}
@@ -270,7 +270,7 @@ def _record(path: Path) -> dict[str, Any]:
 
 
 def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem]]:
-    """Fetch, check, unpack and place one archive; its facts, and warnings."""
+    """Fetch, check, unpack and place one archive; return its facts and the warnings."""
     ready = _ready(order, a)
     stage = order.work / f"{a.part}.unpacked"
     try:
@@ -324,7 +324,7 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
 
 
 def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
-    """Return the whole archive on this machine, and what the server said of it."""
+    """Return the complete local archive and the facts that the server reported about it."""
     if order.archive is not None:
         return order.archive, {"url": None}
     file = order.work / a.file
@@ -350,13 +350,13 @@ def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
 
 
 def _forget(file: Path) -> None:
-    """Delete a downloaded file and all notes on it."""
+    """Delete a downloaded file and the files that describe it."""
     for end in ("", ".part", ".part.json", ".served.json"):
         file.with_name(file.name + end).unlink(missing_ok=True)
 
 
 def _sweep(order: _Order, a: Archive) -> None:
-    """Delete what is left of a part that is in its place."""
+    """Delete the leftover work files of a part that is in its place."""
     shutil.rmtree(order.work / f"{a.part}.unpacked", ignore_errors=True)
     _forget(order.work / a.file)
 
@@ -370,10 +370,10 @@ def _digest(file: Path) -> str:
 
 
 def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Problem]:
-    """Size and checksum. Raises for what the user asked for; for what others report, a warning.
+    """Check size and checksum, and return the differences that are not errors as warnings.
 
     Raises:
-        DatasetError: Another checksum than asked for, or than the one we know for certain.
+        DatasetError: The checksum differs from the user's, or from one that we verified ourselves.
     """
     size = file.stat().st_size
     problems = []
@@ -390,7 +390,7 @@ def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Prob
 
 
 def _check_content(order: _Order, a: Archive, content: Path, commit: str | None) -> list[Problem]:
-    """Whether the archive holds the dataset: numbers of files and of annotations, and the commit.
+    """Check that the archive contains the dataset, by the numbers of files and annotations and the commit.
 
     GitHub's archives have no permanent checksum; this check replaces it.
 
@@ -429,7 +429,7 @@ def _as_warning(p: Problem) -> Problem:
 
 
 def _place(content: Path, target: Path) -> None:
-    """Move every entry of `content` into `target`; nothing that is there is overwritten."""
+    """Move every entry of `content` into `target` without overwriting anything."""
     try:
         target.mkdir(parents=True, exist_ok=True)
         for entry in sorted(os.scandir(content), key=lambda e: e.name):
@@ -444,7 +444,7 @@ def _place(content: Path, target: Path) -> None:
 
 
 def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:
-    """`SOURCE.json`: where the data came from, for people and for the cards of what is made from them."""
+    """Write `SOURCE.json`: the origin of the data, for readers and for the cards of derived datasets."""
     source, path = order.source, order.out / SOURCE_FILE
     archives = _record(path)["archives"] if path.exists() else {}
     write_json(

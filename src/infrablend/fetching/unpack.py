@@ -71,7 +71,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Unpacked:
-    """Number and size of the files, and the git commit of which the archive states that it is a copy, if any."""
+    """Number and size of the files, and the git commit that the archive names as its source, if any."""
 
     files: int
     size_bytes: int
@@ -108,7 +108,7 @@ class _Contents:
 
 @dataclass(frozen=True)
 class _Growth:
-    """How large the contents of an archive may become."""
+    """Limit on the unpacked size of an archive."""
 
     archive: Path
     packed_bytes: int
@@ -159,7 +159,7 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
     except OSError as error:
         if isinstance(error, InfraBlendError):
             raise
-        # Errors of the disk are OutputErrors by now: this is a position outside the archive, or an error of gzip.
+        # Disk errors are already OutputErrors, so this is a position outside the archive or an error of gzip.
         raise _damaged(archive, error.strerror or str(error)) from error
 
 
@@ -199,7 +199,7 @@ def _write(folder: Path, contents: _Contents, growth: _Growth, on_files: OnFiles
 
 @contextlib.contextmanager
 def _disk(path: Path) -> Iterator[None]:
-    """Report errors as the disk's, not the archive's, except for a name that is already taken."""
+    """Report errors as those of the disk and not of the archive, except for a name that already exists."""
     try:
         yield
     except (FileExistsError, NotADirectoryError):

@@ -1,4 +1,4 @@
-"""What all readers and writers share: the result of detection, options, splits, ids."""
+"""Functions that all readers and writers share: result of detection, options, splits, ids."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def require_options(root: Path, **given: tuple[object, Sequence[str]]) -> None:
     """Check that options of a reader have allowed values, given as name=(value, choices).
 
     Raises:
-        DatasetError: At least one has not; all such options are listed.
+        DatasetError: An option has another value; the message lists all such options.
     """
     problems = [
         Problem(f"option {name}", "option-value", f"{name}={value}", f"one of {', '.join(choices)}")
@@ -41,7 +41,7 @@ def check_splits(splits: Iterable[str] | None) -> tuple[Split, ...]:
     """Return the requested splits in canonical order; None means all.
 
     Raises:
-        DatasetError: A name is not a split, or there is none.
+        DatasetError: A name is not a split, or the list is empty.
     """
     if splits is None:
         return SPLITS
@@ -58,7 +58,7 @@ def is_ignored_name(name: str) -> bool:
 
 
 def shorten(problems: Sequence[Problem], each: int = 5) -> list[Problem]:
-    """Return the first `each` problems of every code and one that counts the rest, to keep error messages readable."""
+    """Return the first `each` problems of every code and one with the number of the others, to shorten messages."""
     seen: Counter[str] = Counter()
     kept: list[Problem] = []
     for p in problems:

@@ -1,7 +1,7 @@
 """The public datasets that InfraBlend reads: address, licence, citation and expected contents.
 
-One table for `infrablend fetch` and for the dataset cards. What was not seen on the files themselves but told by
-others says so in `licence_note`, or is `checked=False`.
+One table for `infrablend fetch` and for the dataset cards. Facts that
+were not verified on the files themselves are marked in `licence_note`, or by `checked=False`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Judge a detector on a split of a dataset: findings, figures, plots, and the page that shows them."""
+"""Evaluate a detector on a split of a dataset: detections, metrics, plots, and the report that shows them."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ from infrablend.sampling.scene import sample_scene
 
 
 class FrameMaker:
-    """Makes frames; one per worker process."""
+    """Produces frames; each worker process has one instance."""
 
     def __init__(self, settings: FrameSettings) -> None:
         """Start the renderer and load the recipe's models."""
@@ -60,7 +60,7 @@ class FrameMaker:
         self._renderer = make_renderer(settings.renderer, settings.device)
 
     def __call__(self, task: Task) -> FrameDone:
-        """Make the `PlannedFrame` in the task's payload: write its image and its record."""
+        """Write the image and the record of the `PlannedFrame` in the task's payload."""
         frame: PlannedFrame = task.payload
         if frame.configuration is None:
             return copy_original(frame, self._recipe, self._settings)
@@ -69,7 +69,7 @@ class FrameMaker:
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
 
-        # Scene: what is inserted, where, how warm, and how grey that is in this picture.
+        # Scene: the objects, their places and temperatures, and the mapping of these to the picture's grey levels.
         key, site = frame.key(background.size_wh), self._site(frame, background)
         scene = sample_scene(key, recipe, self._models, self._settings.seed, site)
         scene = drop_barely_visible(scene, recipe.placement.min_visibility)
@@ -124,7 +124,7 @@ class FrameMaker:
         """Choose the grey levels, and remove objects that would hardly stand out from the ground.
 
         Returns:
-            The scene without those objects, its mapping, and what was estimated from the background.
+            The scene without those objects, its mapping, and the facts estimated from the background.
         """
         matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
         if isinstance(matching, LocalMatching):
@@ -133,7 +133,7 @@ class FrameMaker:
             settings = local_settings(matching, source.time_of_day)
             least = matching.min_contrast_grey * backdrop.grey_unit
             while scene.objects:
-                # From a new stream each time, so that a removed object leaves no trace in the others' levels.
+                # A new stream each time, so that a removed object does not influence the levels of the others.
                 rng = stream(self._settings.seed, frame.frame_id, "matching")
                 match = match_locally(scene, backdrop, settings, rng)
                 faint = [k for k, contrast in enumerate(match.contrasts) if contrast < least]
@@ -143,7 +143,7 @@ class FrameMaker:
         return scene, percentile_mapping(background.pixels, percentile_settings(matching)), {}
 
     def _sensor(self, scene: PlacedScene, background: Background) -> Sensor | None:
-        """Fit the camera to imitate to this background; None if the recipe wants none."""
+        """Return the sensor chain fitted to this background; None if there is none or no object."""
         sensor, levels = self._recipe.sensor, self._settings.levels
         if isinstance(sensor, NoSensor) or not scene.objects:
             return None
@@ -160,10 +160,10 @@ class FrameMaker:
 
 
 def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScene:
-    """Return the scene without objects of which less than `min_visibility` can be seen.
+    """Return the scene without the objects whose visible share is below `min_visibility`.
 
-    They are removed from the scene, not only from the labels: an object in the picture without a label would teach a
-    detector to overlook it. This is repeated, since a removed object may uncover others.
+    They are removed from the scene and not only from the labels, because an unlabelled object in the picture would
+    teach a detector to overlook it. Objects are removed one at a time, since each removal may uncover others.
     """
     while min_visibility > 0 and scene.objects:
         labels, report = annotate(scene)
@@ -179,8 +179,8 @@ def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScen
 def nearest_range_m(scene: PlacedScene) -> float | None:
     """Return the distance from the camera to the nearest object's origin.
 
-    None with the paper's placement, whose camera is not the real one, and without objects. All objects of a frame get
-    the defocus of the nearest one: the renderer's layer does not separate them.
+    Returns None if the scene has no objects, or with the paper's placement, whose camera is virtual. All objects of a
+    frame get the defocus of the nearest one, because the renderer's layer does not separate them.
     """
     if scene.spec.view is None or not scene.objects:
         return None

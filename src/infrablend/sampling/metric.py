@@ -1,8 +1,8 @@
 """Metric placement: objects in the real camera's view, at its real height over a ground plane.
 
 The camera's pitch comes from the metadata, its height from the annotated objects (`calibration`). Standing objects are
-put on the ground at a place drawn uniformly over the image, where the picture shows even ground and nothing annotated.
-Flying objects are put on a ray through such a place at a drawn distance, always in front of the ground.
+put on the ground at a point drawn uniformly over the image, provided the ground there is even and not annotated.
+Flying objects are put at a drawn distance on the ray through such a point, always in front of the ground.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _BEFORE_GROUND = 0.9
 # Side of the windows that relief is measured in, and margin around the feet, px.
 _RELIEF_WINDOW_PX = 7
 _FEET_MARGIN_PX = 3
-# The lowest part of an object that counts as its feet, as a share of its height.
+# Share of an object's height, from below, that counts as its feet.
 _FEET = 0.12
-# Share of the draws that place an object beside others of its kind; after that it may be anywhere.
+# Share of the attempts, from the first, that place a grouped object beside another; the rest place it anywhere.
 _IN_COMPANY = 0.5
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
@@ -142,7 +142,7 @@ def _kind(item: Wanted) -> MetricObject:
 
 
 def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator) -> Pose | str:
-    """Draw a pose, or return why this draw gives none. Always uses the same number of random numbers."""
+    """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))

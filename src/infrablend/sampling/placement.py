@@ -44,7 +44,7 @@ class Wanted:
 
     @property
     def labelled(self) -> NDArray[np.bool_]:
-        """(T,) triangles that labels count."""
+        """(T,) mask of the triangles whose parts count for labels."""
         return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
 
     def in_world(self, pose: Pose) -> FloatArray:
@@ -54,7 +54,7 @@ class Wanted:
 
 @dataclass
 class Tally:
-    """Counts made while drawing one frame, for the scene's `draws`.
+    """Statistics of the draws for one frame, stored in the scene's `draws`.
 
     Attributes:
         attempts: Number of poses drawn.
@@ -88,8 +88,8 @@ def place_as_paper(
 ) -> tuple[CameraSpec, list[Pose | None]]:
     """Draw the camera and a pose per object, None where no place was found.
 
-    The first object is drawn together with the camera (paper: d, x, y, yaw, roll). Further ones are drawn into that
-    camera's view one by one: redrawing several objects together until all fit would take astronomically many draws.
+    The first object is drawn together with the camera (paper: d, x, y, yaw, roll). The others are then drawn one by one
+    in the view of that camera, because redrawing all objects until they fit together would take far too many draws.
 
     Args:
         camera_of: The camera, apart from distance and roll.

@@ -1,4 +1,4 @@
-"""Sampling of scenes: camera, objects, temperatures; places are redrawn until the object can be seen."""
+"""Sampling of scenes: camera, objects, temperatures; places are redrawn until the object is visible."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ZERO_C_K = 273.15
 
 @dataclass(frozen=True)
 class FrameKey:
-    """Key of a frame: everything but the run's seed that its random streams depend on.
+    """Key of a frame: together with the run's seed, it determines the random streams.
 
     Attributes:
         background_id: Id of the image record.
@@ -64,13 +64,13 @@ def sample_scene(
 ) -> PlacedScene:
     """Draw the scene of one frame.
 
-    The result depends only on the seed, the frame id and the recipe. Shape and temperature come from other streams
-    than placement, so that changing one leaves the others as they were.
+    The result depends only on the arguments. Shape, temperature and placement use separate random streams, so that a
+    change to one does not alter the others.
 
     Args:
         frame: Key of the frame.
         recipe: Distributions to draw from.
-        models: Every model that the recipe names, by that name.
+        models: The recipe's models, by the name used in the recipe.
         seed: The run's seed.
         site: The background; needed by metric placement and to keep clear of ignore regions.
     """
@@ -93,7 +93,7 @@ def sample_scene(
     objects, meshes = [], []
     for item, pose in zip(wanted, poses, strict=True):
         kind, model = item.kind, item.model
-        # Also drawn for an object without a place: the next object's numbers must not depend on it.
+        # Drawn even if the object found no place, so that the draws of later objects do not depend on that.
         parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"])
         if pose is None:
             continue
@@ -148,7 +148,7 @@ def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int)
     """Draw air, sky and ground of the frame, from a stream of its own."""
     rng, e = stream(seed, frame.frame_id, "weather"), recipe.environment
     below = float(rng.uniform(*e.dew_point_below_air_k))
-    rng.random()  # in place of a quantity that was removed, so that the draws after it stay the same
+    rng.random()  # unused; keeps the later draws the same as before a quantity was removed
     clear, cover, base = (float(v) for v in rng.random(3))
     ground = e.ground_above_air_day_k if frame.time_of_day == "day" else e.ground_above_air_night_k
     return Weather(
@@ -161,7 +161,7 @@ def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int)
 
 
 def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
-    """Draw the mean displacement by the motion tail, in any direction, from a stream of its own."""
+    """Draw length and direction of the motion tail, in pixels, from a stream of its own."""
     length, turn = stream(seed, frame.frame_id, "motion").random(2)
     if isinstance(recipe.sensor, NoSensor):
         return 0.0, 0.0
@@ -235,7 +235,7 @@ def _parts(
 ) -> dict[str, PartState]:
     """Draw the state of every part in the mesh.
 
-    One draw decides how hot the object is as a whole, one more per part varies the part about that.
+    One draw sets the temperature level of the whole object; a second one per part varies it.
     """
     heat = rng.random()
     parts = {}

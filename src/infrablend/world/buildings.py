@@ -134,7 +134,7 @@ def building(b: Building) -> Surface:
 
 
 def _windows(p: SurfaceBuilder, b: Building, rng: np.random.Generator, a: FloatArray, c: FloatArray) -> None:
-    """Windows and a band per storey on the wall from `a` to `c`, 3 cm before it."""
+    """Add windows and a band per storey, 3 cm in front of the wall from `a` to `c`."""
     span = float(np.linalg.norm(c - a))
     along = (c - a) / span
     out = np.array([along[1], -along[0]])

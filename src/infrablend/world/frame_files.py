@@ -90,7 +90,7 @@ def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label],
 
 
 def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, seed: int) -> ImageRecord:
-    """MONET has axis-aligned boxes of persons and vehicles, and telemetry in `metadata` or none at all."""
+    """Return MONET's record: axis-aligned boxes of persons and vehicles, and telemetry in `metadata`, if any."""
     boxes = [("person" if i.category == "Person" else "vehicle", i.box_xyxy) for i in labels]
     instances = [Instance(category, np.asarray(box, np.float64)) for category, box in boxes if box is not None]
     return ImageRecord(

@@ -178,7 +178,7 @@ def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, Any]:
         "speed_x": u(-6, 6),
         "speed_y": u(-6, 6),
         "speed_z": u(-1, 1),
-        # A few hundred metres around a point in the sea: nobody's airfield.
+        # A few hundred metres around a point in the sea, so that no real airfield is shown.
         "latitude": 43.0 + math.degrees(u(-300, 300) / 6.4e6),
         "longitude": 15.5 + math.degrees(u(-300, 300) / 4.7e6),
     }

@@ -68,7 +68,7 @@ def draw_materials(draws: Draws, weather: Weather) -> tuple[GroundMaterial, ...]
             "soil": (8.0 * s, 1.5, 1.0, 0.6),
             "bed": (2.5 * s, 1.2, 1.2, 0.4),
         }
-    # Laid by different hands: hard grounds differ more from place to place than grass does.
+    # Hard grounds differ more from place to place than grass does.
     spread = {"paving": 1.5, "concrete": 1.2, "court": 1.5} if weather.night else {"paving": 3.5, "court": 2.5}
     rest = 0.5 if weather.night else 1.5
     return tuple(

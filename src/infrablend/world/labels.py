@@ -18,7 +18,7 @@ from infrablend.core.boxes import (
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, IntArray
 
-# An object below this visible share, or with fewer visible pixels, gets no label: nobody could annotate it.
+# An object below this visible share, or with fewer visible pixels, gets no label, because nobody could annotate it.
 MIN_VISIBILITY = 0.25
 MIN_PIXELS = 6.0
 # From this visible share on, an object counts as unhidden; its box is that of its geometry, to sub-pixel precision.

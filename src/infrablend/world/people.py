@@ -60,7 +60,7 @@ def draw_person(draws: Draws, weather: Weather, x: float, y: float, heading: flo
 
 
 def person(q: Person, seat_m: float | None = None) -> Surface:
-    """Return a clothed person with bare head and hands; `seat_m` is the height of the saddle sat on."""
+    """Return a clothed person with bare head and hands; `seat_m` is the height of the saddle of a rider."""
     p = SurfaceBuilder()
     h, g = q.height_m / 1.72, q.girth
     swing = {"stand": 0.1, "walk": 0.42, "run": 0.68, "reach": 0.2, "ride": 0.0}[q.pose] * q.stride

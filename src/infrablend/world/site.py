@@ -21,7 +21,7 @@ from infrablend.world.weather import Weather
 
 
 class Site:
-    """A scene under construction: what is placed so far, and the room that is left.
+    """A scene under construction: the objects placed so far, and the remaining room.
 
     Things that the camera cannot see are not kept; solid things do not overlap.
     """
@@ -77,7 +77,7 @@ class Site:
     ) -> bool:
         """Place a vehicle if there is room; return whether there was."""
         v = draw_vehicle(self.draws, self.weather, kind, (x, y, heading), driven, warm)
-        # Three discs stand for the body.
+        # Three discs approximate the body.
         c, s = math.cos(heading), math.sin(heading)
         for f in (-0.36, 0.0, 0.36):
             if not self.room(x + f * v.length_m * c, y + f * v.length_m * s, v.width_m / 2 + 0.1):
@@ -133,7 +133,7 @@ class Site:
         if not self.seen(x, y, math.hypot(length, width) / 2, height):
             return True
         self.buildings.append(draw_building(self.draws, self.weather, x, y, heading, (length, width, height)))
-        # Walls give the ground in front of them back what the sky would take.
+        # Walls keep the ground in front of them warmer, because they block its view of the sky.
         self.patches.append(
             Patch(
                 "rect",

@@ -33,7 +33,7 @@ def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = M
     centre, limit = float(np.median(kelvin)), 110.0 / gain_per_k
     inner = np.clip(kelvin, centre - limit, centre + limit)
     slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
-    # Leave headroom above the ground for what is hotter, so that nobody vanishes on a white road.
+    # Leave headroom above the ground, so that people do not vanish on a white road.
     slope = min(slope, HEADROOM_GREY / max(float(np.percentile(inner, 96)) - float(inner.mean()), 1e-6))
     grey = (kelvin - np.float32(inner.mean())) * np.float32(slope) + np.float32(mean_grey)
     for _ in range(4):

@@ -65,7 +65,7 @@ def tree_prototype(kind: str, index: int) -> Surface:
 
 
 def tree_matrix(t: Tree) -> FloatArray:
-    """(4, 4) placement of a prototype."""
+    """Return the (4, 4) placement matrix of a prototype."""
     m = np.eye(4)
     m[:3, :3] = shapes.turn_z(t.heading_rad) @ np.diag([t.radius_m, t.radius_m, t.height_m])
     m[:3, 3] = (t.x_m, t.y_m, 0.0)
@@ -91,7 +91,7 @@ def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> 
         jitter = 1 + 0.38 * rng.uniform(-1, 1, (len(ball.vertices), 1))
         v = ball.vertices * jitter * (size, size, size * 0.62) + c
         v[:, 2] = np.clip(v[:, 2], 0.02, 1.0)
-        # What sees the sky is colder, the inside keeps the trunk's warmth.
+        # Parts that face the sky are colder; the inside keeps the trunk's warmth.
         warm = 0.75 * (1 - r) - 0.4 * d[2] + float(rng.normal(0, 0.7))
         p.add(Solid(v, ball.triangles), warm, LEAF, 1.0, 1.1)
     return p.surface()

@@ -75,7 +75,7 @@ def draw_vehicle(draws: Draws, weather: Weather, kind: VehicleKind, at: Position
         wheel = a + (u(5, 12) if driven else u(-1.5, 1.5))
         under, solar = a + (u(4, 10) if driven else u(0.5, 3)), 0.0
     else:
-        # Dark paint takes up to three times what white paint takes of the sun.
+        # Dark paint absorbs up to three times as much sunlight as white paint.
         solar = weather.solar * u(1, 26)
         paint = a + u(1, 5)
         glass = a + u(-2, 8)
@@ -168,7 +168,7 @@ def _warm_flanks(kelvin: FloatArray, solid: Solid, v: Vehicle) -> None:
 
 
 def _cabin_outline(ends: tuple[float, float], half: float, length: float) -> FloatArray:
-    """(8, 2) outline of the greenhouse, corners cut; starts at the front right, counter-clockwise from above."""
+    """Return the (8, 2) outline of the cabin with cut corners, counter-clockwise from the front right."""
     x0, x1 = ends[0] * length, ends[1] * length
     cut = 0.12
     return np.array(

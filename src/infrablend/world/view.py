@@ -32,7 +32,7 @@ def world_camera(pitch_deg: float, altitude_m: float, size_wh: tuple[int, int] =
 
 
 def ground_points(camera: CameraSpec, pixels_xy: FloatArray) -> FloatArray:
-    """(N, 2) world x and y where the rays through (N, 2) pixel positions meet the ground."""
+    """Return (N, 2) world x and y where the rays through (N, 2) pixel positions meet the ground."""
     w, h = camera.size_wh
     rays = np.stack(
         [

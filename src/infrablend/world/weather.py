@@ -1,4 +1,4 @@
-"""The weather over a scene: air, sky and sun, which all temperatures follow from."""
+"""The weather over a scene: air, sky and sun, from which all temperatures are derived."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Weather:
 
     @property
     def sky_drop_k(self) -> float:
-        """How much colder than the air the sky overhead looks, in kelvin."""
+        """Air temperature minus apparent temperature of the sky overhead, in kelvin."""
         return 48 * self.clear_sky
 
 
