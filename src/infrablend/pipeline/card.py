@@ -86,7 +86,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         f"rendered objects with labels{f' ({inserted})' if inserted else ''}."
     ]
     if originals:
-        texts.append("The unchanged backgrounds are among the pictures, beside those with objects.")
+        texts.append("The pictures include the unchanged backgrounds as well as those with inserted objects.")
     if empty := counts["frames_without_object"]:
         texts.append(f"{empty} pictures show no labelled inserted object.")
     if counts["images"] < len(plan.frames):

@@ -71,8 +71,8 @@ class ClassChanges:
 
     Attributes:
         rename: New names of classes, by old name; several classes may become one.
-        drop: Classes whose labels to leave out, by the name after renaming.
-        only: The one class whose labels to keep, instead of `drop`.
+        drop: Classes to leave out, by their names after renaming.
+        only: Single class to keep, instead of `drop`.
     """
 
     rename: Mapping[str, str] = field(default_factory=dict)
@@ -101,7 +101,7 @@ def convert_dataset(
         to: Name of a format that can be written, or `native`.
         out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
         classes: Classes to rename and to leave out.
-        selection: Pictures to take, by class names after renaming and before dropping.
+        selection: Pictures to select; class names apply after renaming and before dropping.
         loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, up to the border of the picture:
             hand-drawn boxes have a margin, boxes of rendered objects do not. Oriented boxes and masks stay unchanged.
         settings: Settings of the writer.
@@ -134,10 +134,10 @@ def convert_dataset(
         factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this factor", [factor])
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
-    images = with_sizes(wanted.images, partial(_where, wanted.root), problems)
+    images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
     loosened = 0
     if loosen > 1:
-        images, loosened = _loosened(images, loosen)
+        images, loosened = _enlarge_boxes(images, loosen)
         if not loosened:
             none = Problem("--loosen-inserted", "loosen-none", "no object marked as inserted", "at least one",
                            "convert the coco folder of a run, which marks them")  # fmt: skip
@@ -146,7 +146,7 @@ def convert_dataset(
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)
     if fault is not None:
-        raise DatasetError(f"{dataset.root}: its ids cannot be kept", [fault])
+        raise DatasetError(f"{dataset.root}: the ids cannot be kept", [fault])
     counts: dict[str, Any] = {
         "images": len(images),
         "images_per_split": dict(Counter(i.split for i in images)),
@@ -195,7 +195,7 @@ def convert_dataset(
     return report
 
 
-def _loosened(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
+def _enlarge_boxes(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
     """Enlarge the boxes of inserted objects up to the picture's border; return the images and the number of boxes."""
     loose, n = [], 0
     for image in images:
@@ -269,7 +269,7 @@ def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
     return dict(sorted(Counter(i.category for image in images for i in image.instances).items()))
 
 
-def _where(root: Path, image: ImageRecord) -> str:
+def _location(root: Path, image: ImageRecord) -> str:
     return image.path.relative_to(root).as_posix() if image.path.is_relative_to(root) else image.id
 
 

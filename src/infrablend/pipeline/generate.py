@@ -23,7 +23,7 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
     if request.out is None:
-        raise OutputError("no output folder given; a run needs one. Give --out")
+        raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
     return run_plan(prepare_run(request), request.out, request.execution, request.existing, on_progress)
 
 

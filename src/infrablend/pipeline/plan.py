@@ -109,7 +109,7 @@ class RunPlan:
 
     @property
     def needs_levels(self) -> bool:
-        """True if the recipe needs the grey levels that the whole dataset uses."""
+        """True if the recipe needs the range of grey levels of the whole dataset."""
         r = self.recipe
         return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
@@ -187,7 +187,7 @@ def make_plan(
                     "image-visible",
                     "a picture of visible light",
                     "a thermal picture as background",
-                    "use its labels only (infrablend convert), or take another dataset",
+                    "use its labels only (infrablend convert), or use another dataset",
                 )
             )
         elif unknown := _telemetry_missing(recipe, image):

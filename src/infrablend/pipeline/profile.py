@@ -100,7 +100,7 @@ def profile_dataset(
     started = time.monotonic()
     for done, image in enumerate(usable, start=1):
         picture = load_background(image.path, image.size_wh)
-        survey.add(picture.pixels, _free(image, picture), jpeg_quality(picture))
+        survey.add(picture.pixels, _unannotated(image, picture), jpeg_quality(picture))
         if on_progress is not None:
             rate = done / max(time.monotonic() - started, 1e-9)
             on_progress(Progress(done, len(usable), rate, (len(usable) - done) / rate, {}))
@@ -176,7 +176,7 @@ def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tu
         yield image, picture
 
 
-def _free(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
+def _unannotated(image: ImageRecord, picture: Background) -> NDArray[np.bool_] | None:
     """Return an (h, w) mask of the pixels without annotation; None for a picture without annotations."""
     if not image.instances:
         return None

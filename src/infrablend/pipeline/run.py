@@ -229,7 +229,7 @@ def _make_frames(
     of_key = {f.frame_id: f for f in todo}
     pace = Pace(workers)
     for finished, result in enumerate(executor.run(Task(f.frame_id, f) for f in todo), start=1):
-        _take(result, of_key[result.key], state)
+        _record_result(result, of_key[result.key], state)
         if on_progress is not None:
             pace.add(result)
             rate = pace.frames_per_s()
@@ -239,7 +239,7 @@ def _make_frames(
             )
 
 
-def _take(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
+def _record_result(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
     state.peak_rss_bytes = max(state.peak_rss_bytes, result.rss_bytes)
     if result.failure is None:
         done: FrameDone = result.value
@@ -278,9 +278,9 @@ def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedF
     of_background: dict[Path, str | None] = {}
     for frame in plan.frames:
         record = read_record(folder.record(frame.frame_id))
-        if record is None or record.frame_id != frame.frame_id or not _is_whole(folder, record):
+        if record is None or record.frame_id != frame.frame_id or not _is_intact(folder, record):
             todo.append(frame)
-        elif _digest(frame.background.path, of_background) != record.background.get("sha256"):
+        elif _cached_digest(frame.background.path, of_background) != record.background.get("sha256"):
             log.warning(
                 "%s: the background has changed since the frame was rendered; rendering it again", frame.frame_id
             )
@@ -291,12 +291,12 @@ def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedF
     return todo
 
 
-def _is_whole(folder: RunFolder, record: FrameRecord) -> bool:
+def _is_intact(folder: RunFolder, record: FrameRecord) -> bool:
     image = folder.image(record.image)
     return image.is_file() and sha256_of(image) == record.image_sha256
 
 
-def _digest(path: Path, known: dict[Path, str | None]) -> str | None:
+def _cached_digest(path: Path, known: dict[Path, str | None]) -> str | None:
     """Return the SHA-256 of a background, None if it cannot be read; results are kept in `known`."""
     if path not in known:
         try:

@@ -69,7 +69,7 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
     Raises:
         DatasetError: A class does not exist, no picture qualifies, or too few do. The error lists all problems.
     """
-    problems = _faults(dataset, wanted)
+    problems = _problems(dataset, wanted)
     if problems:
         raise DatasetError(f"{dataset.root}: invalid selection", problems)
     named, avoided = wanted.with_class, set(wanted.without)
@@ -94,7 +94,7 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
         )
     if wanted.like is not None:
         like = [i for i in dataset.images if any(o.category == wanted.like for o in i.instances)]
-        return _drawn_alike(dataset, pool, like, size, wanted, left_out)
+        return _select_alike(dataset, pool, like, size, wanted, left_out)
     counts = np.array([sum(i.category == named for i in image.instances) for image in pool], np.int64)
     order = stream(wanted.seed, "select").permutation(len(pool))
     taken = order[:size] if wanted.objects is None else draw_with_sum(counts, order, size, wanted.objects)
@@ -107,7 +107,7 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
     return replace(dataset, images=tuple(kept)), facts
 
 
-def _drawn_alike(
+def _select_alike(
     dataset: Dataset,
     pool: Sequence[ImageRecord],
     like: Sequence[ImageRecord],
@@ -143,7 +143,7 @@ def _flight(image: ImageRecord) -> Flight:
     return image.time_of_day or "", height, pitch
 
 
-def _apart(a: Flight, b: Flight) -> tuple[bool, float]:
+def _flight_distance(a: Flight, b: Flight) -> tuple[bool, float]:
     """Return the distance between two flights: time of day first, then height and pitch (20 m weigh as 10 degrees)."""
     return a[0] != b[0], abs(a[1] - b[1]) / 20 + abs(a[2] - b[2]) / 10
 
@@ -152,7 +152,7 @@ def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed
     """Return the number of copies of each picture in the pool so that flights are distributed as in `like`.
 
     The copies add up to `size`. If a flight has too few pictures, even with `MOST_COPIES` copies of each, the nearest
-    flight (see `_apart`) supplies the rest.
+    flight (see `_flight_distance`) supplies the rest.
     """
     members: dict[Flight, list[int]] = {}
     for k in stream(seed, "select").permutation(len(pool)).tolist():
@@ -173,7 +173,7 @@ def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed
         lacking += [f] * (n - own)
     for f in lacking:
         free = [g for g in members if given[g] < room[g]]
-        given[min(free, key=lambda g: (_apart(g, f), g))] += 1
+        given[min(free, key=lambda g: (_flight_distance(g, f), g))] += 1
     for f, of in members.items():
         for n in range(given[f]):
             copies[of[n % len(of)]] += 1
@@ -198,7 +198,7 @@ def draw_with_sum(counts: NDArray[np.int64], order: NDArray[np.int64], size: int
     return taken
 
 
-def _faults(dataset: Dataset, wanted: Selection) -> list[Problem]:
+def _problems(dataset: Dataset, wanted: Selection) -> list[Problem]:
     known = ", ".join(c.name for c in dataset.categories) or "it has none"
     named = {
         "--with-class": [] if wanted.with_class is None else [wanted.with_class],

@@ -1,4 +1,4 @@
-"""Splits a dataset anew so that related images (a flight, a day, a run of frames) stay in the same split."""
+"""Assigns new splits to a dataset, keeping related images (a flight, a day, a run of frames) in the same split."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class SplitRule:
     """Rule for splitting a dataset.
 
     Attributes:
-        by: Grouping whose groups stay in one split: `sequence`, `date`, or `gap` (runs of nearby frame numbers).
+        by: Kind of group to keep in one split: `sequence`, `date`, or `gap` (runs of nearby frame numbers).
         gap: Largest step between frame numbers within a run, for `by="gap"`; None for 5.
         shares: Shares of train, val and test, scaled to a sum of 1. A share of 0 leaves that split empty.
         seed: Seed of the order in which groups are assigned.

@@ -122,7 +122,7 @@ def test_pitches_are_shared_out_too():
         (Selection(without=("Car", "Person")), r"0 matching picture\(s\)"),
     ],
 )
-def test_what_cannot_be_selected_is_said(wanted, match):
+def test_invalid_selections_are_refused(wanted, match):
     with pytest.raises(DatasetError, match=match):
         select(dataset([{"Car": 1}, {"Car": 2}, {"Person": 1}]), wanted)
 
