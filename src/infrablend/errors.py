@@ -19,6 +19,7 @@ and reported together.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -46,12 +47,21 @@ class Problem:
         if self.expected:
             text += f"; expected {self.expected}"
         if self.todo:
-            text += f". {self.todo[:1].upper()}{self.todo[1:]}"
+            text += f". {_as_sentence(self.todo)}"
         return text
 
     def to_json(self) -> dict[str, str]:
         """Return the problem as a plain dict."""
         return asdict(self)
+
+
+_PROSE = re.compile(r"(?!(?:infrablend|pip|apt-get)\b)[a-z]+(?:-[a-z]+)*(?=[ ,;:]|$)")
+"""A first word that is plain prose: no command, option (`--x`), field (`a.b`, `a_b`) or setting (`a=b`)."""
+
+
+def _as_sentence(text: str) -> str:
+    """Return the text with a capital first letter, unless it starts with something that the user has to type."""
+    return text[:1].upper() + text[1:] if _PROSE.match(text) else text
 
 
 SHOWN_ALIKE = 3

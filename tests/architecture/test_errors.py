@@ -47,3 +47,20 @@ def test_the_tree_at_the_top_of_errors_is_the_tree() -> None:
     for name, cls in inspect.getmembers(errors, inspect.isclass):
         if issubclass(cls, InfraBlendError):
             assert name in drawn, f"draw {name} in the docstring of errors.py"
+
+
+@pytest.mark.parametrize(
+    ("todo", "shown"),
+    [
+        ("mend the file", "Mend the file"),
+        ("remove it, or set x", "Remove it, or set x"),
+        ("re-encode the picture", "Re-encode the picture"),
+        ("infrablend split makes splits", "infrablend split makes splits"),
+        ("--read unlabelled=drop leaves them out", "--read unlabelled=drop leaves them out"),
+        ("noise=keep", "noise=keep"),
+        ("appearance.mode decides it", "appearance.mode decides it"),
+        ("frame_offset=1", "frame_offset=1"),
+    ],
+)
+def test_a_remedy_starts_with_a_capital_unless_it_starts_with_something_to_type(todo: str, shown: str) -> None:
+    assert str(Problem("a.json", "code", "found", "expected", todo)) == f"a.json: found; expected expected. {shown}"

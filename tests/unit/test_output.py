@@ -25,10 +25,14 @@ def test_new_and_empty_folders_are_accepted(tmp_path: Path) -> None:
     ("options", "advice"),
     [
         ({}, "Give another folder."),
-        ({"can_overwrite": True}, "Use --overwrite to replace an earlier run, or give another folder."),
+        (
+            {"can_overwrite": True},
+            "Use --overwrite (overwrite=True in Python) to replace an earlier run, or give another folder.",
+        ),
         (
             {"can_resume": True, "can_overwrite": True},
-            "Use --resume to finish an interrupted one, --overwrite to replace an earlier run, or give another folder.",
+            'Use --resume (existing="resume" in Python) to finish an interrupted one, --overwrite '
+            '(existing="overwrite" in Python) to replace an earlier run, or give another folder.',
         ),
     ],
 )

@@ -106,9 +106,11 @@ class OutputFolder:
             raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
         entries = self.entries(ignore=ignore)
         if entries and existing == "refuse":
-            options = ["Use --resume to finish an interrupted one"] * self.can_resume
+            options = ['Use --resume (existing="resume" in Python) to finish an interrupted one'] * self.can_resume
             verb = "" if options else "Use "
-            options += [f"{verb}--overwrite to replace an earlier {self.noun}"] * self.can_overwrite
+            argument = 'existing="overwrite"' if self.can_resume else "overwrite=True"
+            overwrite = f"{verb}--overwrite ({argument} in Python) to replace an earlier {self.noun}"
+            options += [overwrite] * self.can_overwrite
             options += ["or give another folder" if options else "Give another folder"]
             raise OutputError(
                 f"{self.root}: not empty (found {self._listed(entries)}); expected an empty or new folder. "

@@ -36,7 +36,7 @@ NAME = "birdsai"
 OPTIONS = {
     "category": "species (the default) or class (animal, human): what the categories are",
     "noise": "keep (the default) or drop objects in frames flagged as noisy",
-    "unlabelled": "keep or drop frames without a line; keep is the default",
+    "unlabelled": "keep or drop frames without a row in the table; keep is the default",
     "frames": "number (the default): a line's frame is the number in the picture's name; order: its place, from 0",
     "frame_offset": "whole number added to a line's frame to get the picture's, 0 by default",
 }
@@ -186,7 +186,7 @@ def read(
         metadata: Table of pitch and altitude, by file or by sequence; None takes `metadata.csv` or `.json`.
         category: What becomes the category.
         noise: What happens to objects in noisy frames.
-        unlabelled: What happens to frames without a line.
+        unlabelled: Treatment of frames without a row in the table.
         frames: What a line's frame number counts.
         frame_offset: Added to it.
 
@@ -322,7 +322,7 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
                 )
             )  # fmt: skip
     reading.counts["unlabelled"] += missing
-    reading.problems += unlabelled_problems(where, missing, unlabelled, "no line")
+    reading.problems += unlabelled_problems(where, missing, unlabelled, "no row in the annotation table")
     return records
 
 

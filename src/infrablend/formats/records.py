@@ -81,7 +81,7 @@ def unlabelled_problems(where: str, count: int, choice: str, what: str = "no lab
     """Return the warning for unlabelled pictures, which may show objects."""
     if not count:
         return []
-    found = f"{count} picture(s) with {what}: {'kept as not labelled' if choice == 'keep' else 'left out'}"
-    return [
-        Problem(where, "label-missing", found, "labels for each picture", "or add --read unlabelled=drop", "warning")
-    ]
+    kept = choice == "keep"
+    found = f"{count} picture(s) with {what}: {'kept, marked as not labelled' if kept else 'left out'}"
+    todo = "add their labels, or leave them out with --read unlabelled=drop" if kept else ""
+    return [Problem(where, "label-missing", found, "labels for each picture", todo, "warning")]

@@ -55,7 +55,9 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
     problems += absent_warnings(finished.draws)
     if images:
         problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
-    return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(problems))
+    # The three YOLO formats warn alike of a missing split.
+    unique = tuple(dict.fromkeys(problems))
+    return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
 
 
 def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> Written:

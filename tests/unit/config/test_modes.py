@@ -160,7 +160,7 @@ def test_misspelt_fields_are_not_dropped():
             r"placement\.min_contrast_grey: .*Move it to matching\.min_contrast_grey",
         ),
         ("environment: {wind_m_s: 3}", r"environment\.wind_m_s: .*It never had an effect; remove it"),
-        ("matching: {mode: percentile}", r"matching\.mode: .*Appearance\.mode decides it"),
+        ("matching: {mode: percentile}", r"matching\.mode: .*It follows from appearance\.mode"),
     ],
 )
 def test_fields_of_older_recipes_are_errors_that_say_what_became_of_them(old, todo):

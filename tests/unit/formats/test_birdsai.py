@@ -15,6 +15,7 @@ from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import birdsai, detection, yolo
 from infrablend.formats.reading import Reading
+from infrablend.formats.records import unlabelled_problems
 from tests.samples import picture
 
 SEQ = "0000000067_0000000025"
@@ -210,7 +211,18 @@ def test_the_shared_frames_are_pictures_without_labels(real_data: Path) -> None:
     d = detection.read(real_data / "birdsai")
     assert d.format == "birdsai" and len(d.images) == 7 and len({i.sequence for i in d.images}) == 7
     assert codes(d) == [] and codes(d, "warning") == ["label-missing"] and "7 picture(s)" in d.problems[0].found
+    assert d.problems[0].todo == "add their labels, or leave them out with --read unlabelled=drop"
     assert all(i.extra["labelled"] is False and i.instances == () for i in d.images)
     assert {i.size_wh for i in d.images} == {
         (635, 329), (697, 517), (582, 378), (637, 418), (698, 333), (701, 471), (640, 512),
     }  # fmt: skip
+
+
+def test_the_warning_about_frames_without_rows_offers_two_remedies() -> None:
+    (kept,) = unlabelled_problems("a", 7, "keep", "no row in the annotation table")
+    assert str(kept) == (
+        "a: 7 picture(s) with no row in the annotation table: kept, marked as not labelled; expected labels for each "
+        "picture. Add their labels, or leave them out with --read unlabelled=drop"
+    )
+    (left_out,) = unlabelled_problems("a", 7, "drop", "no row in the annotation table")
+    assert left_out.found.endswith("left out") and not left_out.todo

@@ -552,3 +552,10 @@ def test_partly_covered_originals_say_how_much_is_seen(dataset, tmp_path):
         settings={"output.formats": ["coco"]},
     )
     assert again.counts["labels_partly_covered"] == report.counts["labels_partly_covered"]
+
+
+def test_formats_that_warn_alike_warn_once(dataset, tmp_path):
+    formats = "output.formats=[yolo, yolo-obb, yolo-seg]"
+    settings = ["output.image=png", formats]
+    report = generate(dataset, tmp_path / "run", settings=settings, reading=api.Reading(splits=("test",)))
+    assert sorted(p.code for p in report.problems if p.code.endswith("-absent")) == ["train-absent", "val-absent"]

@@ -59,8 +59,9 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
     if existing == "refuse":
         what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
         raise OutputError(
-            f"{out}: contains a training ({what}). Use --resume to {'start it again' if damaged else 'continue it'}, "
-            "--overwrite to replace it, or give another folder."
+            f'{out}: contains a training ({what}). Use --resume (existing="resume" in Python) to '
+            f'{"start it again" if damaged else "continue it"}, --overwrite (existing="overwrite" in Python) to '
+            "replace it, or give another folder."
         )
     return (None, True) if damaged else (record, False)
 
