@@ -57,7 +57,7 @@ def evaluate(
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1, mps.")] = "auto",
     classes: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Classes to judge [default: all of the dataset].")
+        str | None, typer.Option(metavar="A,B", help="Classes to evaluate [default: all of the dataset].")
     ] = None,
     image_size: Annotated[
         int | None,
@@ -68,7 +68,7 @@ def evaluate(
         ),
     ] = None,
     ignore_regions: Annotated[
-        bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Ignore findings in DontCare regions.")
+        bool, typer.Option("--ignore-regions/--no-ignore-regions", help="Ignore detections in DontCare regions.")
     ] = True,
     bootstrap: Annotated[
         int, typer.Option(min=0, metavar="N", help="Bootstrap draws for the intervals; 0: none.")

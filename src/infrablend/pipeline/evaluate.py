@@ -64,7 +64,7 @@ class EvaluationReport:
 
     @property
     def predictions(self) -> Path:
-        """Path of the file of findings."""
+        """Path of the detections."""
         return self.out / PREDICTIONS
 
     def to_json(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def evaluate_detector(
     overwrite: bool = False,
     on_image: Callable[[int, int], None] | None = None,
 ) -> EvaluationReport:
-    """Judge weights, or findings saved before, on a split; see `infrablend.api.evaluate`."""
+    """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
     entries = _check_out(out, overwrite)
     other = None if against is None else read_evaluation(against)
@@ -140,7 +140,7 @@ def evaluate_detector(
         for name, data in plots.items():
             write_bytes(out / PLOTS / name, data)
         write_text(out / PAGE, evaluation_page(facts, plots))
-        write_json(out / RECORD, facts)  # last: it shows that everything else is there
+        write_json(out / RECORD, facts)  # last, because it marks the evaluation as complete
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
 
@@ -149,7 +149,7 @@ def evaluate_detector(
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Everything that is known before the first picture is looked at."""
+    """Inputs of an evaluation, apart from the detections."""
 
     images: Sequence[ImageRecord]
     labels: Sequence[Truth]
@@ -160,16 +160,16 @@ class _Prepared:
     counts: dict[str, int] = field(default_factory=dict)
 
     def case(self, predictions: Predictions) -> Case:
-        """Return labels and findings together."""
+        """Return the labels together with the detections."""
         class_of = class_numbers(self.numbers, len(predictions.classes))
         return Case(self.images, self.labels, predictions.images, class_of, tuple(self.numbers), self.task)
 
 
 def _prepare(dataset: Dataset, findings: Findings, judging: Judging, problems: list[Problem]) -> _Prepared:
-    """Return images, labels and classes to judge.
+    """Return the images, labels and classes to evaluate.
 
     Raises:
-        ModelError, DatasetError: They cannot be judged; everything that is wrong is reported together.
+        ModelError, DatasetError: They cannot be evaluated; the message lists all problems.
     """
     split = judging.split
     rejected = rejected_in(dataset, split)
@@ -193,13 +193,13 @@ def _prepare(dataset: Dataset, findings: Findings, judging: Judging, problems: l
         counts["rejected"] = len(rejected)
         shown = "; ".join(f"{p.where}: {p.found}" for p in rejected[:_SHOWN])
         more = f" and {len(rejected) - _SHOWN} more" if len(rejected) > _SHOWN else ""
-        found = f"{len(rejected)} labels or pictures could not be read and are not judged: {shown}{more}"
+        found = f"{len(rejected)} labels or images could not be read and are excluded: {shown}{more}"
         problems += [Problem("labels", "labels-rejected", found, severity="warning"), *rejected]
     if not any((~t.ignore).any() for t in labels):
-        todo = "the labels have no masks: take --task detect" if task == "segment" else "name another --split"
+        todo = "the labels have no masks: use --task detect" if task == "segment" else "name another --split"
         raise DatasetError(
             f"{dataset.root.name}, split {split}: no object of {', '.join(names)}",
-            [Problem(f"split {split}", "no-instances", "no object of the classes judged", "some", todo)],
+            [Problem(f"split {split}", "no-instances", "no object of the evaluated classes", "some", todo)],
         )
     return _Prepared(images, labels, numbers, task, groups, fingerprint(images), counts)
 
@@ -219,11 +219,11 @@ def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mappi
         found = f"no object of {', '.join(absent)} in the split: no figures for {'it' if len(absent) == 1 else 'them'}"
         problems.append(Problem("labels", "class-empty", found, severity="warning"))
     messages = {
-        "objects_without_mask": "objects without mask: neither found nor missed, their boxes are ignored",
-        "objects_without_oriented_box": "objects without oriented box: their plain boxes are taken",
-        "ignore_regions": "regions to ignore: what is found in them counts neither way",
-        "crowds": "crowds (iscrowd): no objects; what is found of their class in them counts neither way",
-        "crowds_left_out": "crowds (iscrowd) left out: no objects; what is found in them counts against the detector",
+        "objects_without_mask": "objects without a mask count neither as found nor as missed; their boxes are ignored",
+        "objects_without_oriented_box": "objects without an oriented box: their axis-aligned boxes are used",
+        "ignore_regions": "ignore regions: unmatched detections inside them are not counted",
+        "crowds": "crowds (iscrowd) are not objects; unmatched detections of their class inside them are not counted",
+        "crowds_left_out": "crowds (iscrowd) are left out; detections inside them count as false positives",
     }
     for key, text in messages.items():
         if counts.get(key):
@@ -235,24 +235,24 @@ def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mappi
 
 
 def _count_findings(predictions: Predictions, case: Case, counts: dict[str, int]) -> list[Problem]:
-    """Count the findings, and those of classes that are not judged; return a warning if there are none at all."""
+    """Count all detections and those of classes not evaluated; return a warning if there are none."""
     counts["findings"] = sum(len(d) for d in predictions.images.values())
     foreign = sum(int((case.class_of[d.classes] < 0).sum()) for d in predictions.images.values())
     if foreign:
         counts["findings_of_other_classes"] = foreign
     if counts["findings"]:
         return []
-    found = f"not a single finding of {', '.join(case.classes)}"
+    found = f"no detection of {', '.join(case.classes)}"
     return [Problem("detector", "no-findings", found, "a trained detector", severity="warning")]
 
 
 def _without_hits(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
-    """Return a warning if there are findings, but the AP of every class rounds to 0.000."""
+    """Return a warning if there are detections, but the AP of every class rounds to 0.000."""
     best = max(row["map50"] for row in table.values() if row["map50"] is not None)
     if not counts["findings"] or best >= _LEAST_AP:
         return []
-    found = f"{counts['findings']} findings, hardly any of them on an object: mAP50 is below {_LEAST_AP} in every class"
-    todo = "check that the training is finished, and that its pictures and classes were like these"
+    found = f"{counts['findings']} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
+    todo = "check that the training is finished, and that its images and classes resemble these"
     return [Problem("detector", "no-hits", found, "a trained detector", todo, severity="warning")]
 
 

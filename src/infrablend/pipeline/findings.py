@@ -1,4 +1,4 @@
-"""Where the findings of an evaluation come from: weights that are run, or a file of saved findings."""
+"""The detections to evaluate: from weights that are run on the images, or from a file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PREDICTIONS = "predictions.json"
 
 
 class Findings:
-    """Findings to judge: of weights that are run on the images, or saved ones.
+    """Source of the detections to evaluate: a detector or a file of saved detections.
 
     Attributes:
         name: Name of the file or folder.
@@ -31,7 +31,7 @@ class Findings:
     """
 
     def __init__(self, path: Path, device: str, problems: list[Problem]) -> None:
-        """Load weights or saved findings; what is wrong with them is appended to `problems`."""
+        """Load weights or saved detections, and append problems with them to `problems`."""
         self.name = path.name
         self.classes: tuple[str, ...] | None = None
         self.task: Task | None = None
@@ -52,7 +52,7 @@ class Findings:
             problems += error.problems
 
     def check(self, images: Sequence[ImageRecord], problems: list[Problem]) -> None:
-        """Append what is wrong with saved findings for these images, or with the pictures for a detector."""
+        """Check that saved detections fit these images, or that a detector can read the images; append problems."""
         if self._saved is not None:
             self._saved = _of_images(self._saved, images, self._path, problems)
         elif self._detector is not None:
@@ -67,11 +67,11 @@ class Findings:
         on_image: Callable[[int, int], None] | None,
         problems: list[Problem],
     ) -> Predictions:
-        """Return the findings on the images; warnings about their scale are appended to `problems`."""
+        """Return the detections on the images, and append warnings about the image scale to `problems`."""
         if self._saved is not None:
             used = self._saved.facts.get("image_size")
             if image_size is not None and used != image_size:
-                found = f"--image-size {image_size} has no effect on saved findings"
+                found = f"--image-size {image_size} has no effect on saved detections"
                 problems.append(Problem(self.name, "image-size-unused", found, severity="warning"))
             return self._saved
         from infrablend.training.predict import predict
@@ -83,7 +83,7 @@ class Findings:
 
 
 def _file_of(path: Path) -> Path:
-    """Return the file that a folder stands for: findings of an evaluation, or weights of a finished training.
+    """Return the file to use from a folder: detections of an evaluation, or weights of a finished training.
 
     Raises:
         ModelError: The folder is neither.
@@ -96,16 +96,16 @@ def _file_of(path: Path) -> Path:
     for file in (PREDICTIONS, WEIGHTS):
         if (path / file).is_file():
             return path / file
-    found, expected = f"a folder without {PREDICTIONS} and {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
+    found, expected = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
     todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
     if (path / TRAINING).exists():
-        found, expected = f"a training that is not finished: no {WEIGHTS} yet", "a finished one"
-        todo = "finish it: the same `infrablend train` with --resume"
-    raise ModelError(f"{path}: nothing to judge", [Problem(str(path), "weights", found, expected, todo)])
+        found, expected = f"an unfinished training, without {WEIGHTS}", "a finished one"
+        todo = "finish it: repeat the `infrablend train` command with --resume"
+    raise ModelError(f"{path}: nothing to evaluate", [Problem(str(path), "weights", found, expected, todo)])
 
 
 def choose_task(wanted: str | None, source: Findings, problems: list[Problem]) -> Task:
-    """Return the task to judge: the one asked for, or what the detector finds; a mismatch is appended to `problems`."""
+    """Return the task to evaluate: the requested one, or the detector's own; append a mismatch to `problems`."""
     task = source.task or "detect"
     if wanted is None:
         return task
@@ -113,7 +113,7 @@ def choose_task(wanted: str | None, source: Findings, problems: list[Problem]) -
     if chosen is None:
         problems.append(Problem("task", "task", f"{wanted!r}", f"one of {', '.join(TASKS)}"))
     elif chosen not in (task, "detect") and source.task is not None:
-        todo = "leave --task out, or take weights that were trained for it"
+        todo = "omit --task, or use weights that were trained for it"
         problems.append(Problem("task", "task", f"{chosen}, but the detector finds {_FINDS[task]}", task, todo))
     return chosen or task
 
@@ -122,7 +122,7 @@ _FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segme
 
 
 def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
-    """Return the findings on these images, by our keys; the keys of other tools may lack the split."""
+    """Return the detections on these images by InfraBlend's keys; the keys of other tools may lack the split."""
     of: dict[str, str] = {}
     for image in images:
         key = image_key(image)
@@ -137,15 +137,17 @@ def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, pr
     lacking = [image_key(i) for i in images if image_key(i) not in of]
     if lacking:
         found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
-        todo = "give the dataset and split that the file was made on"
+        todo = "give the dataset and split that the file was made from"
         problems.append(Problem(file.name, "prediction-images", found, "an entry for every image", todo))
     rest = len(saved.images) - len(of)
     if rest and of:
-        found = f"{rest} images that are not in the split: left out"
+        found = f"{rest} images are not in the split and were left out"
         problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
     cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
     if cut:
-        found = f"more than {MAX_DETECTIONS} findings in {cut} images: the surest are judged"
+        found = (
+            f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the highest scores are evaluated"
+        )
         problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
     first = np.arange(MAX_DETECTIONS)
     kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}

@@ -1,4 +1,4 @@
-"""How a detector is judged: one value that the command line or the caller makes."""
+"""Settings of an evaluation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ GROUPS: tuple[Group, ...] = ("image", *GROUPINGS)
 
 @dataclass(frozen=True)
 class Judging:
-    """How a detector is judged.
+    """Settings of an evaluation.
 
     Attributes:
         split: train, val or test.
         task: detect, obb or segment; None for what the detector finds.
         image_size: Longer side of the pictures that the network sees, px; 0 for each picture's own; None for the scale
             that the detector was trained at.
-        classes: Classes of the dataset to judge; None for all.
-        ignore_regions: Whether findings in regions to ignore (DontCare) count neither way.
+        classes: Classes of the dataset to evaluate; None for all.
+        ignore_regions: Whether unmatched detections in ignore regions (DontCare) are not counted.
         bootstrap: Number of draws for the intervals; 0 for none.
         group: What is drawn: image, sequence, date or gap.
         seed: Seed of the draws.

@@ -118,7 +118,7 @@ def test_what_is_written(saved: Path, tmp_path: Path) -> None:
     assert "<script" not in page
 
 
-def test_the_same_again_gives_the_same_bytes_and_saved_findings_what_they_gave(saved: Path, tmp_path: Path) -> None:
+def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(saved: Path, tmp_path: Path) -> None:
     run(saved, tmp_path / "a")
     run(tmp_path / "a" / "predictions.json", tmp_path / "b")
     run(tmp_path / "a", tmp_path / "b", overwrite=True)  # the folder means its predictions
@@ -194,7 +194,7 @@ def test_one_configuration_each_keeps_the_names_that_draws_are_sorted_by() -> No
         assert image_groups(images, "image", []) == expected
 
 
-def test_what_the_reader_rejected_is_told(saved: Path, tmp_path: Path) -> None:
+def test_labels_that_the_reader_rejected_are_reported(saved: Path, tmp_path: Path) -> None:
     whole = made_up_dataset()
     stem = Path(whole.images[0].name).stem
     ours = [
@@ -215,16 +215,16 @@ def test_what_the_reader_rejected_is_told(saved: Path, tmp_path: Path) -> None:
     assert [p for p in report.problems if p.severity == "error"] == ours
     written = json.loads((tmp_path / "b" / "evaluation.json").read_text())["problems"]
     assert [p["where"] for p in written if p["severity"] == "error"] == [p.where for p in ours]
-    (told,) = [p for p in report.problems if p.code == "labels-rejected"]
-    assert told.severity == "warning"
-    assert "5 labels or pictures" in told.found
-    assert "coco/test.json: annotation 5: bbox [1, 1, 0, 0]" in told.found
+    (warning,) = [p for p in report.problems if p.code == "labels-rejected"]
+    assert warning.severity == "warning"
+    assert "5 labels or images" in warning.found
+    assert "coco/test.json: annotation 5: bbox [1, 1, 0, 0]" in warning.found
     assert (tmp_path / "b" / "evaluation.html").read_text().count("bbox [1, 1, 0, 0]") == 1
     with pytest.raises(DatasetError, match="annotation 5"):
         run(saved, tmp_path / "c", replace(whole, images=(), problems=tuple(ours)))
 
 
-def test_the_command_tells_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -> None:
+def test_the_command_reports_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -> None:
     data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
     file = data / "normal_json" / "annotations" / "test.json"
     content = json.loads(file.read_text())
@@ -240,7 +240,7 @@ def test_the_command_tells_rejected_labels(tmp_path: Path, write_tiny_hit_uav) -
     assert done.exit_code == 0, done.output
     assert "1 problem(s):" in done.stderr
     assert "annotation 77" in done.stderr
-    assert "1 labels or pictures could not be read and are not judged" in done.stderr
+    assert "1 labels or images could not be read and are excluded" in done.stderr
 
 
 def test_hit_uav_has_nothing_that_is_rejected(real_data: Path) -> None:
@@ -248,7 +248,7 @@ def test_hit_uav_has_nothing_that_is_rejected(real_data: Path) -> None:
     assert [rejected_in(dataset, split) for split in SPLITS] == [[], [], []]
 
 
-def test_two_labelled_classes_that_are_one_of_the_detector(tmp_path: Path) -> None:
+def test_two_labelled_classes_that_match_one_class_of_the_detector(tmp_path: Path) -> None:
     base = made_up_dataset()
     called = {"Person": "pedestrian", "Car": "people"}
 
@@ -275,7 +275,7 @@ def test_two_labelled_classes_that_are_one_of_the_detector(tmp_path: Path) -> No
     assert any("people: has no objects" in p.found for p in report.problems)
 
 
-def test_crowds_count_neither_way(tmp_path: Path) -> None:
+def test_detections_in_crowds_are_not_counted(tmp_path: Path) -> None:
     dataset = made_up_dataset(4)
     # One finding, the surest, of nothing; then a crowd around it, of which it is a part.
     first = replace(dataset.images[0], instances=(Instance("Person", np.array([100.0, 100, 120, 140])),))
@@ -353,7 +353,7 @@ def test_other_images_or_labels_are_not_compared(saved: Path, tmp_path: Path) ->
         run(saved, tmp_path / "b", against=tmp_path / "a")
 
 
-def test_a_folder_stands_for_what_was_written_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_can_be_given_instead_of_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Path] = []
 
     def load(path: Path, device: str) -> Any:
@@ -370,7 +370,7 @@ def test_a_folder_stands_for_what_was_written_in_it(tmp_path: Path, monkeypatch:
     ):
         run(training, tmp_path / "out")
     (training / "train.json").write_text("{}")
-    with pytest.raises(ModelError, match=r"not finished: no weights\.pt yet.*--resume"):
+    with pytest.raises(ModelError, match=r"an unfinished training, without weights\.pt.*--resume"):
         run(training, tmp_path / "out")
     assert not asked
     (training / "weights.pt").write_bytes(b"")
@@ -381,7 +381,7 @@ def test_a_folder_stands_for_what_was_written_in_it(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize(("name", "says"), [("README.md", "a .md file"), ("weights", "a file without .pt")])
-def test_files_of_other_types_are_no_weights(
+def test_files_of_other_types_are_refused_as_weights(
     name: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from infrablend.training import predict
@@ -391,21 +391,21 @@ def test_files_of_other_types_are_no_weights(
     (tmp_path / name).write_text("# Words")
     with pytest.raises(ModelError) as raised:
         run(tmp_path / name, tmp_path / "out")
-    told = str(raised.value)
-    assert f"{says}; expected a .pt file" in told
-    assert "weights.pt of a finished `infrablend train`" in told
-    assert "Error" not in told
+    message = str(raised.value)
+    assert f"{says}; expected a .pt file" in message
+    assert "weights.pt of a finished `infrablend train`" in message
+    assert "Error" not in message
 
 
-def test_findings_that_hit_nothing_are_told(saved: Path, tmp_path: Path) -> None:
+def test_detections_that_hit_nothing_give_a_warning(saved: Path, tmp_path: Path) -> None:
     dataset = made_up_dataset()
     nothing = {f"test/{i.name}": detections([[0, 0, 3, 3]], [0.5], [0]) for i in dataset.images}
     away = write_predictions(tmp_path / "away.json", replace(found_on(dataset), images=nothing))
     report = run(away, tmp_path / "a")
-    (told,) = [p for p in report.problems if p.code == "no-hits"]
-    assert told.severity == "warning"
-    assert "40 findings, hardly any of them on an object: mAP50 is below 0.001 in every class" in told.found
-    assert told.found in (tmp_path / "a" / "evaluation.html").read_text()
+    (warning,) = [p for p in report.problems if p.code == "no-hits"]
+    assert warning.severity == "warning"
+    assert "40 detections, hardly any on an object: mAP50 is below 0.001 in every class" in warning.found
+    assert warning.found in (tmp_path / "a" / "evaluation.html").read_text()
     assert "no-hits" not in {p.code for p in run(saved, tmp_path / "b").problems}
 
 
@@ -418,12 +418,12 @@ def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:
         run(saved, tmp_path / "out", dataset, classes=["Lorry", "Person"])
     report = run(saved, tmp_path / "out", dataset, classes=["Person"])
     assert list(report.metrics["classes"]) == ["all", "Person"]
-    told = "\n".join(str(p) for p in report.problems)
-    assert "drone: detections of this class are left out" in told
-    assert "Car, OtherVehicle: not evaluated" in told
+    message = "\n".join(str(p) for p in report.problems)
+    assert "drone: detections of this class are left out" in message
+    assert "Car, OtherVehicle: not evaluated" in message
 
 
-def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     other = made_up_dataset(3, "train")
     saved = write_predictions(tmp_path / "p.json", found_on(other, classes=("Person",)))
     with pytest.raises(DatasetError) as caught:
@@ -444,7 +444,7 @@ def test_splits_without_images_or_objects(saved: Path, tmp_path: Path) -> None:
             run(saved, tmp_path / "out", **wrong)
 
 
-def test_other_sizes_and_too_many_findings(tmp_path: Path) -> None:
+def test_other_sizes_and_too_many_detections(tmp_path: Path) -> None:
     dataset = made_up_dataset(2)
     found = found_on(dataset)
     key = next(iter(found.images))
@@ -454,7 +454,7 @@ def test_other_sizes_and_too_many_findings(tmp_path: Path) -> None:
     boxes = np.tile([300.0, 300, 310, 310], (400, 1))
     many = replace(found, images={**found.images, key: detections(boxes, np.linspace(0, 1, 400), np.zeros(400))})
     report = run(write_predictions(tmp_path / "p.json", many), tmp_path / "out", dataset)
-    assert "more than 300 findings in 1 images" in "\n".join(str(p) for p in report.problems)
+    assert "more than 300 detections in 1 images" in "\n".join(str(p) for p in report.problems)
     assert report.metrics["counts"]["findings"] == 300 + len(found.images[list(found.images)[1]])
 
 
