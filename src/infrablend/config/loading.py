@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from infrablend.config.modes import (
     drop_fields_of_other_modes,
     explain_unknown,
+    kept_camera,
     modes_of,
     recipe_class,
     wrong_modes,
@@ -59,17 +60,24 @@ class LoadedRecipe:
     Attributes:
         recipe: The recipe.
         dropped: One warning per field that was dropped because a setting changed the mode.
+        kept: One warning per field that was kept although its value belongs to the old mode.
     """
 
     recipe: Recipe
     dropped: tuple[Problem, ...] = ()
+    kept: tuple[Problem, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """All warnings."""
+        return self.dropped + self.kept
 
 
 def load_recipe(recipe: str | Path, settings: Settings = ()) -> Recipe:
     """Return the recipe of that name or file, with `settings` applied.
 
-    Fields that a setting of a mode makes meaningless are dropped, each with a warning in the log; `read_recipe` lists
-    them.
+    Fields that a setting of a mode makes meaningless are dropped, each with a warning in the log; a lens or a roll
+    kept from the other placement mode gives a warning too. `read_recipe` returns these warnings.
 
     Args:
         recipe: A shipped name, or a path (anything with a suffix or a folder in it).
@@ -79,7 +87,7 @@ def load_recipe(recipe: str | Path, settings: Settings = ()) -> Recipe:
         RecipeError: With every unknown key and bad value at once.
     """
     loaded = read_recipe(recipe, settings)
-    for problem in loaded.dropped:
+    for problem in loaded.warnings:
         log.warning("%s", problem)
     return loaded.recipe
 
@@ -132,7 +140,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
         raise RecipeError(f"recipe {where}: found {type(data).__name__}, expected a mapping of fields")
     problems: list[Problem] = []
     pairs = _pairs(settings, problems)
-    dropped = _drop(data, pairs)
+    dropped, kept = _change_modes(data, pairs)
     for key, value in pairs:
         _set(data, key, value, problems)
     if folder is not None and isinstance(data.get("objects"), list):
@@ -155,16 +163,22 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
         problems.append(Problem(where, "recipe-value", str(error), "plain numbers, texts, lists and mappings"))
     if problems:
         raise RecipeError(f"recipe {where}: {len(set(problems))} field(s) are wrong", sorted(set(problems)))
-    return LoadedRecipe(recipe, tuple(dropped))
+    return LoadedRecipe(recipe, tuple(dropped), tuple(kept))
 
 
-def _drop(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> list[Problem]:
-    """Drop the fields that have no meaning in the modes that the settings choose; the settings' own stay, as errors."""
+def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:
+    """Drop the fields that have no meaning in the modes that the settings choose; the settings' own stay, as errors.
+
+    Returns:
+        Warnings about dropped fields, and about fields kept with a value of the old mode.
+    """
     result = copy.deepcopy(data)
     for key, value in pairs:
         _set(result, key, value, [])
     old, new = modes_of(data), modes_of(result)
-    return drop_fields_of_other_modes(data, old, new) if old != new else []
+    if old == new:
+        return [], []
+    return drop_fields_of_other_modes(data, old, new), kept_camera(result, pairs, old, new)
 
 
 def _read_profile(data: dict[str, Any], folder: Path | None) -> None:

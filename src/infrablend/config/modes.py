@@ -2,7 +2,8 @@
 
 `placement.mode`, `appearance.mode` and whether `sensor.profile` is `off` decide the classes of a recipe's sections.
 A field of another mode's class is an error where its author wrote it. Only a setting that changes a mode
-(`--set placement.mode=paper`) drops the fields that the recipe had for the old one.
+(`--set placement.mode=paper`) drops the fields that the recipe had for the old one. The camera's lens and roll have a
+meaning in both placement modes, but seldom the same value: if they are kept, a warning lists them.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
 from infrablend.config.recipe import (
+    Camera,
     MetricArtisticRecipe,
     MetricPhysicalRecipe,
     NoSensor,
@@ -35,6 +37,9 @@ REMOVED: Mapping[str, str] = {
 
 DROPPED = "recipe-dropped"
 """Code of the warnings about fields that a change of mode dropped."""
+
+KEPT = "recipe-kept"
+"""Code of the warnings about fields that a change of mode kept although their value belongs to the old mode."""
 
 Field = tuple[str, str]  # section and field; the section of an object's field is `objects`
 
@@ -57,6 +62,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "placement.mode": ("paper", "metric"),
     "appearance.mode": ("artistic", "physical"),
 }
+_CAMERAS = {"paper": "the recipe's virtual camera", "metric": "the real camera"}
 _RECIPES: Mapping[tuple[str, str], type[Recipe]] = {
     ("paper", "artistic"): PaperArtisticRecipe,
     ("paper", "physical"): PaperPhysicalRecipe,
@@ -134,6 +140,37 @@ def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> 
             found = f"{shorten(value)} is not used: {_explained((section, field), new)[0]}"
             dropped.append(Problem(f"{at}.{field}", DROPPED, found, severity="warning"))
     return dropped
+
+
+def kept_camera(data: Mapping[str, Any], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes) -> list[Problem]:
+    """Return warnings about the lens and the roll of a camera that was chosen for the other placement mode.
+
+    Args:
+        data: Plain data of the recipe, with the settings applied.
+        settings: Dotted key and value of each setting; what they set explicitly is not warned about.
+        old: Modes of the recipe.
+        new: Modes after the settings.
+    """
+    if old.placement == new.placement:
+        return []
+    given: set[str] = set()
+    for key, value in settings:
+        if key == "camera" and isinstance(value, Mapping):
+            given.update(map(str, value))
+        given.add(key.removeprefix("camera."))
+    camera = {name: info.default for name, info in Camera.model_fields.items()} | dict(_section(data, "camera"))
+    has, needs = _CAMERAS[old.placement], _CAMERAS[new.placement]
+    expected = f"that of {needs}, for placement.mode {new.placement}"
+    found = []
+    if not given & {"focal_length_mm", "sensor_width_mm"}:
+        lens = f"{camera['focal_length_mm']} mm on {camera['sensor_width_mm']} mm is the lens of {has}"
+        todo = "Set camera.focal_length_mm and camera.sensor_width_mm"
+        found.append(Problem("camera.focal_length_mm", KEPT, lens, expected, todo, "warning"))
+    # A camera held level is plausible in both modes.
+    if "roll_deg" not in given and camera["roll_deg"] not in (0, [0, 0], (0, 0)):
+        roll = f"{shorten(camera['roll_deg'])} is the roll of {has}"
+        found.append(Problem("camera.roll_deg", KEPT, roll, expected, "Set camera.roll_deg", "warning"))
+    return found
 
 
 def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.loading import read_recipe
-from infrablend.config.modes import DROPPED
+from infrablend.config.modes import DROPPED, KEPT
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
@@ -36,6 +36,7 @@ def describe_run(request: RunRequest) -> dict[str, Any]:
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
+        "kept_fields": [str(p) for p in plan.problems if p.code == KEPT],
     }
 
 
@@ -61,5 +62,5 @@ def prepare_run(request: RunRequest) -> RunPlan:
         request.seed,
         splits=request.reading.splits,
         limit=request.limit,
-        dropped=loaded.dropped,
+        recipe_warnings=loaded.warnings,
     )

@@ -139,7 +139,7 @@ def make_plan(
     *,
     splits: Sequence[str] | None = None,
     limit: int | None = None,
-    dropped: Sequence[Problem] = (),
+    recipe_warnings: Sequence[Problem] = (),
 ) -> RunPlan:
     """Return the plan of a run.
 
@@ -149,7 +149,7 @@ def make_plan(
         seed: Seed of the run.
         splits: Requested splits, for error messages only.
         limit: Number of backgrounds to use, the first ones in sorted order; None for all.
-        dropped: Fields that were dropped when the recipe was read.
+        recipe_warnings: Warnings from reading the recipe.
 
     Raises:
         DatasetError: No background is left.
@@ -167,7 +167,7 @@ def make_plan(
     dataset = renamed
     _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
     images = dataset.images[:limit] if limit is not None else dataset.images
-    problems = [*dropped, *dataset.problems, *turned]
+    problems = [*recipe_warnings, *dataset.problems, *turned]
     usable = []
     for image in images:
         if not is_text(image.path.name) or not is_text(image.id):

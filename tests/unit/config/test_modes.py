@@ -125,6 +125,33 @@ def test_setting_a_mode_drops_the_fields_of_the_old_mode_and_lists_them(caplog):
     ]
 
 
+def test_a_lens_and_roll_of_the_other_placement_mode_are_warned_about(caplog):
+    recipe = load_recipe("hit-uav-drone", ["placement.mode=metric"])
+    assert (recipe.camera.focal_length_mm, recipe.camera.roll_deg) == (50, (-10, 10))
+    assert [r.getMessage() for r in caplog.records][-2:] == [
+        "camera.focal_length_mm: 50 mm on 36 mm is the lens of the recipe's virtual camera; expected that of the real "
+        "camera, for placement.mode metric. Set camera.focal_length_mm and camera.sensor_width_mm",
+        "camera.roll_deg: [-10, 10] is the roll of the recipe's virtual camera; expected that of the real camera, for "
+        "placement.mode metric. Set camera.roll_deg",
+    ]
+    (back,) = read_recipe("hit-uav-people", ["placement.mode=paper"]).kept
+    assert str(back).startswith("camera.focal_length_mm: 115.875 mm on 36 mm is the lens of the real camera; expected")
+
+
+@pytest.mark.parametrize(
+    ("settings", "kept"),
+    [
+        ({"placement.mode": "metric", "camera.focal_length_mm": 100}, ["camera.roll_deg"]),
+        ({"placement.mode": "metric", "camera.sensor_width_mm": 10, "camera.roll_deg": 3}, []),
+        ({"placement.mode": "metric", "camera": {"focal_length_mm": 100, "roll_deg": 0}}, []),
+        ({"placement": {"mode": "metric"}, "camera": {}}, ["camera.focal_length_mm", "camera.roll_deg"]),
+        ({"camera.roll_deg": 0}, []),
+    ],
+)
+def test_a_lens_or_roll_that_was_set_is_not_warned_about(settings, kept):
+    assert [p.where for p in read_recipe("hit-uav-drone", settings).kept] == kept
+
+
 def test_turning_the_sensor_off_drops_its_strengths():
     loaded = read_recipe("hit-uav-person", ["sensor.profile=off"])
     assert loaded.recipe.sensor == NoSensor()
@@ -223,8 +250,11 @@ def test_plan_and_run_record_list_dropped_fields(tmp_path, write_tiny_hit_uav):
     dropped = ["objects.0.x_m", "objects.0.y_m", "camera.distance_m"]
     plan = api.plan("hit-uav-drone", data, settings=settings)
     assert [text.split(":")[0] for text in plan.to_json()["dropped_fields"]] == dropped
+    kept = ["camera.focal_length_mm", "camera.roll_deg"]
+    assert [text.split(":")[0] for text in plan.to_json()["kept_fields"]] == kept
     report = api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FAKE)
     assert report.ok
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     found = [p["where"] for p in record["problems"] if p["code"] == "recipe-dropped"]
     assert sorted(found) == sorted(dropped)
+    assert sorted(p["where"] for p in record["problems"] if p["code"] == "recipe-kept") == kept
