@@ -10,7 +10,7 @@ InfraBlendError
  ├─ RenderError (RuntimeError)        Blender failed on a frame
  │   └─ WorkerDiedError               a worker process crashed or hung
  ├─ MissingDependencyError (ImportError)   a library or system package is missing
- └─ Interrupted (RuntimeError)        the user stopped the run; what is finished is kept
+ └─ Interrupted (RuntimeError)        the user stopped the run; finished work is kept
 
 Each message names the place, what was found, what was expected and what to do; the same four parts are attributes.
 Trouble with a single item (one bad image, one bad label) is not an exception but a `Problem`; problems are collected
@@ -137,4 +137,4 @@ class MissingDependencyError(InfraBlendError, ImportError):
 
 
 class Interrupted(InfraBlendError, RuntimeError):  # noqa: N818 - not an error of anybody's
-    """The user stopped the run; finished frames are kept and `--resume` goes on."""
+    """The user stopped the run; finished frames are kept, and `--resume` continues."""

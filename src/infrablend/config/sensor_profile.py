@@ -1,4 +1,4 @@
-"""Sensor profiles: what is known of a camera before looking at its images. Some are shipped, others are files."""
+"""Sensor profiles: prior knowledge of a camera. Some are shipped, others are read from files."""
 
 from __future__ import annotations
 

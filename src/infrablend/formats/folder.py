@@ -94,7 +94,7 @@ def read(
         splits: The splits wanted; without `train`, `val`, `test` subfolders everything is train.
         metadata: Table of pitch and altitude (`capture.read_table`); None takes `metadata.csv` or `.json` in the
             folder, if there. Names in HIT-UAV's grammar give pitch and altitude, too; the table counts more.
-        labels: `auto` takes what is there: one COCO file, else text files; `none` ignores labels.
+        labels: `auto` reads one COCO file if there is one, else text files; `none` ignores labels.
         task: What YOLO lines of nine numbers are, see `yolo.build_records`.
 
     Raises:

@@ -55,7 +55,7 @@ class Archive:
         commit: Of the repository it is a picture of; archives made by git name it.
         counts: Files by glob pattern below `into`.
         lists: Lengths of lists in JSON files: file -> key -> length.
-        wanted: False for what is only fetched when asked for by its part.
+        wanted: False if it is fetched only when its part is named.
         checked: False if sizes and counts come from others; a difference is then a warning only.
     """
 

@@ -1,4 +1,4 @@
-"""Plans a run: its frames and their backgrounds, its categories, and what is left out and why."""
+"""Plans a run: its frames, their backgrounds and categories, and the images left out, with reasons."""
 
 from __future__ import annotations
 

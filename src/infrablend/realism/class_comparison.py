@@ -1,4 +1,4 @@
-"""Comparison of one class: how well inserted objects can be told from real ones, by which features, how validly."""
+"""Comparison of one class: how well, how reliably and by which features inserted objects differ from real ones."""
 
 from __future__ import annotations
 

@@ -366,7 +366,7 @@ def test_a_folder_can_be_given_instead_of_its_file(tmp_path: Path, monkeypatch: 
     training = tmp_path / "training"
     training.mkdir()
     with pytest.raises(
-        ModelError, match=r"without predictions\.json and weights\.pt.*of a finished `infrablend train`"
+        ModelError, match=r"with neither predictions\.json nor weights\.pt.*of a finished `infrablend train`"
     ):
         run(training, tmp_path / "out")
     (training / "train.json").write_text("{}")
