@@ -25,7 +25,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
-from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card
+from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card, written_layout
 
 RECORD_FILE = "convert.json"
 
@@ -186,7 +186,15 @@ def convert_dataset(
                 f"The axis-aligned boxes of {loosened} inserted objects were enlarged by the factor {loosen:g}, up to "
                 "the border of the picture, because hand-drawn boxes have a margin."
             )
-        card = dataset_card(dataset, images, wanted.categories, changes=changes, to=writer.name, losses=written.losses)
+        card = dataset_card(
+            dataset,
+            images,
+            wanted.categories,
+            changes=changes,
+            to=writer.name,
+            losses=written.losses,
+            layout=written_layout(out, written.files, RECORD_FILE),
+        )
         problems += write_card(out, card)
         problems += _background_class(writer.name, wanted, settings)
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))

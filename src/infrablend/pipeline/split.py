@@ -22,7 +22,7 @@ from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
-from infrablend.report.card import dataset_card, write_card
+from infrablend.report.card import dataset_card, write_card, written_layout
 
 SHARES = (0.7, 0.1, 0.2)
 RECORD = "split.json"
@@ -292,7 +292,15 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
     records = sort_images(_renamed(sized))
     written = writing.write(to, report.out, records, source.categories, source=source)
     done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{RECORD}`."
-    card = dataset_card(source, records, source.categories, changes=[done], to=report.format, losses=written.losses)
+    card = dataset_card(
+        source,
+        records,
+        source.categories,
+        changes=[done],
+        to=report.format,
+        losses=written.losses,
+        layout=written_layout(report.out, written.files, RECORD),
+    )
     kept = write_card(report.out, card)
     return replace(
         report,

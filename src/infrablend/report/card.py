@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.losses import LOSSES
+from infrablend.formats.pictures import PICTURE_SUFFIXES
 from infrablend.formats.sources import (
     APACHE_2,
     CC0_1,
@@ -59,6 +60,17 @@ _HUB_LICENCES = frozenset(
         *("cdla-permissive-1.0", "cdla-permissive-2.0", "cdla-sharing-1.0", "unlicense", "unknown", "other"),
     }
 )
+# Entries of written datasets that their files' suffixes do not describe.
+_CONTENTS = {
+    "ImageSets/": "pictures of each split",
+    "masks/": "labels",
+    "data.yaml": "classes and splits",
+    "labelmap.txt": "classes",
+    "categories.json": "classes",
+    "species.csv": "classes",
+    "names.csv": "original names of the pictures",
+    "metadata.csv": "pitch, altitude and time of day",
+}
 _TEXT_CHARACTERS = 4000  # at most, per field of SOURCE.json
 INSERT_LIMITS = (
     "Inserted objects are rendered: scores on them show how well a detector finds such renders. Test on real pictures "
@@ -540,6 +552,7 @@ def dataset_card(
     changes: Sequence[str],
     to: str = "",
     losses: Mapping[str, int] | None = None,
+    layout: Sequence[tuple[str, str]] = (),
 ) -> Card:
     """Return the card of a dataset that was converted or split.
 
@@ -552,6 +565,7 @@ def dataset_card(
         changes: Changes, a sentence each.
         to: Name of the format written, or empty.
         losses: Number of items that the format could not hold, by kind.
+        layout: Paths in the folder, each with a description; see `written_layout`.
     """
     per_split = Counter(str(i.split) for i in images)
     labels: dict[str, Counter[str]] = {s: Counter() for s in per_split}
@@ -559,6 +573,7 @@ def dataset_card(
         labels[image.split].update(i.category for i in image.instances)
     origin = find_provenance(source)
     short = origin.title.partition(":")[0] or "A dataset"
+    holds_masks = not to or "masks" not in find_writer(to).lacks
     what = "with rendered objects in its pictures" if origin.inserts else "no object was inserted"
     return Card(
         f"{short} as {to}" if to else short,
@@ -571,7 +586,29 @@ def dataset_card(
         inserted=Counter(i.category for image in images for i in image.instances if i.inserted),
         formats=(to,) if to else (),
         losses={f"{to}.{kind}": n for kind, n in (losses or {}).items()},
+        layout=tuple(layout),
         images="",
         inserts=origin.inserts,
-        masks=any(i.mask is not None for image in images for i in image.instances),
+        masks=holds_masks and any(i.mask is not None for image in images for i in image.instances),
     )
+
+
+def written_layout(folder: Path, files: Iterable[Path], record: str) -> tuple[tuple[str, str], ...]:
+    """Return the entries of a dataset's folder, each with a description: folders, files, and the record.
+
+    Args:
+        folder: Folder of the dataset.
+        files: Files that the writer of its format wrote in it.
+        record: Name of the file that records how it was made.
+    """
+    below: dict[str, list[Path]] = {}
+    for path in files:
+        inside = path.relative_to(folder)
+        below.setdefault(inside.parts[0] + ("/" if len(inside.parts) > 1 else ""), []).append(inside)
+    names = sorted(below, key=lambda name: (not name.endswith("/"), name))
+    return (*((name, _CONTENTS.get(name) or _content(below[name])) for name in names), (record, "how it was made"))
+
+
+def _content(files: Sequence[Path]) -> str:
+    pictures = [f.name.lower().endswith(PICTURE_SUFFIXES) for f in files]
+    return "pictures" if all(pictures) else "pictures and labels" if any(pictures) else "labels"

@@ -14,6 +14,7 @@ from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.formats.sources import PAPER_BIBTEX, SOURCES
 from infrablend.report.card import Card, card_text, dataset_card, find_provenance, is_own, write_card
+from tests.samples import SAMPLES
 
 HUB_KEYS = {
     "pretty_name", "license", "license_name", "license_link", "task_categories", "tags", "size_categories", "configs",
@@ -351,3 +352,23 @@ def test_converted_and_split_datasets_have_cards(data, tmp_path):
     path.unlink()
     api.convert(data, tmp_path / "coco", "yolo", overwrite=True)
     assert "* `yolo`: " in path.read_text("utf-8")
+
+
+def test_the_card_of_a_conversion_lists_its_files_and_claims_masks_only_if_the_format_has_them(tmp_path):
+    coco = SAMPLES["coco"](tmp_path / "data")
+    for to, files in {
+        "coco": ["annotations/", "images/", "convert.json"],
+        "yolo-obb": ["images/", "labels/", "data.yaml", "convert.json"],
+        "yolo-seg": ["images/", "labels/", "data.yaml", "convert.json"],
+        "masks": ["images/", "masks/", "categories.json", "convert.json"],
+        "hit-uav": ["normal_json/", "rotate_json/", "convert.json"],
+    }.items():
+        api.convert(coco, tmp_path / to, to)
+        text = card(tmp_path / to)
+        tree = text.partition("## Files")[2].split("```")[1].splitlines()[1:]
+        assert [line.split()[0] for line in tree] == [*files, "SOURCE.json"], to
+        assert all((tmp_path / to / line.split()[0]).exists() for line in tree)
+        tasks = front_matter(text)["task_categories"]
+        assert ("image-segmentation" in tasks) == (to in ("coco", "yolo-seg", "masks")), to
+    api.split(coco, tmp_path / "split", api.SplitRule(by="gap", gap=1, shares=(0.5, 0.25, 0.25)))
+    assert all(f"\n{name} " in card(tmp_path / "split") for name in ("annotations/", "images/", "split.json"))
