@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import known_class
+from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
@@ -26,6 +28,7 @@ from infrablend.report.preview import (
     PreviewFrame,
     Rgb,
     draw_polygon,
+    font_of,
     grid,
     load_frames,
     to_rgb,
@@ -40,8 +43,17 @@ _GRID = (74, 150, 170)
 _PERSON = (255, 196, 0)
 _CAR = (255, 64, 160)
 _LABELLED = (112, 158, 120)
+_LEGEND = {
+    "the ground, as a grid": _GRID,
+    "a person of 1.7 m": _PERSON,
+    "a car of 4.6 m": _CAR,
+    "labels, to compare in size": _LABELLED,
+}
+_LEGEND_PX = 14
+_LEGEND_MARGIN_PX = 4
 _SPACINGS_M = (1, 2, 5, 10, 20, 50, 100, 200)
 _MAX_REFERENCES = 12
+_STANDING_WITHIN_M = 0.5  # simulated motion may move an object a little off the ground
 
 
 def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
@@ -75,16 +87,29 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
     return write_sheet(out_png, sheet)
 
 
+def comparable(instances: Sequence[Instance], scene: SceneSpec) -> list[Instance]:
+    """Return the labels whose size can be compared on the ground: original objects, and inserted ones that stand.
+
+    An object in flight is nearer to the camera than the ground behind it.
+    """
+    assert scene.view is not None
+    ground_m = scene.view.ground_z_m
+    flying = {o.category for o in scene.objects if abs(o.position_m[2] - ground_m) > _STANDING_WITHIN_M}
+    return [i for i in instances if not (i.inserted and i.category in flying)]
+
+
 def _legend(width: int) -> Rgb:
-    texts = {
-        "the ground, as a grid": _GRID,
-        "a person of 1.7 m": _PERSON,
-        "a car of 4.6 m": _CAR,
-        "label boxes: compare their size with the drawn ones": _LABELLED,
-    }
-    widths = np.diff(np.linspace(0, width, len(texts) + 1).astype(int))
-    strips = zip(widths, texts.items(), strict=True)
-    return np.concatenate([text_strip(int(w), TITLE_PX, text, 14, colour) for w, (text, colour) in strips], axis=1)
+    """Return the legend in one row, or in two or four if the sheet is too narrow for it."""
+    longest = max(font_of(_LEGEND_PX).getlength(text) for text in _LEGEND)
+    columns = next((n for n in (4, 2) if longest <= width // n - _LEGEND_MARGIN_PX), 1)
+    widths = np.diff(np.linspace(0, width, columns + 1).astype(int))
+    rows = []
+    texts = list(_LEGEND.items())
+    for first in range(0, len(texts), columns):
+        strips = zip(widths, texts[first : first + columns], strict=True)
+        parts = [text_strip(int(w), TITLE_PX, text, _LEGEND_PX, colour) for w, (text, colour) in strips]
+        rows.append(np.concatenate(parts, axis=1))
+    return np.concatenate(rows)
 
 
 def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
@@ -94,7 +119,7 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
     assert view is not None
     spacing = _draw_grid(canvas, camera, view.ground_z_m)
     references = 0
-    for label in frame.instances:
+    for label in comparable(frame.instances, scene):
         x0, y0, x1, y1 = label.box_xyxy
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))

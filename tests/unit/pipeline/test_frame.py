@@ -231,3 +231,28 @@ def test_the_ground_preview_shows_as_many_frames_as_asked(tmp_path, options, row
     # Each cell shows a frame of 256 rows, twice enlarged.
     with Image.open(sheet) as picture:
         assert picture.height // (2 * 256) == rows
+
+
+@pytest.mark.parametrize(("recipe", "stands"), [("hit-uav-drone-physical", False), ("monet-deer-physical", True)])
+def test_the_ground_preview_compares_only_what_stands_on_the_ground(tmp_path, recipe, stands):
+    from infrablend.core.dataset import Instance
+    from infrablend.report.ground_preview import comparable
+
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    generate(data, tmp_path / "run", recipe)
+    (record,) = records(tmp_path / "run")
+    inserted = list(record.inserted)
+    original = Instance(inserted[0].category, np.array([1.0, 1, 9, 9]))
+    assert comparable([original, *inserted], record.scene) == [original, *(inserted if stands else [])]
+
+
+@pytest.mark.parametrize(("width", "rows"), [(320, 4), (640, 2), (1280, 1), (2560, 1)])
+def test_the_legend_of_the_ground_preview_is_not_cut(width, rows):
+    from infrablend.report import ground_preview
+    from infrablend.report.preview import TITLE_PX, strip
+
+    legend = ground_preview._legend(width)
+    assert legend.shape == (rows * TITLE_PX, width, 3)
+    for text, colour in ground_preview._LEGEND.items():
+        whole = strip(2560, TITLE_PX, text, 14, colour)
+        assert (legend == colour).all(axis=2).sum() == (whole == colour).all(axis=2).sum() > 0
