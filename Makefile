@@ -11,7 +11,7 @@ ARGS ?=
 # Test processes side by side: auto takes one per core, as far as the memory allows; 0 runs the tests one by one.
 TEST_WORKERS ?= auto
 # The share of lines that the unit and property tests must execute, in percent; only checked when all tests run.
-COVERAGE_FLOOR = 70
+COVERAGE_FLOOR := 91
 
 pytest = .venv/bin/python -m pytest
 parallel = -n $(TEST_WORKERS) --dist loadgroup --no-loadscope-reorder

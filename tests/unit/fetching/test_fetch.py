@@ -104,18 +104,17 @@ class Handler(http.server.BaseHTTPRequestHandler):
             headers["Content-Range"] = act[1]
         if act[0] == "encoding":
             headers["Content-Encoding"] = act[1]
+        part = rest[: act[1]] if act[0] == "cut" else rest
+        server.sent.append(len(part))  # before the client can see the end of it
         if server.chunked:
             self._head(status, {**headers, "Transfer-Encoding": "chunked"})
-            part = rest[: act[1]] if act[0] == "cut" else rest
             self.wfile.write(b"%x\r\n%s\r\n" % (len(part), part) if part else b"")
             if act[0] != "cut":
                 self.wfile.write(b"0\r\n\r\n")
         else:
             length = act[1] if act[0] == "length" else len(rest)
             self._head(status, {**headers, "Content-Length": str(length)})
-            part = rest[: act[1]] if act[0] == "cut" else rest
             self.wfile.write(part)
-        server.sent.append(len(part))
         return None
 
     def _head(self, status: int, headers: dict[str, str]) -> None:

@@ -274,7 +274,7 @@ def test_networks_say_why_they_do_not_run(monkeypatch):
     monkeypatch.setattr(nets.importlib.util, "find_spec", lambda name: None)
     assert nets.missing("torch") == "torch is not installed"
     assert nets.no_inception(2000) == "torch and torchvision are not installed"
-    assert nets.no_inception(900) == "900 crops, 1000 are needed"
+    assert nets.no_inception(900) == "900 crops; 1000 are needed"
 
 
 def test_the_network_tells_shifted_crops_and_not_equal_ones(monkeypatch):

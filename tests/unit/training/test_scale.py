@@ -11,7 +11,7 @@ import pytest
 from infrablend.training.presets import PRESETS
 from infrablend.training.scale import MARK, training_scale
 
-OURS = {"name": "run", "data": "/home/x/runs/detector/data/data.yaml"}
+OURS = {"name": "run", "data": "runs/detector/data/data.yaml"}
 
 
 def mark(preset: str) -> dict[str, Any]:
