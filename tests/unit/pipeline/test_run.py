@@ -224,7 +224,7 @@ def test_output_folder_rules(dataset, tmp_path):
     assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 4
     with pytest.raises(OutputError, match="refuse, resume or overwrite"):
         generate(dataset, tmp_path / "run", existing="both")
-    with pytest.raises(OutputError, match="holds the data"):
+    with pytest.raises(OutputError, match="contains the data"):
         generate(dataset, dataset.parent)
 
 

@@ -183,7 +183,7 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     np.testing.assert_allclose(boxes, [[0, 48.6, 11, 64], [19, 18, 31, 42], [40, 20, 50, 40]])
     counts = json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]
     assert (counts["boxes_loosened"], counts["loosened_by"]) == (2, 1.2)
-    assert "boxes of 2 inserted objects are 1.2 times" in (tmp_path / "out" / "README.md").read_text()
+    assert "boxes of 2 inserted objects were enlarged by the factor 1.2" in (tmp_path / "out" / "README.md").read_text()
     with pytest.raises(DatasetError, match=r"--loosen-inserted: 0\.5"):
         api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen=0.5)
 
