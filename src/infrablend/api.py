@@ -7,8 +7,8 @@
     api.preview("runs/first", "runs/first/preview.png")
 
 Options that belong together are one value, documented in its class: `Reading` (how to read a dataset), `Execution` (how
-to compute frames), `TrainRequest`, `Judging` (how to evaluate), `FetchRequest`, `ExperimentRequest`. Every function
-raises the errors of `infrablend.errors`. The examples run in the tests on a dataset of four pictures, without Blender.
+to compute frames), `TrainRequest`, `EvaluationSettings`, `FetchRequest`, `ExperimentRequest`. Every function raises the
+errors of `infrablend.errors`. The examples run in the tests on a dataset of four pictures, without Blender.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline import world
 from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
 from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
+from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.generate import describe_run, generate_run
-from infrablend.pipeline.judging import DEFAULT_JUDGING, Judging
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from infrablend.report.preview import Draw
 
 __all__ = [
-    "ClassChanges", "ConvertReport", "Execution", "ExperimentRequest", "FetchReport",
-    "FetchRequest", "Judging", "PlanReport", "Reading", "RealismReport", "RunReport", "Selection", "SourceEntry",
-    "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest", "WriteSettings", "check",
+    "ClassChanges", "ConvertReport", "EvaluationSettings", "Execution", "ExperimentRequest", "FetchReport",
+    "FetchRequest", "PlanReport", "Reading", "RealismReport", "RunReport", "Selection",
+    "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest", "WriteSettings", "check",
     "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose", "evaluate",
     "experiment", "fetch", "generate",
     "inspect", "list_experiments", "list_models", "list_recipes", "list_sources", "make_world", "plan",
@@ -292,7 +292,7 @@ def plan_train(
 
 
 def evaluate(
-    weights: str | Path, dataset: str | Path, out: str | Path, judging: Judging = DEFAULT_JUDGING, *,
+    weights: str | Path, dataset: str | Path, out: str | Path, settings: EvaluationSettings = DEFAULT_SETTINGS, *,
     device: str = "auto", reading: Reading = READ_ALL, against: str | Path | None = None, overwrite: bool = False,
     on_progress: OnProgress | None = None,
 ) -> EvaluationReport:  # fmt: skip
@@ -303,7 +303,7 @@ def evaluate(
             `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics.
         dataset: Folder of the dataset.
         out: Folder to write.
-        judging: Split, task, classes, image size, intervals.
+        settings: Split, task, classes, image size, intervals.
         device: auto, cpu, cuda, cuda:1 or mps.
         reading: How to read `dataset`.
         against: Folder of another evaluation on the same images and labels, to compare with.
@@ -314,7 +314,7 @@ def evaluate(
 
     require_apart(Path(dataset), Path(out))
     return evaluate_detector(
-        Path(weights), read_dataset(dataset, reading), Path(out), judging, device=device, against=_path(against),
+        Path(weights), read_dataset(dataset, reading), Path(out), settings, device=device, against=_path(against),
         overwrite=overwrite, on_image=paced(on_progress),
     )  # fmt: skip
 

@@ -96,7 +96,7 @@ def evaluate(
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_json, print_problems, print_result
 
-    judging = api.Judging(
+    settings = api.EvaluationSettings(
         split=split,
         task=None if task is None else task.value,
         image_size=image_size,
@@ -112,7 +112,7 @@ def evaluate(
             weights,
             dataset,
             out,
-            judging,
+            settings,
             device=device,
             reading=source,
             against=against,

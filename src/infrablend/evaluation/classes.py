@@ -9,7 +9,7 @@ from infrablend.errors import Problem
 from infrablend.evaluation.truth import match_classes
 
 
-def judged_classes(
+def evaluated_classes(
     dataset: Dataset,
     images: Sequence[ImageRecord],
     wanted: Sequence[str] | None,
@@ -39,15 +39,15 @@ def judged_classes(
         problems.append(Problem("classes", "class-absent", found_text, "every class that is evaluated", todo))
     for k, name in enumerate(detector):
         rivals = [n for n, of in mapping.items() if k in of]
-        judged = [n for n in rivals if n in there] or rivals[:1]
-        for n in [n for n in rivals if n not in judged]:  # a class that has objects keeps the detections
+        kept = [n for n in rivals if n in there] or rivals[:1]
+        for n in [n for n in rivals if n not in kept]:  # a class that has objects keeps the detections
             mapping[n] = ()
-            found_text = f"{n}: has no objects and shares the detector's class {name} with {judged[0]}: not evaluated"
+            found_text = f"{n}: has no objects and shares the detector's class {name} with {kept[0]}: not evaluated"
             problems.append(Problem("labels", "class-left-out", found_text, severity="warning"))
-        if len(judged) > 1:
-            found_text = f"{' and '.join(judged)} share the detector's class {name}"
-            pairs = " ".join(f"--rename {n}={judged[0]}" for n in judged[1:])
-            todo = f"merge them with `infrablend convert {pairs}`, or choose one with --classes {judged[0]}"
+        if len(kept) > 1:
+            found_text = f"{' and '.join(kept)} share the detector's class {name}"
+            pairs = " ".join(f"--rename {n}={kept[0]}" for n in kept[1:])
+            todo = f"merge them with `infrablend convert {pairs}`, or choose one with --classes {kept[0]}"
             problems.append(Problem("classes", "class-shared", found_text, "a detector class for each", todo))
     others = [n for k, n in enumerate(detector) if not any(k in of for of in mapping.values())]
     if others:

@@ -188,14 +188,14 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
         with (folder / MATCHES).open("rb") as file, np.load(file, allow_pickle=False) as data:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
-            judged = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))
+            stored = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))
         if None in astuple(Conditions.of(record)) or record["detector"] is None:
             raise KeyError("settings")
     except FileNotFoundError as error:
         raise refuse(f"no {Path(str(error.filename)).name}") from error
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise refuse(f"cannot be read ({type(error).__name__}: {error})"[:160]) from error
-    return record, judged
+    return record, stored
 
 
 def _unpacked(data: Any, k: int) -> ClassMatches:

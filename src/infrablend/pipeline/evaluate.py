@@ -15,7 +15,7 @@ from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
-from infrablend.evaluation.classes import judged_classes
+from infrablend.evaluation.classes import evaluated_classes
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.comparison import (
     MATCHES,
@@ -32,9 +32,9 @@ from infrablend.evaluation.figures import Case, Draws, figures
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
 from infrablend.formats.pictures import with_sizes
+from infrablend.pipeline.detection_source import PREDICTIONS, DetectionSource, choose_task
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
-from infrablend.pipeline.findings import PREDICTIONS, Findings, choose_task
-from infrablend.pipeline.judging import DEFAULT_JUDGING, Judging
+from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.training.weights import missing_packages
 
@@ -76,7 +76,7 @@ def evaluate_detector(
     weights: Path,
     dataset: Dataset,
     out: Path,
-    judging: Judging = DEFAULT_JUDGING,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
     *,
     device: str = "auto",
     against: Path | None = None,
@@ -88,21 +88,21 @@ def evaluate_detector(
     entries = _check_out(out, overwrite)
     other = None if against is None else read_evaluation(against)
     problems: list[Problem] = []
-    findings = Findings(weights, device, problems)
-    prepared = _prepare(dataset, findings, judging, problems)
+    source = DetectionSource(weights, device, problems)
+    prepared = _prepare(dataset, source, settings, problems)
     conditions = Conditions(
-        judging.split, len(prepared.labels), prepared.key, prepared.task, judging.ignore_regions, judging.group
+        settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
     )
     if other is not None:
         require_same(other[0], conditions, against or out)
 
     with _output(out).claimed():
-        predictions = findings.on(prepared.images, judging.image_size, on_image, problems)
+        predictions = source.on(prepared.images, settings.image_size, on_image, problems)
         _clear(out, entries)
         write_predictions(out / PREDICTIONS, predictions)
         case = prepared.case(predictions)
-        problems += _count_findings(predictions, case, prepared.counts)
-        metrics, matches = figures(case, Draws(judging.bootstrap, prepared.groups, judging.seed))
+        problems += _count_detections(predictions, case, prepared.counts)
+        metrics, matches = figures(case, Draws(settings.bootstrap, prepared.groups, settings.seed))
         stored = StoredMatches(case.classes, matches, prepared.groups)
         problems += _without_hits(metrics["classes"], prepared.counts)
         facts = {
@@ -110,19 +110,19 @@ def evaluate_detector(
             "dataset": {
                 "name": dataset.root.name,
                 "format": dataset.format,
-                "split": judging.split,
+                "split": settings.split,
                 "images": len(prepared.images),
                 "labels_sha256": prepared.key,
             },
             "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
             "task": prepared.task,
             "settings": {
-                "ignore_regions": judging.ignore_regions,
+                "ignore_regions": settings.ignore_regions,
                 "max_detections": MAX_DETECTIONS,
-                "bootstrap": judging.bootstrap,
-                "group": judging.group,
+                "bootstrap": settings.bootstrap,
+                "group": settings.group,
                 "groups": len(set(prepared.groups)),
-                "seed": judging.seed,
+                "seed": settings.seed,
                 "level": LEVEL,
             },
             "counts": prepared.counts,
@@ -131,7 +131,7 @@ def evaluate_detector(
             "paired": None
             if other is None
             else paired_facts(
-                [stored], [other[1]], other[0], Draws(judging.bootstrap, (), judging.seed), (against or out).name
+                [stored], [other[1]], other[0], Draws(settings.bootstrap, (), settings.seed), (against or out).name
             ),
             "problems": [p.to_json() for p in problems],
         }
@@ -165,29 +165,31 @@ class _Prepared:
         return Case(self.images, self.labels, predictions.images, class_of, tuple(self.numbers), self.task)
 
 
-def _prepare(dataset: Dataset, findings: Findings, judging: Judging, problems: list[Problem]) -> _Prepared:
+def _prepare(
+    dataset: Dataset, source: DetectionSource, settings: EvaluationSettings, problems: list[Problem]
+) -> _Prepared:
     """Return the images, labels and classes to evaluate.
 
     Raises:
         ModelError, DatasetError: They cannot be evaluated; the message lists all problems.
     """
-    split = judging.split
+    split = settings.split
     rejected = rejected_in(dataset, split)
     listed = [i for i in dataset.images if i.split == split]
     images = with_sizes(listed, image_key, problems)
     if not listed:
         problems += shorten(rejected)
         problems.append(_empty_split(dataset, split))
-    task = choose_task(judging.task, findings, problems)
-    numbers = judged_classes(dataset, images, judging.classes, findings.classes, problems)
-    findings.check(images, problems)
-    groups = image_groups(images, judging.group, problems)
+    task = choose_task(settings.task, source, problems)
+    numbers = evaluated_classes(dataset, images, settings.classes, source.classes, problems)
+    source.check(images, problems)
+    groups = image_groups(images, settings.group, problems)
     errors = [p for p in problems if p.severity == "error"]
     if errors:
         kind = ModelError if all(p.code == "weights" for p in errors) else DatasetError
-        raise kind(f"{findings.name} cannot be evaluated on {dataset.root}", errors)
+        raise kind(f"{source.name} cannot be evaluated on {dataset.root}", errors)
     names = tuple(numbers)
-    labels, counts = truths(images, dataset.categories, names, task, ignore_regions=judging.ignore_regions)
+    labels, counts = truths(images, dataset.categories, names, task, ignore_regions=settings.ignore_regions)
     problems += _label_warnings(names, labels, counts)
     if rejected:
         counts["rejected"] = len(rejected)
@@ -234,24 +236,24 @@ def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mappi
 # -- figures ---------------------------------------------------------------------------------------------------
 
 
-def _count_findings(predictions: Predictions, case: Case, counts: dict[str, int]) -> list[Problem]:
+def _count_detections(predictions: Predictions, case: Case, counts: dict[str, int]) -> list[Problem]:
     """Count all detections and those of classes not evaluated; return a warning if there are none."""
-    counts["findings"] = sum(len(d) for d in predictions.images.values())
+    counts["detections"] = sum(len(d) for d in predictions.images.values())
     foreign = sum(int((case.class_of[d.classes] < 0).sum()) for d in predictions.images.values())
     if foreign:
-        counts["findings_of_other_classes"] = foreign
-    if counts["findings"]:
+        counts["detections_of_other_classes"] = foreign
+    if counts["detections"]:
         return []
     found = f"no detection of {', '.join(case.classes)}"
-    return [Problem("detector", "no-findings", found, "a trained detector", severity="warning")]
+    return [Problem("detector", "no-detections", found, "a trained detector", severity="warning")]
 
 
 def _without_hits(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
     """Return a warning if there are detections, but the AP of every class rounds to 0.000."""
     best = max(row["map50"] for row in table.values() if row["map50"] is not None)
-    if not counts["findings"] or best >= _LEAST_AP:
+    if not counts["detections"] or best >= _LEAST_AP:
         return []
-    found = f"{counts['findings']} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
+    found = f"{counts['detections']} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
     todo = "check that the training is finished, and that its images and classes resemble these"
     return [Problem("detector", "no-hits", found, "a trained detector", todo, severity="warning")]
 

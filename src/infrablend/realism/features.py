@@ -150,7 +150,7 @@ def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple
 
 
 def unfit(instance: Instance, labels: Labels) -> str | None:
-    """Return why an object cannot be measured, judged by its label alone, or None if it can."""
+    """Return why an object cannot be measured as far as its label shows, or None if it can."""
     h, w = labels.free.shape
     x0, y0, x1, y1 = instance.box_xyxy
     if max(x1 - x0, y1 - y0) < LEAST_PX:

@@ -1,4 +1,4 @@
-"""Check whether this machine can run InfraBlend: `survey` gathers facts, `judge` rates them, `diagnose` does both.
+"""Check whether this machine can run InfraBlend: `survey` gathers facts, `assess` rates them, `diagnose` does both.
 
 Blender and torch are queried in separate processes: this module then needs neither, and survives a broken one.
 """
@@ -175,7 +175,7 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
     )
 
 
-def judge(machine: Machine) -> Diagnosis:
+def assess(machine: Machine) -> Diagnosis:
     """Return the checks of the facts, in the order in which they are shown."""
     return Diagnosis(
         (
@@ -197,7 +197,7 @@ def judge(machine: Machine) -> Diagnosis:
 
 def diagnose(folder: Path | None = None) -> Diagnosis:
     """Check whether a run that writes to `folder` (by default the current one) can work on this machine."""
-    return judge(survey(folder))
+    return assess(survey(folder))
 
 
 def _check_system(m: Machine) -> Check:

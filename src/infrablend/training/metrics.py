@@ -29,7 +29,7 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
         from ultralytics.engine.validator import BaseValidator
         from ultralytics.utils.metrics import ap_per_class
 
-        judge = SimpleNamespace(iouv=torch.linspace(0.5, 0.95, len(IOUS)))
+        matcher = SimpleNamespace(iouv=torch.linspace(0.5, 0.95, len(IOUS)))
         right, scores, predicted, labels, images = [], [], [], [], []
         for truth in truths:
             real = np.flatnonzero(~truth.ignore)
@@ -44,7 +44,7 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
             if len(ours) and len(real):
                 iou = _overlap(ours, truth, real, task)
                 hit = BaseValidator.match_predictions(
-                    judge, torch.from_numpy(its), torch.from_numpy(truth.classes[real]), iou
+                    matcher, torch.from_numpy(its), torch.from_numpy(truth.classes[real]), iou
                 ).numpy()
             right.append(hit)
             scores.append(ours.scores)

@@ -32,11 +32,13 @@ def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
     """
     import torch
 
-    kept = surest(boxes.detach().float().cpu().numpy(), scores.detach().float().cpu().numpy(), iou_threshold)
+    kept = kept_indices(boxes.detach().float().cpu().numpy(), scores.detach().float().cpu().numpy(), iou_threshold)
     return torch.from_numpy(kept).to(boxes.device)
 
 
-def surest(boxes_xyxy: NDArray[np.float32], scores: NDArray[np.float32], iou_threshold: float) -> NDArray[np.int64]:
+def kept_indices(
+    boxes_xyxy: NDArray[np.float32], scores: NDArray[np.float32], iou_threshold: float
+) -> NDArray[np.int64]:
     """Return the indices that `nms` returns, for arrays.
 
     Boxes are processed in blocks of descending score: the boxes kept so far suppress boxes of the block at once, then

@@ -36,7 +36,7 @@ def image(stem: str, *objects: tuple[str, list[float]], **facts: object) -> Imag
     return ImageRecord(stem, Path(f"{stem}.png"), "test", (200, 100), instances=instances, **known)
 
 
-def judge(labels, found, classes=1, task="detect", bins=ALL):
+def matched(labels, found, classes=1, task="detect", bins=ALL):
     return match_all(labels, found, np.arange(classes), classes, task, bins)
 
 
@@ -49,7 +49,7 @@ FOUND = detections(
 
 def test_average_precision_by_hand() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
-    (m,) = judge(labels, {"test/a.png": FOUND})
+    (m,) = matched(labels, {"test/a.png": FOUND})
     ap = average_precisions(m)[0]
     # 51 of the 101 recalls (0 to 0.5) are reached at precision 1, the other 50 at 2/3, or never.
     assert ap[:3] == pytest.approx((51 + 50 * 2 / 3) / 101, abs=1e-12)
@@ -62,7 +62,7 @@ def test_average_precision_by_hand() -> None:
 
 def test_precision_and_recall_are_those_of_the_best_confidence() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
-    confidence, points = operating_point(judge(labels, {"test/a.png": FOUND}))
+    confidence, points = operating_point(matched(labels, {"test/a.png": FOUND}))
     # F1: 2/3 with the first alone, 0.5 with two, 0.8 with all three.
     assert 0 <= confidence <= 0.7
     assert points[0] == pytest.approx((2 / 3, 1.0))
@@ -70,7 +70,7 @@ def test_precision_and_recall_are_those_of_the_best_confidence() -> None:
 
 def test_no_findings_are_zero_and_no_objects_are_nothing() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person", "Car"], "detect")
-    person, car = judge(labels, {}, 2)
+    person, car = matched(labels, {}, 2)
     assert average_precisions(person).tolist() == [[0.0] * 10]
     assert np.isnan(average_precisions(car)).all()
     assert operating_point([person, car])[1] == [(0.0, 0.0), None]
@@ -81,7 +81,7 @@ def test_no_findings_are_zero_and_no_objects_are_nothing() -> None:
 def test_a_label_is_taken_once_and_by_the_surer() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
     twice = detections([[10, 10, 30, 50], [10, 12, 30, 50]], [0.6, 0.9], [0, 0])
-    (m,) = judge(labels, {"test/a.png": twice})
+    (m,) = matched(labels, {"test/a.png": twice})
     assert m.scores.tolist() == [0.9, 0.6]
     assert m.right[0, 0].tolist() == [True, False]
     assert m.right[0, 9].tolist() == [True, False]  # IoU 0.95: right at the last threshold, too
@@ -95,13 +95,13 @@ def test_what_lies_in_a_region_to_ignore_counts_neither_way() -> None:
     }
     labels, counts = truths([both], CATEGORIES, ["Person"], "detect")
     assert counts == {"ignore_regions": 1}
-    (m,) = judge(labels, found)
+    (m,) = matched(labels, found)
     assert m.neutral[0, 0].tolist() == [True, True, False]
     assert average_precisions(m)[0, 0] == pytest.approx(1.0)
     assert coco_precisions(labels, found, np.arange(1), 1, "detect")[0, 0, 0] == pytest.approx(1.0)
     off, counts = truths([both], CATEGORIES, ["Person"], "detect", ignore_regions=False)
     assert counts == {"ignore_regions_left_out": 1}
-    assert average_precisions(judge(off, found)[0])[0, 0] == pytest.approx(1 / 3)
+    assert average_precisions(matched(off, found)[0])[0, 0] == pytest.approx(1 / 3)
 
 
 @pytest.mark.parametrize("task", ["detect", "obb", "segment"])
@@ -115,7 +115,7 @@ def test_a_crowd_is_a_region_of_its_class_alone(task: str) -> None:
     corners = [corners_of_box(np.array(b, np.float64)) for b in boxes] if task == "obb" else None
     masks = [filled(b) for b in boxes] if task == "segment" else None
     found = detections(boxes, [0.9, 0.8, 0.7, 0.6], [0, 0, 0, 1], corners, masks)
-    people, cars = judge(labels, {"test/a.png": found}, 2, task)
+    people, cars = matched(labels, {"test/a.png": found}, 2, task)
     assert people.objects.sum() == 1
     assert people.right[0, 0].tolist() == [True, False, False]
     assert people.neutral[0, 0].tolist() == [False, True, True]
@@ -132,7 +132,7 @@ def test_sizes_are_of_the_longer_side_and_others_are_ignored() -> None:
     assert list(bins) == ["all", "<8", "8-16", "16-32", "32-64", "64-128", ">=128"]
     sizes = image("a", ("Person", [0, 0, 4, 16]), ("Person", [50, 0, 60, 15.5]), ("Person", [100, 0, 140, 10]))
     labels, _ = truths([sizes], CATEGORIES, ["Person"], "detect")
-    (m,) = judge(labels, {"test/a.png": detections([[50, 0, 60, 15.5]], [0.9], [0])}, bins=bins)
+    (m,) = matched(labels, {"test/a.png": detections([[50, 0, 60, 15.5]], [0.9], [0])}, bins=bins)
     assert m.objects[:, 0].tolist() == [3, 0, 1, 1, 1, 0, 0]
     ap = [float(average_precisions(m, size=a)[0, 0]) for a in range(7)]
     assert ap[2] == pytest.approx(1.0)
@@ -186,7 +186,7 @@ def filled(box) -> Mask:
 def test_our_matching_is_that_of_pycocotools_at_every_size_and_threshold(task: str) -> None:
     labels, found = made_up(120, task)
     bins = size_bins()
-    matches = judge(labels, found, 3, task, bins)
+    matches = matched(labels, found, 3, task, bins)
     ours = np.array([[average_precisions(m, size=a)[0] for m in matches] for a in range(len(bins))])
     theirs = coco_precisions(labels, found, np.arange(3), 3, task, list(bins.values()))
     assert ours[0, :, 0].min() > 0.2
@@ -207,7 +207,7 @@ def test_an_image_that_counts_twice_is_the_same_as_two_of_it() -> None:
             key = f"{label.key}-{n}"
             copies.append(Truth(key, label.size_wh, label.boxes_xyxy, label.classes, label.ignore))
             copied[key] = found[label.key]
-    for once, many in zip(judge(labels, found, 3), judge(copies, copied, 3), strict=True):
+    for once, many in zip(matched(labels, found, 3), matched(copies, copied, 3), strict=True):
         np.testing.assert_allclose(average_precisions(once, counts), average_precisions(many), rtol=0, atol=1e-9)
 
 
@@ -226,7 +226,7 @@ def test_intervals_hold_the_figure_and_narrow_with_more_images() -> None:
     widths = []
     for number in (30, 240):
         labels, found = made_up(number, "detect")
-        matches = judge(labels, found, 3)
+        matches = matched(labels, found, 3)
         drawn = drawn_figures(matches, draw_images([t.key for t in labels], 300, 0))
         figure = drawn_figures(matches, np.ones((1, number)))[0, 0, 0]
         low, high = interval(drawn[:, 0, 0])
@@ -245,7 +245,7 @@ def test_pairs_on_the_same_images() -> None:
         )
         for t in labels
     }
-    first, second = judge(labels, better, 3), judge(labels, found, 3)
+    first, second = matched(labels, better, 3), matched(labels, found, 3)
     groups = [t.key for t in labels]
     weights = draw_images(groups, 200, 0)
     names = ("Person", "Car", "Bicycle")
@@ -267,7 +267,7 @@ def test_draws_without_a_class_have_no_mean() -> None:
     records[0] = image("0", ("Person", [10, 10, 30, 50]), ("Car", [100, 20, 140, 60]))
     labels, _ = truths(records, CATEGORIES, ["Person", "Car", "Bicycle"], "detect")
     found = {t.key: detections([[10, 10, 30, 50]], [0.9], [0]) for t in labels}
-    matches, groups = judge(labels, found, 3), [t.key for t in labels]
+    matches, groups = matched(labels, found, 3), [t.key for t in labels]
     weights = draw_images(groups, 300, 0)
     drawn = drawn_figures(matches, weights)
     without = weights[:, 0] == 0
@@ -276,13 +276,13 @@ def test_draws_without_a_class_have_no_mean() -> None:
     assert drawn[~without, 0] == pytest.approx(0.5)  # and bicycles, of which there are none, stay out
     assert interval(drawn[:, 0, 0]) == pytest.approx([0.5, 0.5])
     assert drawn_figures(matches, np.ones((1, 8)))[0, 0] == pytest.approx(0.5)
-    pair = paired([matches], [judge(labels, {}, 3)], ("Person", "Car", "Bicycle"), weights, groups)
+    pair = paired([matches], [matched(labels, {}, 3)], ("Person", "Car", "Bicycle"), weights, groups)
     assert pair["all"]["map50"]["ci"] == pytest.approx([0.5, 0.5])
 
 
 def test_one_group_has_no_interval() -> None:
     labels, found = made_up(30, "detect")
-    ours, theirs = judge(labels, found, 3), judge(labels, {}, 3)
+    ours, theirs = matched(labels, found, 3), matched(labels, {}, 3)
     names, groups = ("Person", "Car", "Bicycle"), ["a"] * 30
     for of in paired([ours], [theirs], names, draw_images(groups, 50, 0), groups).values():
         assert of["map50"]["difference"] > 0
@@ -300,13 +300,13 @@ def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
         for t in labels:
             which = ~t.ignore & (rng.random(len(t.classes)) < share)
             kept[t.key] = detections(t.boxes_xyxy[which], np.full(which.sum(), 0.9), t.classes[which])
-        return judge(labels, kept, 3)
+        return matched(labels, kept, 3)
 
     groups = [t.key for t in labels]
     weights = draw_images(groups, 500, 0)
     names = ("Person", "Car", "Bicycle")
     low, middle, high = seen(0.5), seen(0.6), seen(0.7)
-    base = judge(labels, found, 3)
+    base = matched(labels, found, 3)
     one = paired([middle], [base], names, weights, groups)
     alike = paired([middle, middle, middle], [base, base], names, weights, groups)
     for name in ("all", *names):

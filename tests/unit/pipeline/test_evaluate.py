@@ -21,7 +21,7 @@ from infrablend.evaluation.detections import Predictions, detections, write_pred
 from infrablend.pipeline import evaluate as pipeline
 from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
-from infrablend.pipeline.judging import Judging
+from infrablend.pipeline.evaluation_settings import EvaluationSettings
 
 CLASSES = ("Person", "Car", "OtherVehicle")
 CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "DontCare", ignore=True))
@@ -76,10 +76,10 @@ def saved(tmp_path: Path) -> Path:
 
 
 def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any):
-    of_judging = {f.name for f in fields(Judging)}
-    judging = Judging(**{"bootstrap": 50, **{k: v for k, v in settings.items() if k in of_judging}})
-    more = {k: v for k, v in settings.items() if k not in of_judging}
-    return evaluate_detector(saved, dataset or made_up_dataset(), out, judging, **more)
+    of_settings = {f.name for f in fields(EvaluationSettings)}
+    chosen = EvaluationSettings(**{"bootstrap": 50, **{k: v for k, v in settings.items() if k in of_settings}})
+    more = {k: v for k, v in settings.items() if k not in of_settings}
+    return evaluate_detector(saved, dataset or made_up_dataset(), out, chosen, **more)
 
 
 def test_what_is_written(saved: Path, tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_two_labelled_classes_that_match_one_class_of_the_detector(tmp_path: Pat
 
 def test_detections_in_crowds_are_not_counted(tmp_path: Path) -> None:
     dataset = made_up_dataset(4)
-    # One finding, the surest, of nothing; then a crowd around it, of which it is a part.
+    # One finding, the most confident, of nothing; then a crowd around it, of which it is a part.
     first = replace(dataset.images[0], instances=(Instance("Person", np.array([100.0, 100, 120, 140])),))
     dataset = replace(dataset, images=(first, *dataset.images[1:]))
     found = found_on(dataset)
@@ -455,7 +455,7 @@ def test_other_sizes_and_too_many_detections(tmp_path: Path) -> None:
     many = replace(found, images={**found.images, key: detections(boxes, np.linspace(0, 1, 400), np.zeros(400))})
     report = run(write_predictions(tmp_path / "p.json", many), tmp_path / "out", dataset)
     assert "more than 300 detections in 1 images" in "\n".join(str(p) for p in report.problems)
-    assert report.metrics["counts"]["findings"] == 300 + len(found.images[list(found.images)[1]])
+    assert report.metrics["counts"]["detections"] == 300 + len(found.images[list(found.images)[1]])
 
 
 def test_folders_that_hold_something_else_are_left_alone(saved: Path, tmp_path: Path) -> None:

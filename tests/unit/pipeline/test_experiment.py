@@ -21,12 +21,12 @@ from infrablend.config.experiment import Check, list_experiments, load_experimen
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
+from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments import makers, training_setup
-from infrablend.pipeline.experiments.conclusions import judge_claim
+from infrablend.pipeline.experiments.conclusions import check_claim
 from infrablend.pipeline.experiments.dataset_facts import spread_images
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
-from infrablend.pipeline.judging import Judging
 from infrablend.pipeline.request import Execution
 from infrablend.report.results.differences import list_differences
 from infrablend.report.results.page import page_text
@@ -47,7 +47,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.trained: list[Path] = []
-        self.judged: list[Path] = []
+        self.evaluated: list[Path] = []
         self.compared: list[tuple[int, int]] = []
         self.stop: Callable[[str], None] = lambda what: None
 
@@ -83,12 +83,12 @@ class Bench:
         (out / "train.json").write_text(json.dumps(record))
         return SimpleNamespace(out=out, weights=out / "weights.pt", record=record)
 
-    def evaluate(self, weights: Path, dataset: Dataset, out: Path, judging: Judging, **options: Any) -> Any:
+    def evaluate(self, weights: Path, dataset: Dataset, out: Path, settings: EvaluationSettings, **options: Any) -> Any:
         self.stop("evaluate")
-        self.judged.append(out)
+        self.evaluated.append(out)
         names, worth = json.loads(weights.read_text())
-        images = [i for i in dataset.images if i.split == judging.split]
-        chosen = judging.classes or names
+        images = [i for i in dataset.images if i.split == settings.split]
+        chosen = settings.classes or names
         value = round(worth / 100, 6)
         of_all = {"p": value, "r": value, "map50": value, "map50_95": value / 2}
         ci = {"map50": [value - 0.01, value + 0.01], "map50_95": [value / 2 - 0.01, value / 2 + 0.01]}
@@ -228,7 +228,7 @@ def test_a_run_ends_in_a_page_and_a_second_makes_nothing(bench: Bench, data: Pat
     news: list[tuple[str, str]] = []
     report = run("pitch-alignment", data, work, on_stage=lambda *n: news.append(n[:2]))
     assert report.status == "complete" and report.ok
-    assert len(bench.trained) == 3 and len(bench.judged) == 3
+    assert len(bench.trained) == 3 and len(bench.evaluated) == 3
     assert ("train:fixed", "done") in news
     page = report.page.read_text("utf-8")
     assert report.page.name == "pitch-alignment-smoke.md"
@@ -737,18 +737,18 @@ def difference(low: float, high: float) -> dict[str, Any]:
 )
 def test_conclusions_follow_from_intervals(expect: Any, low: float, high: float, holds: bool | None) -> None:
     check = Check(text="t", comparison="c", category="Drone", expect=expect)
-    found = judge_claim(check, {}, difference(low, high), {})
+    found = check_claim(check, {}, difference(low, high), {})
     assert found["holds"] is holds and found["ci"] == [low, high]
 
 
 def test_a_ratio_is_judged_by_its_least() -> None:
     figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
     check = Check(text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7)
-    found = judge_claim(check, figures, {}, {})
+    found = check_claim(check, figures, {}, {})
     assert found["ratio"] == 0.7 and found["holds"] is True
     figures["a"]["classes"]["Person"]["map50"] = 0.34
-    assert judge_claim(check, figures, {}, {})["holds"] is False
-    assert judge_claim(check, {}, {}, {})["holds"] is None
+    assert check_claim(check, figures, {}, {})["holds"] is False
+    assert check_claim(check, {}, {}, {})["holds"] is None
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from infrablend.report import doctor
-from infrablend.report.doctor import Blender, Machine, Trainer, judge, parse_ldd
+from infrablend.report.doctor import Blender, Machine, Trainer, assess, parse_ldd
 from infrablend.report.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
 
 GOOD = Machine(
@@ -24,11 +24,11 @@ GOOD = Machine(
 
 
 def verdict(machine: Machine, name: str) -> doctor.Check:
-    return next(c for c in judge(machine).checks if c.name == name)
+    return next(c for c in assess(machine).checks if c.name == name)
 
 
 def test_a_good_machine_gets_no_advice() -> None:
-    diagnosis = judge(GOOD)
+    diagnosis = assess(GOOD)
     assert diagnosis.ok
     assert [c for c in diagnosis.checks if c.status != "ok" or c.todo] == []
     assert verdict(GOOD, "Cycles devices").found == "cpu; optix: A GPU"
@@ -62,7 +62,7 @@ def test_each_trouble_is_named_with_what_to_do(change: dict, name: str, status: 
     check = verdict(machine, name)
     assert check.status == status
     assert words in check.todo
-    assert judge(machine).ok == (status != "error")
+    assert assess(machine).ok == (status != "error")
 
 
 def test_devices_are_unknown_where_blender_does_not_load() -> None:
@@ -125,7 +125,7 @@ def test_torch_and_ultralytics_are_told(trainer: Trainer, status: str, torch: st
     machine = replace(GOOD, trainer=trainer)
     assert verdict(machine, "torch").status == status and torch in verdict(machine, "torch").found
     assert (verdict(machine, "Ultralytics").status, verdict(machine, "Ultralytics").found) == ("ok", ultralytics)
-    assert judge(machine).ok
+    assert assess(machine).ok
 
 
 @pytest.mark.parametrize(

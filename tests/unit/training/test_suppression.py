@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.rng import stream
-from infrablend.training.suppression import surest
+from infrablend.training.suppression import kept_indices
 
 
 def one_by_one(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[int]:
@@ -31,9 +31,9 @@ def test_the_surest_stay(number: int, threshold: float) -> None:
     centres, sizes = rng.uniform(0, 100, (number, 2)), rng.uniform(5, 50, (number, 2))
     boxes = np.concatenate([centres - sizes / 2, centres + sizes / 2], axis=1).astype(np.float32)
     scores = rng.choice(np.linspace(0.1, 0.9, 40), number).astype(np.float32)  # many are equal
-    assert surest(boxes, scores, threshold).tolist() == one_by_one(boxes, scores, threshold)
+    assert kept_indices(boxes, scores, threshold).tolist() == one_by_one(boxes, scores, threshold)
 
 
 def test_the_first_of_equal_findings_stays_and_empty_boxes_hide_nothing() -> None:
     boxes = np.array([[0, 0, 10, 10], [0, 0, 10, 10], [5, 5, 5, 5], [5, 5, 5, 5]], np.float32)
-    assert surest(boxes, np.full(4, 0.5, np.float32), 0.7).tolist() == [0, 2, 3]
+    assert kept_indices(boxes, np.full(4, 0.5, np.float32), 0.7).tolist() == [0, 2, 3]

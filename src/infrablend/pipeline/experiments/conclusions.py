@@ -14,7 +14,7 @@ def find_class(figures: Mapping[str, Any], category: str) -> str | None:
     return next((n for n in figures if class_key(n) == class_key(category)), None)
 
 
-def judge_claim(
+def check_claim(
     check: Check,
     evaluations: Mapping[str, Any],
     comparisons: Mapping[str, Any],
@@ -34,11 +34,11 @@ def judge_claim(
         "holds": None,
     }
     if check.comparison is not None:
-        return claim | _judge_interval(check, comparisons, left_out, verdict)
-    return claim | _judge_ratio(check, evaluations, left_out, verdict)
+        return claim | _check_interval(check, comparisons, left_out, verdict)
+    return claim | _check_ratio(check, evaluations, left_out, verdict)
 
 
-def _judge_interval(
+def _check_interval(
     check: Check, comparisons: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
 ) -> dict[str, Any]:
     assert check.comparison is not None
@@ -65,7 +65,7 @@ def _judge_interval(
     }
 
 
-def _judge_ratio(
+def _check_ratio(
     check: Check, evaluations: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
 ) -> dict[str, Any]:
     assert check.ratio is not None

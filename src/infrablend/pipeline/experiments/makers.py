@@ -18,12 +18,12 @@ from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import ClassChanges, convert_dataset
 from infrablend.pipeline.evaluate import evaluate_detector
+from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
 from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.generate import generate_run
-from infrablend.pipeline.judging import Judging
 from infrablend.pipeline.request import Execution, RunRequest
 from infrablend.pipeline.select import Selection, select
 from infrablend.pipeline.split import SplitRule, split_dataset
@@ -217,7 +217,7 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
         training.folder / training.result["weights"],
         read_dataset(data.dataset, options=data.reader_options),
         job.empty_out(),
-        Judging(
+        EvaluationSettings(
             split=spec.split,
             task=training.record["inputs"]["task"],
             classes=_evaluated_classes(spec, training.result["record"], data.result, job.stage.id),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.experiment import METRICS, FactsRow, Row, Training
-from infrablend.pipeline.experiments.conclusions import find_class, judge_claim
+from infrablend.pipeline.experiments.conclusions import check_claim, find_class
 from infrablend.pipeline.experiments.graph import OTHER_SCALES, StageGraph
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
@@ -81,7 +81,7 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
         "datasets": [_dataset_row(f, graph, finished) for f in experiment.facts],
         "strata_class": experiment.strata,
         "checks": [
-            judge_claim(c, evaluations, comparisons, graph.left_out, verdict=request.scale != "smoke")
+            check_claim(c, evaluations, comparisons, graph.left_out, verdict=request.scale != "smoke")
             for c in experiment.checks
             if request.scale in c.scales
         ],

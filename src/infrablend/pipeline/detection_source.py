@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PREDICTIONS = "predictions.json"
 
 
-class Findings:
+class DetectionSource:
     """Source of the detections to evaluate: a detector or a file of saved detections.
 
     Attributes:
@@ -104,7 +104,7 @@ def _file_of(path: Path) -> Path:
     raise ModelError(f"{path}: nothing to evaluate", [Problem(str(path), "weights", found, expected, todo)])
 
 
-def choose_task(wanted: str | None, source: Findings, problems: list[Problem]) -> Task:
+def choose_task(wanted: str | None, source: DetectionSource, problems: list[Problem]) -> Task:
     """Return the task to evaluate: the requested one, or the detector's own; append a mismatch to `problems`."""
     task = source.task or "detect"
     if wanted is None:

@@ -15,7 +15,7 @@ GROUPS: tuple[Group, ...] = ("image", *GROUPINGS)
 
 
 @dataclass(frozen=True)
-class Judging:
+class EvaluationSettings:
     """Settings of an evaluation.
 
     Attributes:
@@ -51,4 +51,4 @@ class Judging:
             raise DatasetError("bootstrap and image_size: expected numbers of at least 0")
 
 
-DEFAULT_JUDGING = Judging()
+DEFAULT_SETTINGS = EvaluationSettings()
