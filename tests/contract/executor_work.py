@@ -33,6 +33,13 @@ class Obedient:
         time.sleep(seconds)
         return seconds
 
+    def wait_for_release(self, folder_and_number):
+        """Announce the start of the task, then wait until the caller creates the file `release`."""
+        folder, number = folder_and_number
+        Path(folder, f"begun-{number}").touch()
+        while not Path(folder, "release").exists():
+            time.sleep(0.01)
+
     def fail(self, text):
         raise ZeroDivisionError(text)
 
