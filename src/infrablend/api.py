@@ -89,8 +89,8 @@ def generate(
 
     The other arguments are described in `infrablend.pipeline.request.RunRequest`.
 
-    >>> fake = Execution(renderer="fake", in_process=True)
-    >>> report = generate("hit-uav-drone", "hit-uav", "runs/first", limit=2, execution=fake)
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> report = generate("hit-uav-drone", "hit-uav", "runs/first", limit=2, execution=flat)
     >>> report.ok, report.counts["frames"]
     (True, 4)
 
@@ -257,7 +257,7 @@ def realism(
         time_of_day: Only pictures of that time.
         pairs: Largest number of pairs per class.
         reading: How to read `against`.
-        execution: Worker processes; `in_process` only for runs made with the fake renderer.
+        execution: Worker processes; `in_process` only for runs made with the flat renderer.
         on_progress: Called after each picture.
     """
     folder = Path(run)

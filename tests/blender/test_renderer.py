@@ -13,9 +13,9 @@ from infrablend.rendering.flat import FlatRenderer
 from .conftest import box_mesh, paste, scene, thing
 
 
-@pytest.fixture(params=["fake", "blender"])
+@pytest.fixture(params=["flat", "blender"])
 def renderer(request):
-    return FlatRenderer() if request.param == "fake" else request.getfixturevalue("blender")
+    return FlatRenderer() if request.param == "flat" else request.getfixturevalue("blender")
 
 
 class TestContract:

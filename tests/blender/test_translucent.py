@@ -88,9 +88,9 @@ def test_labels_look_through(blender, mode, opacity):
         assert x.visibility == y.visibility == 1.0
     # Also where there is no render, and with the renderer that is not Blender.
     assert annotate(place(with_sheets, [own, other]))[0][0].mask == annotate(place(without, [body, aside]))[0][0].mask
-    fake = FlatRenderer()
+    flat = FlatRenderer()
     fa, fb = (
-        annotate(place(s, m), fake.render(place(s, m)))
+        annotate(place(s, m), flat.render(place(s, m)))
         for s, m in ((with_sheets, [own, other]), (without, [body, aside]))
     )
     assert [i.mask for i in fa[0]] == [i.mask for i in fb[0]]

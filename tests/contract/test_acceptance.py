@@ -31,7 +31,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> Path:
         "hit-uav-drone",
         data,
         root / "out",
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
     assert report.ok, report.problems

@@ -65,7 +65,7 @@ def test_a_run_on_it_keeps_its_labels(name: str, tmp_path: Path) -> None:
         "hit-uav-drone",
         root,
         tmp_path / "run",
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
     before = Counter(o.category for i in detection.read(root).images for o in i.instances)

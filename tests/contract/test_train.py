@@ -116,7 +116,7 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path):
 def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
     data = write_tiny_hit_uav(tmp_path / "data")
     run = api.generate(
-        "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="fake", in_process=True)
+        "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="flat", in_process=True)
     ).out
     report = train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
     assert report.record["status"] == "complete"

@@ -132,7 +132,7 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -
         "hit-uav-drone",
         data,
         root / "out",
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
     assert report.ok, report.problems

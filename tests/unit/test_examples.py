@@ -35,7 +35,7 @@ def test_every_example_is_listed():
 @pytest.mark.parametrize("name", RECIPES)
 def test_recipes_run_and_their_labels_can_be_read(name, backgrounds, tmp_path):
     report = api.generate(
-        EXAMPLES / name, backgrounds, tmp_path / "run", execution=api.Execution(renderer="fake", in_process=True)
+        EXAMPLES / name, backgrounds, tmp_path / "run", execution=api.Execution(renderer="flat", in_process=True)
     )
     assert report.ok
     assert report.counts["objects_inserted"] > 0

@@ -29,7 +29,7 @@ def data(tmp_path, write_tiny_hit_uav):
 
 
 def generate(data, out, **kwargs):
-    options = {"execution": api.Execution(renderer="fake", in_process=True), "settings": ["output.formats=[coco]"]}
+    options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.formats=[coco]"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
 
 

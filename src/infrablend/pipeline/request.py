@@ -29,8 +29,8 @@ class Execution:
     Attributes:
         workers: Worker processes; None for one per processor core.
         device: Device that Cycles renders on: auto, cpu, cuda, optix, hip, metal or oneapi.
-        renderer: `blender`, or `fake`, which draws flat shapes without Blender.
-        in_process: Compute all frames in the calling process; only with the fake renderer.
+        renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
+        in_process: Compute all frames in the calling process; only with the flat renderer.
     """
 
     workers: int | None = None

@@ -4,7 +4,7 @@
 
 `blender`
     `blender.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
-`fake`
+`flat`
     `rendering.flat.FlatRenderer`: flat shading on the software rasteriser. Fast and without Blender; for tests and
     for trying out a recipe.
 
@@ -20,7 +20,7 @@ from infrablend.core.render import Renderer
 
 RENDERERS: Mapping[str, str] = {
     "blender": "infrablend.blender.renderer:BlenderRenderer",
-    "fake": "infrablend.rendering.flat:FlatRenderer",
+    "flat": "infrablend.rendering.flat:FlatRenderer",
 }
 
 

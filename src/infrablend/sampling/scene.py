@@ -110,7 +110,7 @@ def sample_scene(
             )
         )
     look = recipe.appearance
-    # The stand-in renderer and the turntable show temperatures between these ends in every mode.
+    # The flat renderer and the turntable show temperatures between these ends in every mode.
     ends = look if isinstance(look, ArtisticAppearance) else ArtisticAppearance()
     spec = SceneSpec(
         frame_id=frame.frame_id,

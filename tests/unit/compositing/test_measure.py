@@ -299,7 +299,7 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
             folder,
             out,
             seed=3,
-            execution=api.Execution(renderer="fake", in_process=True),
+            execution=api.Execution(renderer="flat", in_process=True),
             settings=fields,
         )
         return [read_record(p) for p in sorted((out / "scenes").rglob("*.json"))]

@@ -283,7 +283,7 @@ def generate(pictures, out, **settings):
         pictures,
         out,
         seed=3,
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=fields,
     )
     found = [(p, read_record(p)) for p in sorted((out / "scenes").rglob("*.json"))]

@@ -14,7 +14,7 @@ from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, sample_scene
 
 WH = (640, 512)
-FAKE = Execution(renderer="fake", in_process=True)
+FLAT = Execution(renderer="flat", in_process=True)
 
 
 def draw(recipe: str, settings=(), time_of_day="night", labels=(), number=0):
@@ -30,7 +30,7 @@ def generate(tmp_path, write_tiny_hit_uav, name, settings):
     if not data.exists():
         write_tiny_hit_uav(data, ("normal_json", "rotate_json"))
     out = tmp_path / name
-    api.generate("hit-uav-drone", data, out, limit=1, settings={"output.image": "png", **settings}, execution=FAKE)
+    api.generate("hit-uav-drone", data, out, limit=1, settings={"output.image": "png", **settings}, execution=FLAT)
     found = (read_record(p) for p in sorted((out / "scenes").rglob("*.json")))
     return out, [r for r in found if r is not None and r.scene is not None]
 

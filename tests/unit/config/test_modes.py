@@ -28,7 +28,7 @@ from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
 from infrablend.pipeline.request import Execution
 
-FAKE = Execution(renderer="fake", in_process=True)
+FLAT = Execution(renderer="flat", in_process=True)
 
 DRONE = "name: d\nobjects: [{model: drone}]\n"
 OF_ONE_MODE = {
@@ -237,7 +237,7 @@ def test_records_of_earlier_versions_are_read():
 def test_scenes_of_earlier_versions_are_read(tmp_path, write_tiny_hit_uav):
     data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
     settings = {"appearance.mode": "physical", "matching.min_contrast_grey": 0}
-    api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FAKE)
+    api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FLAT)
     scene = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())["scene"]
     assert "wind_m_s" not in scene["weather"]
     older = {**scene, "weather": {**scene["weather"], "wind_m_s": 1.5}}
@@ -252,7 +252,7 @@ def test_plan_and_run_record_list_dropped_fields(tmp_path, write_tiny_hit_uav):
     assert [text.split(":")[0] for text in plan.to_json()["dropped_fields"]] == dropped
     kept = ["camera.focal_length_mm", "camera.roll_deg"]
     assert [text.split(":")[0] for text in plan.to_json()["kept_fields"]] == kept
-    report = api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FAKE)
+    report = api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FLAT)
     assert report.ok
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     found = [p["where"] for p in record["problems"] if p["code"] == "recipe-dropped"]

@@ -54,7 +54,7 @@ def test_colour_is_never_a_background(data: Path, tmp_path: Path) -> None:
             "hit-uav-drone",
             data,
             tmp_path / "run",
-            execution=api.Execution(renderer="fake", in_process=True),
+            execution=api.Execution(renderer="flat", in_process=True),
             settings=["camera.pitch={fixed_deg: 40}", "output.formats=[coco]"],
         )
     assert sum(p.code == "image-visible" for p in caught.value.problems) == 4

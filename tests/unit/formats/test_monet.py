@@ -452,7 +452,7 @@ def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
         "monet-deer",
         data,
         tmp_path / "run",
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
     assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (3, 1)

@@ -33,7 +33,7 @@ from infrablend.report.results.page import page_text
 from infrablend.report.results.write import write_page
 from infrablend.training.request import TrainRequest
 
-RUN = {"scale": "smoke", "renderer": "fake", "workers": 1}
+RUN = {"scale": "smoke", "renderer": "flat", "workers": 1}
 
 
 SHIPPED = Path(infrablend.config.__file__).parent / "experiments"
@@ -426,7 +426,7 @@ PINNED_KEYS = {
 
 
 def keys(name: str, data: Path, tmp_path: Path, **more: Any) -> dict[str, str]:
-    facts = plan(name, data, tmp_path / "none", **{"renderer": "fake", **more}).facts
+    facts = plan(name, data, tmp_path / "none", **{"renderer": "flat", **more}).facts
     return {s["stage"]: s["key"] for s in facts["stages"]}
 
 
@@ -457,13 +457,13 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
 
 def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    facts = plan("pitch-alignment", data, work, renderer="fake").facts
+    facts = plan("pitch-alignment", data, work, renderer="flat").facts
     assert not work.exists()
     assert facts["to_do"] == len(facts["stages"]) == 14
     assert facts["about_s"] > 0 and facts["disk_bytes"] > 0
     run("hit-uav-drone", data, work)
     before = files_of(work)
-    facts = plan("pitch-alignment", data, work, renderer="fake").facts
+    facts = plan("pitch-alignment", data, work, renderer="flat").facts
     assert files_of(work) == before
     status = {s["stage"]: s["status"] for s in facts["stages"]}
     assert status["train:aligned"] == "done" and status["train:fixed"] == "to do"
@@ -477,7 +477,7 @@ def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path,
         return {s["stage"]: s["status"] for s in facts["stages"]} | {"to_do": facts["to_do"]}
 
     one = {"source:hit-uav": "to do", "generate:fixed": "to do", "train:fixed": "to do", "to_do": 3}
-    assert statuses(only=["train:fixed"], renderer="fake") == one
+    assert statuses(only=["train:fixed"], renderer="flat") == one
     with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
         statuses(only=["train:foxed"])
     with pytest.raises(DatasetError, match=r"Did you mean train:fixed\?"):
@@ -800,8 +800,8 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make = makers.generate_run
-    fake = Execution(renderer="fake", in_process=True)
-    monkeypatch.setattr(makers, "generate_run", lambda run, tell: make(replace(run, execution=fake), tell))
+    flat = Execution(renderer="flat", in_process=True)
+    monkeypatch.setattr(makers, "generate_run", lambda run, tell: make(replace(run, execution=flat), tell))
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
     assert main(["experiment", "--list"]) == 0
     assert "pitch-alignment" in capsys.readouterr().out

@@ -41,7 +41,7 @@ def write_yolo(root: Path, stem: str, pixels: np.ndarray, lines: list[str]) -> N
 
 def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=()):
     pairs = ["output.image=png", "configurations=1", *settings]
-    return api.generate(recipe, data, out, settings=pairs, execution=api.Execution(renderer="fake", in_process=True))
+    return api.generate(recipe, data, out, settings=pairs, execution=api.Execution(renderer="flat", in_process=True))
 
 
 def records(run: Path) -> list[FrameRecord]:
@@ -173,7 +173,7 @@ def test_levels_are_the_datasets_whatever_the_limit(tmp_path):
             data,
             tmp_path / name,
             limit=limit,
-            execution=api.Execution(renderer="fake", in_process=True),
+            execution=api.Execution(renderer="flat", in_process=True),
             settings=["output.image=png", "configurations=1"],
         )
     runs = [json.loads((tmp_path / n / "run.json").read_text()) for n in ("all", "one")]

@@ -121,7 +121,7 @@ def test_one_picture_is_enough_and_recipes_take_the_file(tmp_path):
         "hit-uav-drone",
         folder,
         tmp_path / "run",
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
     record = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())

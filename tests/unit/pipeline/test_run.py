@@ -1,4 +1,4 @@
-"""The pipeline without Blender: fake renderer, a small HIT-UAV-shaped dataset made here."""
+"""The pipeline without Blender: flat renderer, a small HIT-UAV-shaped dataset made here."""
 
 import hashlib
 import json
@@ -66,7 +66,7 @@ def dataset(tmp_path) -> Path:
 
 
 def generate(data, out, **kwargs):
-    options = {"execution": api.Execution(renderer="fake", in_process=True), "settings": ["output.image=png"]}
+    options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.image=png"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
 
 
@@ -158,7 +158,7 @@ def test_worker_count_does_not_matter(dataset, tmp_path):
     generate(dataset, tmp_path / "a")
     for workers in (1, 2):
         out = tmp_path / f"w{workers}"
-        generate(dataset, out, execution=api.Execution(workers, renderer="fake"))
+        generate(dataset, out, execution=api.Execution(workers, renderer="flat"))
         assert hashes(out) == hashes(tmp_path / "a")
 
 
@@ -457,7 +457,7 @@ def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):
 def test_a_renderer_that_cannot_start_leaves_no_run_behind(dataset, tmp_path, monkeypatch):
     from infrablend.rendering import RENDERERS
 
-    monkeypatch.setitem(RENDERERS, "fake", "infrablend.no_such_module:Renderer")
+    monkeypatch.setitem(RENDERERS, "flat", "infrablend.no_such_module:Renderer")
     with pytest.raises(MissingDependencyError):
         generate(dataset, tmp_path / "run")
     monkeypatch.undo()

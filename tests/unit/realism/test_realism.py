@@ -405,7 +405,7 @@ def crowd(tmp_path_factory):
         run,
         reading=api.Reading(splits=["train"]),
         settings=settings,
-        execution=api.Execution(renderer="fake", in_process=True),
+        execution=api.Execution(renderer="flat", in_process=True),
     )
     return run, data.parent
 

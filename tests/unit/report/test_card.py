@@ -62,7 +62,7 @@ def data(tmp_path, write_tiny_hit_uav) -> Path:
 
 def generate(data: Path, out: Path, **options):
     options = {
-        "execution": api.Execution(renderer="fake", in_process=True),
+        "execution": api.Execution(renderer="flat", in_process=True),
         "settings": ["output.image=png"],
         **options,
     }

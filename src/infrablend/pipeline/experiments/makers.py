@@ -92,7 +92,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
     source, request = job.needs["of"], job.request
     if job.out.exists() and not (job.out / RUN_FILE).is_file():  # killed before its first record
         shutil.rmtree(job.out)
-    execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "fake")
+    execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
     report = None
     for _ in range(2):
         run = RunRequest(

@@ -29,7 +29,7 @@ class ExperimentRequest:
         only: Kinds (`generate`), names or ids (`train:fixed`) of stages to make, with all they need; empty for all.
         adopt: Folders written by `train`, `generate` or `convert`, by the id of the stage to use them for.
         workers: Number of rendering processes; None for one per core.
-        renderer: `blender`, or `fake`, which draws flat shapes without Blender.
+        renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
 
     Raises:
         DatasetError: There is no such scale.
