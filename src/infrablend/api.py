@@ -235,10 +235,10 @@ def profile(
         reading: How to read `data`.
         on_progress: Called after each picture.
     """
-    from infrablend.pipeline.profile import profile_dataset, taken_by
+    from infrablend.pipeline.profile import pictures_taken_by, profile_dataset
 
     dataset = read_dataset(data, reading)
-    dataset = dataset if time is None else taken_by(dataset, time)
+    dataset = dataset if time is None else pictures_taken_by(dataset, time)
     return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
 
 
@@ -357,7 +357,11 @@ def list_sources() -> list[SourceEntry]:
 def describe_source(name: str, *, licence_only: bool = False) -> str:
     """Return the source, licence and download steps of a public dataset."""
     source = fetching.require_source(name)
-    return "\n".join([source.title, *fetching.licence_lines(source)]) if licence_only else fetching.how_to_get(source)
+    return (
+        "\n".join([source.title, *fetching.licence_lines(source)])
+        if licence_only
+        else fetching.fetch_instructions(source)
+    )
 
 
 def make_world(

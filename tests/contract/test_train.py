@@ -30,7 +30,7 @@ from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
 from infrablend.training.presets import PRESETS
 from infrablend.training.request import choose_preset
-from infrablend.training.trainer import Turns
+from infrablend.training.trainer import ShuffledPasses
 
 
 def yolo(
@@ -414,14 +414,17 @@ def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
 
     said = []
     checkpoint = tmp_path / "checkpoint.pt"
-    assert trainer._begun(checkpoint, torch, None) == 0
+    assert trainer._finished_epochs(checkpoint, torch, None) == 0
     torch.save({"epoch": 4}, checkpoint)
-    assert trainer._begun(checkpoint, torch, None) == 5
+    assert trainer._finished_epochs(checkpoint, torch, None) == 5
     whole = checkpoint.read_bytes()
     (tmp_path / "run").mkdir()
     for broken in (b"", whole[: len(whole) // 2], b"no checkpoint"):
         checkpoint.write_bytes(broken)
-        assert trainer._begun(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"]))) == 0
+        assert (
+            trainer._finished_epochs(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"])))
+            == 0
+        )
         assert (tmp_path / trainer.DAMAGED).read_bytes() == broken
         assert not checkpoint.exists()
         assert said.pop()[0] == "damaged"
@@ -443,7 +446,7 @@ def test_turns_stay_with_their_epoch_when_the_loader_is_begun_anew(ultralytics, 
             pass
 
     job = trainer.Job("", str(tmp_path), "detect", "", "cpu", 4, 2, 32, 0, seed=3, images=7, labels=7, shown=6)
-    t = trainer.with_turns(Base, job, 1)()
+    t = trainer.trainer_with_passes(Base, job, 1)()
     loader = t.get_dataloader()
     shown = []
     for t.epoch in (1, 2, 3):
@@ -452,20 +455,20 @@ def test_turns_stay_with_their_epoch_when_the_loader_is_begun_anew(ultralytics, 
             loader.reset()
         shown.append([int(i) for batch in loader for i in batch])
     loader.close()
-    assert shown == [list(Turns(7, 6, seed=3, epoch=e)) for e in (1, 2, 3)]
-    assert trainer.with_turns(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
+    assert shown == [list(ShuffledPasses(7, 6, seed=3, epoch=e)) for e in (1, 2, 3)]
+    assert trainer.trainer_with_passes(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
 
 
 def test_turns_walk_through_all_images_again_and_again():
-    shown = [list(Turns(7, 5, seed=3, epoch=e)) for e in range(7)]
+    shown = [list(ShuffledPasses(7, 5, seed=3, epoch=e)) for e in range(7)]
     assert all(len(s) == 5 for s in shown)
     walks = [i for s in shown for i in s]
     assert all(sorted(walks[k : k + 7]) == list(range(7)) for k in range(0, 35, 7))
     assert walks[:7] != walks[7:14]
-    one = Turns(7, 5, seed=3)
+    one = ShuffledPasses(7, 5, seed=3)
     assert [list(one) for _ in range(7)] == shown  # as the loader takes them, epoch after epoch
-    assert list(Turns(7, 5, seed=4)) != shown[0]
-    assert sorted(Turns(3, 9, seed=0)) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert list(ShuffledPasses(7, 5, seed=4)) != shown[0]
+    assert sorted(ShuffledPasses(3, 9, seed=0)) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def test_no_gpu_when_one_was_asked_for(ultralytics, tmp_path):
@@ -578,7 +581,7 @@ def test_the_stand_in_for_torchvision_can_be_asked_for(ultralytics, monkeypatch)
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torchvision", None)  # an import of it fails
     monkeypatch.setitem(sys.modules, "torchvision.ops", None)
-    environment._settle_torchvision()
+    environment._replace_broken_torchvision()
     assert sys.modules["torchvision"].ops.nms
     assert nets.missing("torchvision") is None
     assert "cannot be imported" in nets.no_inception(1000)

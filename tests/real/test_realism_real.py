@@ -9,7 +9,7 @@ from infrablend import api
 from infrablend.formats.images import encode_image, load_background
 from infrablend.realism import classify
 from infrablend.realism.controls import paste_controls
-from infrablend.realism.features import FEATURES, MEASURES, Labels, eight_bit, measure, unfit
+from infrablend.realism.features import FEATURES, MEASURES, Labels, eight_bit, measure, reason_not_measured
 
 LEVELS = (16.0, 235.0)
 
@@ -33,7 +33,7 @@ def survey(images, category, most_images):
         objects = [
             (n, o, measure(picture, o, labels.free, key=f"{image.id}#{n}", group=image.id))
             for n, o in enumerate(image.instances)
-            if o.category == category and unfit(o, labels) is None
+            if o.category == category and reason_not_measured(o, labels) is None
         ]
         found.append((image, background, picture, labels, objects))
     return found

@@ -186,7 +186,7 @@ def annotate(
         taken: BoolArray | None = None
         if result is not None:
             coverage, offset_xy = np.asarray(result.coverage[k]), result.offset_xy
-            taken = _taken(result.coverage, k)
+            taken = _covered_by_others(result.coverage, k)
         else:
             assert shape.coverage is not None
             coverage, offset_xy = shape.coverage, shape.offset_xy
@@ -290,7 +290,7 @@ def _visible_shape(
     hull = points[convex_hull_indices(points[:, :2])]
 
     # At equal depth the first object counts as nearer, so that only one of two coinciding objects is visible.
-    others = [p.every if j > k else _nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
+    others = [p.every if j > k else _moved_nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
@@ -300,7 +300,7 @@ def _visible_shape(
     crop_wh = (math.ceil(box[2]) - offset_xy[0], math.ceil(box[3]) - offset_xy[1])
     supersample = _samples_per_pixel([surfaces[k].every, *others], offset_xy, crop_wh)
     grid = SampleGrid.over_pixels(offset_xy, crop_wh, supersample)
-    alone = _alone(surfaces[k], grid)
+    alone = _unoccluded(surfaces[k], grid)
     seen = alone
     if others:
         front = _joined(others)
@@ -324,7 +324,7 @@ def _visible_shape(
     return _Shape(hull_xy, visibility, truncated, coverage, offset_xy, bool(hidden.any()))
 
 
-def _nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:
+def _moved_nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:
     """Return the triangles moved nearer by a share of their depth."""
     return replace(triangles, inverse_depth=triangles.inverse_depth * (1 + share))
 
@@ -352,7 +352,7 @@ def _samples_per_pixel(
     return int(np.clip(math.sqrt(_FRAGMENTS / max(total, 1.0)), *_SUPERSAMPLE))
 
 
-def _alone(surfaces: _Surfaces, grid: SampleGrid) -> BoolArray:
+def _unoccluded(surfaces: _Surfaces, grid: SampleGrid) -> BoolArray:
     """Mark the samples at which a labelled part is nearest, ignoring all other objects."""
     own, parts = surfaces.labelled, surfaces.unlabelled
     if not len(parts.xy):
@@ -367,7 +367,7 @@ def _share_in_frame(
     """Return the share of an object's own visible area that is inside the frame, in [0, 1]."""
     longest = _AMODAL_LONGEST if not len(surfaces.unlabelled.xy) else _AMODAL_LONGEST // 2
     grid = SampleGrid.over_box(full_box_xyxy, longest)
-    whole = _alone(surfaces, grid)
+    whole = _unoccluded(surfaces, grid)
     x, y = grid.columns_x(), grid.rows_y()
     inside = int(whole[(y > 0) & (y < size_wh[1])][:, (x > 0) & (x < size_wh[0])].sum())
     total = int(whole.sum())
@@ -377,7 +377,7 @@ def _share_in_frame(
     return in_frame_px / max(total * grid.pitch_px**2, in_frame_px)
 
 
-def _taken(coverage: NDArray[np.float32], k: int) -> BoolArray:
+def _covered_by_others(coverage: NDArray[np.float32], k: int) -> BoolArray:
     """Mark the (h, w) pixels of a crop that another object covers more; at equal shares the first object wins."""
     others = np.delete(np.arange(len(coverage)), k)
     more = [coverage[j] >= coverage[k] if j < k else coverage[j] > coverage[k] for j in others]

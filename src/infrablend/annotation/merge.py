@@ -106,7 +106,7 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
         ValueError: A new instance has no mask.
     """
     settings = settings if settings is not None else MergeSettings()
-    cover = cover_of(new)
+    cover = covered_pixels(new)
     kept: list[int] = []
     removed: list[Removal] = []
     for n, instance in enumerate(original):
@@ -129,7 +129,7 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
     return MergedLabels(tuple(kept), tuple(new), tuple(removed), {n: i for n, i in seen.items() if n in set(kept)})
 
 
-def cover_of(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
+def covered_pixels(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
     """Mark the (h, w) pixels that the new objects hide; None without any new object.
 
     Raises:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -107,10 +107,10 @@ _DAY_SUN: Mapping[str, Range] = {
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
     deltas = _deltas(params["state"], params["colour"])
-    roles = {part: made_of(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
+    roles = {part: part_role(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
     what = "ground sheltered from the sky (est.)"
     for part, (_, opacity) in GROUND_RINGS.items():
-        roles[part] = made_of("asphalt", _GROUND_K, what, label=False, opacity=opacity)
+        roles[part] = part_role("asphalt", _GROUND_K, what, label=False, opacity=opacity)
     return roles
 
 
@@ -468,7 +468,7 @@ def _skin(rings: FloatArray, parts: NDArray[np.intp], start: int, end: int) -> t
     return of_triangle, shapes.creased(shapes.loft(rings, start=first, end=last), math.radians(38), panels)
 
 
-def _stations(plan: _Plan) -> FloatArray:
+def _section_positions(plan: _Plan) -> FloatArray:
     """Return rising x of the sections of the lower body, dense at the rounded ends and along the wheel arches."""
     front, rear = plan.axles_x
     turn = plan.arch_radius * np.cos(np.linspace(math.pi, 0, 15))
@@ -489,7 +489,7 @@ def _stations(plan: _Plan) -> FloatArray:
 
 def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
     """Add floor, wheel wells, flanks, bonnet and boot as one skin along x."""
-    x = _stations(plan)
+    x = _section_positions(plan)
     low = plan.sill(x)
     edge = low.copy()
     for axle in plan.axles_x:

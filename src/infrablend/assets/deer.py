@@ -27,7 +27,7 @@ import numpy as np
 
 from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -54,26 +54,26 @@ HEAD_TURN_RAD = 0.35
 # skin temperatures of lower legs and inner ears are higher, and the trunk varies by 1-2 K only.
 # Fur is rough: no Fresnel rim, ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "back": made_of("fur", (5.0, 8.0), "top of the trunk, thickest coat"),
-    "upper_flank": made_of("fur", (5.5, 8.5), "between back and flank"),
-    "flank": made_of("fur", (6.0, 9.0), "sides of the trunk; +6..+8 K measured"),
-    "belly": made_of("fur", (6.5, 10.0), "underside and groin, thin coat"),
-    "neck_base": made_of("fur", (5.6, 8.8), "between trunk and neck"),
-    "neck": made_of("fur", (6.0, 9.5), "trunk to head"),
-    "head": made_of("fur", (7.0, 11.0), "head, reduced towards a uniform body"),
-    "muzzle": made_of("fur", (8.0, 12.5), "bare muzzle, reduced towards a uniform body"),
-    "nose": made_of("skin", (9.0, 14.5), "bare skin", emissivity=(0.97, 0.98)),
-    "eye": made_of("eye", (11.0, 18.0), "hottest spot"),
-    "ear": made_of("fur", (2.5, 5.5), "cooler than the body"),
-    "haunch": made_of("fur", (5.6, 8.6), "thigh, between flank and leg"),
-    "shoulder": made_of("fur", (5.6, 8.6), "shoulder to elbow, between flank and leg"),
-    "upper_leg": made_of("fur", (5.0, 8.0), "forearm and gaskin, cooler than the trunk"),
-    "mid_leg": made_of("fur", (3.8, 6.5), "above knee and hock, between its neighbours"),
-    "lower_leg": made_of("fur", (2.5, 5.0), "below knee and hock, cooler than the trunk"),
-    "hoof": made_of("antler", (0.5, 2.5), "horn, touches the ground"),
-    "tail": made_of("fur", (4.0, 7.0), "thin, mostly fur"),
-    "antler": made_of("antler", (0.0, 0.5), "bone at air temperature"),
-    "antler_velvet": made_of("fur", (6.0, 10.0), "growing antler with blood supply"),
+    "back": part_role("fur", (5.0, 8.0), "top of the trunk, thickest coat"),
+    "upper_flank": part_role("fur", (5.5, 8.5), "between back and flank"),
+    "flank": part_role("fur", (6.0, 9.0), "sides of the trunk; +6..+8 K measured"),
+    "belly": part_role("fur", (6.5, 10.0), "underside and groin, thin coat"),
+    "neck_base": part_role("fur", (5.6, 8.8), "between trunk and neck"),
+    "neck": part_role("fur", (6.0, 9.5), "trunk to head"),
+    "head": part_role("fur", (7.0, 11.0), "head, reduced towards a uniform body"),
+    "muzzle": part_role("fur", (8.0, 12.5), "bare muzzle, reduced towards a uniform body"),
+    "nose": part_role("skin", (9.0, 14.5), "bare skin", emissivity=(0.97, 0.98)),
+    "eye": part_role("eye", (11.0, 18.0), "hottest spot"),
+    "ear": part_role("fur", (2.5, 5.5), "cooler than the body"),
+    "haunch": part_role("fur", (5.6, 8.6), "thigh, between flank and leg"),
+    "shoulder": part_role("fur", (5.6, 8.6), "shoulder to elbow, between flank and leg"),
+    "upper_leg": part_role("fur", (5.0, 8.0), "forearm and gaskin, cooler than the trunk"),
+    "mid_leg": part_role("fur", (3.8, 6.5), "above knee and hock, between its neighbours"),
+    "lower_leg": part_role("fur", (2.5, 5.0), "below knee and hock, cooler than the trunk"),
+    "hoof": part_role("antler", (0.5, 2.5), "horn, touches the ground"),
+    "tail": part_role("fur", (4.0, 7.0), "thin, mostly fur"),
+    "antler": part_role("antler", (0.0, 0.5), "bone at air temperature"),
+    "antler_velvet": part_role("fur", (6.0, 10.0), "growing antler with blood supply"),
 }
 PART_NAMES = tuple(PARTS)
 TIMES = ("night", "day")
@@ -673,7 +673,7 @@ def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
     )
 
 
-def _turned(points: FloatArray, pivot: FloatArray, angle_rad: FloatArray) -> FloatArray:
+def _rotated_about_vertical(points: FloatArray, pivot: FloatArray, angle_rad: FloatArray) -> FloatArray:
     """Turn each of (N, 3) points about the vertical through `pivot` by its own angle (N,)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[:, 0] - pivot[0], points[:, 1] - pivot[1]
@@ -738,8 +738,8 @@ def build(params: Params) -> Mesh:
     p = _checked(params)
     shape = _with_crown(_body(p["pose"], p["variant"], p["build"]), p["antlers"], p["antler_form"])
     v = shape.vertices
-    v = _turned(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
-    v = _turned(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
+    v = _rotated_about_vertical(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
+    v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
     triangles = shape.triangles
     if p["mirror"]:
         v = v * np.array([1.0, -1.0, 1.0])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
@@ -27,37 +27,39 @@ _CHECKS = Checks("drone")
 
 _DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
 PARTS: Mapping[str, PartRange] = {
-    "battery": made_of(
+    "battery": part_role(
         "plastic", (8.0, 20.0), "battery pack: +8..+20 K, rising with flight time", emissivity=(0.92, 0.95)
     ),
-    "motor": made_of(
+    "motor": part_role(
         "black_anodised", (10.0, 40.0), "motor bell: +10..+25 K in hover, more under load", emissivity=(0.92, 0.96)
     ),
-    "winding": made_of("circuit_board", (18.0, 55.0), "stator, visible between bell and base: hotter than the bell"),
-    "motor_mount": made_of(
+    "winding": part_role("circuit_board", (18.0, 55.0), "stator, visible between bell and base: hotter than the bell"),
+    "motor_mount": part_role(
         "cfrp", (5.0, 10.0), "last 2-4 cm of the arm, heated by the motor: +5..+10 K", emissivity=(0.84, 0.94)
     ),
-    "esc": made_of("circuit_board", (15.0, 40.0), "uncovered speed controllers and power boards: +15..+40 K"),
-    "vent": made_of(
+    "esc": part_role("circuit_board", (15.0, 40.0), "uncovered speed controllers and power boards: +15..+40 K"),
+    "vent": part_role(
         "plastic", (8.0, 25.0), "air outlets over the electronics; cavities: high emissivity", emissivity=(0.92, 0.96)
     ),
-    "shell": made_of("plastic", (2.0, 8.0), "plastic body over electronics: +2..+8 K", emissivity=(0.93, 0.95)),
-    "camera": made_of(
+    "shell": part_role("plastic", (2.0, 8.0), "plastic body over electronics: +2..+8 K", emissivity=(0.93, 0.95)),
+    "camera": part_role(
         "plastic", (10.0, 25.0), "camera, video transmitter, on-board computer: +10..+25 K", emissivity=(0.92, 0.95)
     ),
-    "lens": made_of("lens", (4.0, 12.0), "glass of cameras and sensors"),
-    "gimbal": made_of("plastic", (2.0, 10.0), "gimbal arms and their small motors", emissivity=(0.90, 0.95)),
-    "frame": made_of("cfrp", (0.0, 3.0), "carbon plates, spacers, clamps: 0..+3 K"),
-    "arm": made_of("cfrp", (0.0, 3.0), "arms, carbon tube or plate, or moulded: 0..+3 K", emissivity=(0.80, 0.94)),
-    "propeller": made_of("plastic", (0.0, 4.0), "blades at rest: 0..+4 K of recovery heating", emissivity=(0.85, 0.94)),
-    "leg": made_of("plastic", (0.0, 0.8), "landing gear, at air temperature", emissivity=(0.85, 0.94)),
-    "antenna": made_of("plastic", (0.0, 3.0), "antennas, satellite receiver and mast", emissivity=(0.90, 0.95)),
+    "lens": part_role("lens", (4.0, 12.0), "glass of cameras and sensors"),
+    "gimbal": part_role("plastic", (2.0, 10.0), "gimbal arms and their small motors", emissivity=(0.90, 0.95)),
+    "frame": part_role("cfrp", (0.0, 3.0), "carbon plates, spacers, clamps: 0..+3 K"),
+    "arm": part_role("cfrp", (0.0, 3.0), "arms, carbon tube or plate, or moulded: 0..+3 K", emissivity=(0.80, 0.94)),
+    "propeller": part_role(
+        "plastic", (0.0, 4.0), "blades at rest: 0..+4 K of recovery heating", emissivity=(0.85, 0.94)
+    ),
+    "leg": part_role("plastic", (0.0, 0.8), "landing gear, at air temperature", emissivity=(0.85, 0.94)),
+    "antenna": part_role("plastic", (0.0, 3.0), "antennas, satellite receiver and mast", emissivity=(0.90, 0.95)),
     # A spinning propeller makes 0.5 to 1.5 turns within the time constant of the detector (10 ms), so it appears as a
     # translucent disc, which is modelled in rings.
-    "prop_disc_root": made_of("plastic", (0.0, 1.0), "spinning blades", **_DISC),
-    "prop_disc_inner": made_of("plastic", (0.0, 2.0), "spinning blades", **_DISC),
-    "prop_disc_outer": made_of("plastic", (0.5, 3.0), "spinning blades", **_DISC),
-    "prop_disc_tip": made_of(
+    "prop_disc_root": part_role("plastic", (0.0, 1.0), "spinning blades", **_DISC),
+    "prop_disc_inner": part_role("plastic", (0.0, 2.0), "spinning blades", **_DISC),
+    "prop_disc_outer": part_role("plastic", (0.5, 3.0), "spinning blades", **_DISC),
+    "prop_disc_tip": part_role(
         "plastic", (1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K", **_DISC
     ),
 }
@@ -397,14 +399,14 @@ def _add_motors(out: _Pieces, plan: _Plan) -> None:
             out.add("motor", shapes.placed(spoke, shapes.turn_z(a), offset), smooth=False)
         out.add("motor", shaft, at=at)
         out.add("propeller", hub, at=at)
-        if _spinning(plan.p):
+        if _is_spinning(plan.p):
             continue
         for k in range(plan.p["blades"]):
             a = turn + 2 * math.pi * k / plan.p["blades"]
             out.add("propeller", shapes.placed(blades[i % 2], shapes.turn_z(a), (x, y, seat + top + 0.18 * r)))
 
 
-def _spinning(params: Params) -> bool:
+def _is_spinning(params: Params) -> bool:
     return bool(params.get("propellers", "still") == "spinning")
 
 
@@ -421,7 +423,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
     A ring's opacity is the share of its circle that the blades cover: blades * chord / (2 pi r).
     """
-    if not _spinning(params):
+    if not _is_spinning(params):
         return {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
     roles = dict(PARTS)
     for name, (inner, outer) in DISC_RINGS.items():
@@ -523,10 +525,10 @@ def _add_arms(out: _Pieces, plan: _Plan) -> None:
             out.add("motor_mount", shapes.lathe(cup, 18, sharp_deg=50.0), at=(mx, my, 0.0))
         if p["body"] == "plate" and p["layout"] != "h":
             # An open frame has a speed controller on each arm.
-            out.add("esc", _along(root, tip, 0.52, (0.075, 1.5 * w, 0.011), h + 0.004), smooth=False)
+            out.add("esc", _box_on_arm(root, tip, 0.52, (0.075, 1.5 * w, 0.011), h + 0.004), smooth=False)
 
 
-def _along(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: float) -> Solid:
+def _box_on_arm(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift: float) -> Solid:
     """Return a small box on top of an arm at fraction `t` of its length."""
     x, y, _ = (tip - root).tolist()
     at = root + t * (tip - root) + (0.0, 0.0, lift)
@@ -863,7 +865,7 @@ def build_drone(params: Params) -> Mesh:
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
     size = float(params["size_m"])
     mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
-    return _with_discs(mesh, params, _plan(params), centre, size) if _spinning(params) else mesh
+    return _with_discs(mesh, params, _plan(params), centre, size) if _is_spinning(params) else mesh
 
 
 def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:

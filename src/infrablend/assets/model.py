@@ -16,7 +16,7 @@ Params = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class PartRange:
-    """Thermal role of a part: ranges from which each frame draws, and its surface. See also `made_of`.
+    """Thermal role of a part: ranges from which each frame draws, and its surface. See also `part_role`.
 
     Attributes:
         delta_t_k: (low, high) surface minus air temperature.
@@ -53,7 +53,7 @@ class PartRange:
             raise ValueError(f"opacity {self.opacity}: expected a number above 0 and up to 1, below 1 with label False")
 
 
-def made_of(
+def part_role(
     kind: str,
     delta_t_k: tuple[float, float],
     what: str = "",

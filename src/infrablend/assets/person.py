@@ -29,7 +29,7 @@ import numpy as np
 
 from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
@@ -61,26 +61,28 @@ DRAWN_HEIGHT_M = (1.5, 1.95)
 # first. Winter clothing is +2..+8 K, neck and collar gap are hot, hat and hood are cooler. Cloth, hair and skin are
 # rough or matt at this scale: no Fresnel rim, ior 1.
 PARTS: Mapping[str, PartRange] = {
-    "face": made_of("skin", (14.0, 24.0), "bare skin, 24-34 C"),
-    "nose": made_of("skin", (10.0, 20.0), "nose: cools first in cold air"),
-    "ear": made_of("skin", (9.0, 20.0), "ears: cool like the nose"),
-    "neck": made_of("skin", (15.0, 25.0), "neck and collar gap: hot"),
-    "hand": made_of("skin", (10.0, 22.0), "bare skin, 24-34 C"),
-    "leg": made_of("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
-    "hair": made_of("hair", (5.0, 11.0), "between skin and air"),
-    "hat": made_of("cloth", (3.0, 7.0), "hat: cooler than hair"),
-    "hood": made_of("cloth", (2.0, 6.0), "hood: cooler than hair"),
-    "collar": made_of("cloth", (4.0, 9.0), "collar: warm air escapes here"),
-    "jacket": made_of("cloth", (2.0, 7.0), "winter clothing +2..+8 K"),
-    "sleeve": made_of("cloth", (2.5, 7.5), "winter clothing +2..+8 K"),
-    "coat_skirt": made_of(
+    "face": part_role("skin", (14.0, 24.0), "bare skin, 24-34 C"),
+    "nose": part_role("skin", (10.0, 20.0), "nose: cools first in cold air"),
+    "ear": part_role("skin", (9.0, 20.0), "ears: cool like the nose"),
+    "neck": part_role("skin", (15.0, 25.0), "neck and collar gap: hot"),
+    "hand": part_role("skin", (10.0, 22.0), "bare skin, 24-34 C"),
+    "leg": part_role("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
+    "hair": part_role("hair", (5.0, 11.0), "between skin and air"),
+    "hat": part_role("cloth", (3.0, 7.0), "hat: cooler than hair"),
+    "hood": part_role("cloth", (2.0, 6.0), "hood: cooler than hair"),
+    "collar": part_role("cloth", (4.0, 9.0), "collar: warm air escapes here"),
+    "jacket": part_role("cloth", (2.0, 7.0), "winter clothing +2..+8 K"),
+    "sleeve": part_role("cloth", (2.5, 7.5), "winter clothing +2..+8 K"),
+    "coat_skirt": part_role(
         "cloth", (1.8, 6.0), "skirt or lower half of a coat, free of the body: low end of winter clothing"
     ),
-    "trousers": made_of("cloth", (3.0, 8.0), "trousers: one layer, close to the leg"),
-    "shoe": made_of("leather", (1.5, 5.0), "shoes: thick, in contact with the ground; low end of winter clothing"),
-    "backpack": made_of("cloth", (0.0, 2.5), "backpack: away from the body, near air temperature"),
-    "strap": made_of("cloth", (1.5, 5.0), "straps on the jacket"),
-    "seat": made_of("wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False),
+    "trousers": part_role("cloth", (3.0, 8.0), "trousers: one layer, close to the leg"),
+    "shoe": part_role("leather", (1.5, 5.0), "shoes: thick, in contact with the ground; low end of winter clothing"),
+    "backpack": part_role("cloth", (0.0, 2.5), "backpack: away from the body, near air temperature"),
+    "strap": part_role("cloth", (1.5, 5.0), "straps on the jacket"),
+    "seat": part_role(
+        "wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False
+    ),
 }
 # One or two thin layers in mild weather: the upper end of the +3..+10 K of summer clothing. Skin of 24-34 C is not
 # chilled, and warms hair and collar.

@@ -32,7 +32,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, Va
 from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
-from infrablend.assets.model import ObjectModel, Params, PartRange, made_of
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
@@ -85,7 +85,7 @@ class UserPart(Strict):
     def role(self, what: str) -> PartRange:
         """Return the ranges from which each frame draws."""
         if self.kind is not None:
-            return made_of(
+            return part_role(
                 self.kind, self.delta_t_k, what, emissivity=self.emissivity, ior=self.ior, label=self.label,
                 opacity=self.opacity,
             )  # fmt: skip

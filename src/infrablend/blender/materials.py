@@ -148,12 +148,12 @@ def object_material(slot: int, look: str = "artistic", *, translucent: bool = Fa
         thin = shown
         if look == "physical":
             thin = emission_alone(tree, celsius, emissivity, ior, {n: attribute(n, "OBJECT") for n in SKY})
-        thin = _mixed(tree, opacity, clear.outputs["BSDF"], thin)
+        thin = _mixed_shaders(tree, opacity, clear.outputs["BSDF"], thin)
         opaque = new("ShaderNodeMath")
         opaque.operation = "GREATER_THAN"
         link(opacity, opaque.inputs[0])
         opaque.inputs[1].default_value = 0.9999
-        shown = _mixed(tree, opaque.outputs["Value"], thin, shown)
+        shown = _mixed_shaders(tree, opaque.outputs["Value"], thin, shown)
     output = new("ShaderNodeOutputMaterial")
     link(shown, output.inputs["Surface"])
     aov = new("ShaderNodeOutputAOV")
@@ -162,7 +162,7 @@ def object_material(slot: int, look: str = "artistic", *, translucent: bool = Fa
     return material
 
 
-def _mixed(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
+def _mixed_shaders(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
     """Return a shader that mixes `none` (share 0) and `full` (share 1)."""
     mix = tree.nodes.new("ShaderNodeMixShader")
     for socket, value in zip(mix.inputs, (share, none, full), strict=True):

@@ -104,13 +104,13 @@ def _view(
     # With this focal length, a body of this radius fills the cell from any side.
     focal_mm = 36.0 * fill * distance / (2 * reach)
     camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (CELL_PX, CELL_PX))
-    scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _look(model, params), 0, 1)
+    scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _example_appearance(model, params), 0, 1)
     ground = np.full((CELL_PX, CELL_PX), GROUND, np.uint8)
     picture = compose(ground, make_layer(renderer.render(place(scene, [mesh])), MAPPING, 0.45))
     return np.asarray(picture, np.uint8)
 
 
-def _look(model: ObjectModel, params: dict[str, Any]) -> Appearance:
+def _example_appearance(model: ObjectModel, params: dict[str, Any]) -> Appearance:
     """Return a look whose white end suits the individual: a deer is a few kelvin above air, motors are tens."""
     means = [sum(r.delta_t_k) / 2 for r in model.roles(params).values()]
     # A single hot part, such as a tail pipe, must not darken all others.

@@ -57,7 +57,7 @@ def split(
         raise typer.BadParameter("--gap goes with --by gap", param_hint="--gap")
     if to is not None and lists:
         raise typer.BadParameter("--list writes no dataset; leave out --to", param_hint="--to")
-    wanted = _three(shares)
+    wanted = _parsed_shares(shares)
 
     from infrablend import api
     from infrablend.cli.results import print_json, print_result
@@ -80,7 +80,7 @@ def split(
         print_result("\n\n".join(_blocks(report)))
 
 
-def _three(text: str) -> list[float]:
+def _parsed_shares(text: str) -> list[float]:
     """Return the numbers that `--shares` gives."""
     try:
         wanted = [float(part) for part in text.split(",")]

@@ -113,7 +113,7 @@ class Survey:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class SurveySummary:
     """Summary of a survey, of real pictures or of the output of a sensor chain.
 
     Attributes:
@@ -155,7 +155,7 @@ class Readings:
         return plain
 
 
-def readings(survey: Survey) -> Readings:
+def summarize_survey(survey: Survey) -> SurveySummary:
     """Summarise a survey.
 
     Raises:
@@ -170,7 +170,7 @@ def readings(survey: Survey) -> Readings:
     bright, dark = overshoots(edge[None])[0]
     typical = np.median(overshoots(profiles), axis=0)
     steps = np.mean([s / s.mean() for s in survey.steps], axis=0) if survey.steps else None
-    return Readings(
+    return SurveySummary(
         sigmas_px=sigmas,
         sigma_px=float(np.percentile(sigmas, 20)),
         edge=edge,
@@ -189,14 +189,14 @@ class Fit:
 
     Attributes:
         profile: The fitted profile.
-        found: Readings of the pictures.
-        chain: Readings of the fitted chain's own output.
+        found: Summary of the pictures.
+        chain: Summary of the fitted chain's own output.
         codec: (JPEG quality, blockiness) pairs, see `codec_curve`.
     """
 
     profile: SensorProfile
-    found: Readings
-    chain: Readings
+    found: SurveySummary
+    chain: SurveySummary
     codec: tuple[tuple[int, float], ...]
 
 
@@ -208,7 +208,7 @@ def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
     Raises:
         ValueError: Too few clean edges.
     """
-    found, curve = readings(survey), codec_curve(survey)
+    found, curve = summarize_survey(survey), codec_curve(survey)
     gain, radius = _fit_halo(found)
     psf = min(max(unsharpened_sigma(found.sigma_px, gain, radius), 0.3), 6.0)
     bounds = (0.8 * found.sigma_px, 1.25 * found.sigma_px)
@@ -239,7 +239,7 @@ def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
     return Fit(profile, found, chain_readings(profile), curve)
 
 
-def chain_readings(profile: SensorProfile) -> Readings:
+def chain_readings(profile: SensorProfile) -> SurveySummary:
     """Return the readings of a profile's chain applied to ideal steps of 80 levels and to flat pictures.
 
     All steps have the same sharpness, so their median takes the place of a scene's 20th percentile. Blockiness depends
@@ -268,7 +268,7 @@ def chain_readings(profile: SensorProfile) -> Readings:
         ground = np.zeros(picture.shape, np.uint8)
         survey.add(apply_sensor(ground, layer, replace(sensor, noise_seed=seed)), None, None)
     survey.noise, survey.correlations = survey.noise[-16:], survey.correlations[-16:]
-    found = readings(survey)
+    found = summarize_survey(survey)
     profiles = survey.edges
     edge = np.median(_centred(profiles), axis=0)
     bright, dark = overshoots(edge[None])[0]
@@ -306,7 +306,7 @@ def edge_model(sigma_px: float, gain: float, radius_px: float) -> NDArray[np.flo
     return np.asarray((edge - dark) / (bright - dark), np.float64)
 
 
-def _fit_halo(found: Readings) -> tuple[float, float]:
+def _fit_halo(found: SurveySummary) -> tuple[float, float]:
     """Return gain and radius of the sharpening that fit the edge's width and its smaller overshoot."""
     bright, dark = found.overshoot
     edge = found.edge if dark <= bright else 1 - found.edge[::-1]
@@ -341,7 +341,7 @@ def codec_curve(survey: Survey) -> tuple[tuple[int, float], ...]:
     return tuple((q, blocky(q)) for q in _TRIED_QUALITIES) if survey.shifted else ()
 
 
-def _fit_codec(survey: Survey, found: Readings, curve: Sequence[tuple[int, float]]) -> int | None:
+def _fit_codec(survey: Survey, found: SurveySummary, curve: Sequence[tuple[int, float]]) -> int | None:
     """Return the JPEG quality that reproduces the blockiness; None if the compression of the files explains it."""
     if found.blockiness is None or not curve:
         return None

@@ -86,7 +86,7 @@ def match_locally(
     weather = scene.spec.weather
     if weather is None:
         raise ValueError(f"{scene.spec.frame_id}: local matching needs the weather")
-    inserts = [insert_of(placed, weather, scene.spec.view) for placed in scene.objects]
+    inserts = [describe_insert(placed, weather, scene.spec.view) for placed in scene.objects]
     mapping, facts = local_mapping(backdrop, inserts, weather, settings, rng)
     places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
     contrasts = [
@@ -96,7 +96,7 @@ def match_locally(
     return LocalMatch(mapping, facts, tuple(contrasts))
 
 
-def insert_of(placed: PlacedObject, weather: Weather, view: View | None) -> Insert:
+def describe_insert(placed: PlacedObject, weather: Weather, view: View | None) -> Insert:
     """Describe a placed object for matching; distances are known only where `view` gives the real camera's height."""
     box, warm = placed.box_xyxy, is_warm(placed.spec, placed.part_areas_px, weather)
     if view is None:

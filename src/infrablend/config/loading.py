@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from infrablend.config.modes import (
     drop_fields_of_other_modes,
     explain_unknown,
-    kept_camera,
+    kept_camera_warnings,
     modes_of,
     recipe_class,
     wrong_modes,
@@ -178,7 +178,7 @@ def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tup
     old, new = modes_of(data), modes_of(result)
     if old == new:
         return [], []
-    return drop_fields_of_other_modes(data, old, new), kept_camera(result, pairs, old, new)
+    return drop_fields_of_other_modes(data, old, new), kept_camera_warnings(result, pairs, old, new)
 
 
 def _read_profile(data: dict[str, Any], folder: Path | None) -> None:

@@ -137,12 +137,14 @@ def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> 
     for section, at, values in _sections(data):
         for field in [f for f in values if (section, f) in fields_of(old) - fields_of(new)]:
             value = values.pop(field)
-            found = f"{shorten(value)} is not used: {_explained((section, field), new)[0]}"
+            found = f"{shorten(value)} is not used: {_explain_field((section, field), new)[0]}"
             dropped.append(Problem(f"{at}.{field}", DROPPED, found, severity="warning"))
     return dropped
 
 
-def kept_camera(data: Mapping[str, Any], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes) -> list[Problem]:
+def kept_camera_warnings(
+    data: Mapping[str, Any], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes
+) -> list[Problem]:
     """Return warnings about the lens and the roll of a camera that was chosen for the other placement mode.
 
     Args:
@@ -209,10 +211,10 @@ def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str
         return "this field was removed", REMOVED[name]
     if not any(field in fields_of(m) for m in all_modes()):
         return None
-    return _explained(field, modes)
+    return _explain_field(field, modes)
 
 
-def _explained(field: Field, modes: Modes) -> tuple[str, str]:
+def _explain_field(field: Field, modes: Modes) -> tuple[str, str]:
     """Return the modes that a field needs and the recipe lacks, and the remedy."""
     meaningful = [m for m in all_modes() if field in fields_of(m)]
     nearest = min(meaningful, key=lambda m: sum(a != b for a, b in zip(m, modes, strict=True)))

@@ -92,7 +92,7 @@ def field_problems(
             for path, e in intended:
                 add(path, e)
         else:
-            found.append(_none_fits(at, members, _value(data, at), code, see))
+            found.append(_union_problem(at, members, _value(data, at), code, see))
     # A list may be "too short" only because its items are wrong; then the items' own problems are clearer.
     wrong = {p.where for p in found}
     return sorted(
@@ -144,7 +144,7 @@ def _errors_of_intended_member(
     return fitting[0] if len(fitting) == 1 else None
 
 
-def _none_fits(
+def _union_problem(
     at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any, code: str, see: str
 ) -> Problem:
     """Return the problem of a value that fits no member of a union; it lists the allowed values."""

@@ -46,7 +46,7 @@ def drawn_figures(all_matches: Sequence[ClassMatches], weights: NDArray[Any]) ->
     return figures
 
 
-def several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
+def has_several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
     """Whether the images chosen by (i,) are of two groups at least: drawing from one gives the same again and again."""
     return len({groups[k] for k in np.flatnonzero(images)}) > 1
 
@@ -107,7 +107,7 @@ def paired(
     result: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(("all", *classes)):
         result[name] = {}
-        several = several_groups(held[k - 1] if k else np.any(held, axis=0), groups)
+        several = has_several_groups(held[k - 1] if k else np.any(held, axis=0), groups)
         for m, measure in enumerate(MEASURES):
             if np.isnan(first[k, m]) or np.isnan(second[k, m]):
                 result[name][measure] = None

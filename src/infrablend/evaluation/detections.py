@@ -190,7 +190,7 @@ def read_predictions(path: Path) -> Predictions:
     gathered: dict[str, list[tuple[Any, ...]]] = {name: [] for name in files.values()}
     problems: list[Problem] = []
     for k, row in enumerate(rows):
-        wrong = _wrong(row, task, names, files)
+        wrong = _row_fault(row, task, names, files)
         if wrong is None:
             key = files[row["image_id"]]
             x, y, w, h = (float(v) for v in row.get("bbox") or _bounds(row["corners"]))
@@ -209,7 +209,7 @@ def read_predictions(path: Path) -> Predictions:
     return Predictions(
         task,
         tuple(names.values()),
-        {key: _gathered(of, task) for key, of in gathered.items()},
+        {key: _collect_detections(of, task) for key, of in gathered.items()},
         sizes,
         facts if isinstance(facts, dict) else {},
     )
@@ -234,7 +234,7 @@ def _table(rows: Any, field_name: str) -> dict[int, str]:
     return found if len(found) == len(rows) == len(set(found.values())) else {}
 
 
-def _wrong(row: Any, task: Task, names: Mapping[int, str], files: Mapping[int, str]) -> str | None:
+def _row_fault(row: Any, task: Task, names: Mapping[int, str], files: Mapping[int, str]) -> str | None:
     if not isinstance(row, dict):
         return "not a JSON object"
     if type(row.get("image_id")) is not int or row["image_id"] not in files:
@@ -265,6 +265,6 @@ def _bounds(corners: Sequence[float]) -> tuple[float, float, float, float]:
     return x0, y0, x1 - x0, y1 - y0
 
 
-def _gathered(rows: Sequence[tuple[Any, ...]], task: Task) -> Detections:
+def _collect_detections(rows: Sequence[tuple[Any, ...]], task: Task) -> Detections:
     boxes, scores, classes, corners, masks = zip(*rows, strict=True) if rows else ((), (), (), (), ())
     return detections(boxes, scores, classes, corners if task == "obb" else None, masks if task == "segment" else None)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.evaluation.bootstrap import MEASURES, draw_images, drawn_figures, interval, several_groups
+from infrablend.evaluation.bootstrap import MEASURES, draw_images, drawn_figures, has_several_groups, interval
 from infrablend.evaluation.coco import coco_precisions
 from infrablend.evaluation.confusion import IOU as CONFUSION_IOU
 from infrablend.evaluation.confusion import confusion_matrix
@@ -196,6 +196,6 @@ def _intervals(
     drawn: NDArray[np.float64], held: NDArray[np.bool_], groups: Sequence[str]
 ) -> dict[str, list[float] | None] | None:
     """Return the intervals of (draws, 2) mAP50 and mAP50-95; None without draws or if one group has all objects."""
-    if not len(drawn) or not several_groups(held, groups):
+    if not len(drawn) or not has_several_groups(held, groups):
         return None
     return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)}

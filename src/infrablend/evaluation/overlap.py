@@ -61,12 +61,12 @@ def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
     if len(rows):
         polygon, other = a[rows], b[columns]
         for k in range(4):
-            polygon = _cut(polygon, other[:, k], other[:, (k + 1) % 4])
+            polygon = _clip_by_line(polygon, other[:, k], other[:, (k + 1) % 4])
         area[rows, columns] = _shoelace(polygon)
     return area
 
 
-def _cut(polygons: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+def _clip_by_line(polygons: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
     """Return the parts (n, k + 1, 2) of convex polygons (n, k, 2) right of one line each; unused corners repeat."""
     edge = (end - start)[:, None]
     off = polygons - start[:, None]

@@ -21,7 +21,7 @@ def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[n
     return {
         "pitch": _binned([i.pitch_deg for i in images], PITCH_EDGES_DEG),
         "altitude": _binned([i.altitude_m for i in images], ALTITUDE_EDGES_M),
-        "time": _named([i.time_of_day for i in images]),
+        "time": _time_of_day_bins([i.time_of_day for i in images]),
     }
 
 
@@ -40,7 +40,7 @@ def _binned(values: Sequence[float | None], edges: Sequence[float]) -> dict[str,
     return _bins([None if v is None else names[v] for v in values], ordered)
 
 
-def _named(values: Sequence[str | None]) -> dict[str, NDArray[np.bool_]]:
+def _time_of_day_bins(values: Sequence[str | None]) -> dict[str, NDArray[np.bool_]]:
     return _bins(values, ("day", "night"))
 
 

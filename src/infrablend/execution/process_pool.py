@@ -29,7 +29,7 @@ from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, Worker
 from infrablend.errors import Interrupted, RenderError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.execution.scratch import scratch_folder
-from infrablend.execution.worker import ONE_THREAD, Done, Hello
+from infrablend.execution.worker import ONE_THREAD, ResultMessage, StartMessage
 
 logger = logging.getLogger(__name__)
 
@@ -166,7 +166,7 @@ class _Run:
         while True:
             if give_up_at is None and stop.requested and not (exhausted and not self._outstanding):
                 give_up_at = time.monotonic() + self._settings.grace_s
-                self._wind_down()
+                self._finish_running_tasks()
             if give_up_at is None:
                 while not exhausted and self._outstanding < self._settings.workers * IN_FLIGHT:
                     item = next(numbered, None)
@@ -215,7 +215,7 @@ class _Run:
         worker = _Worker(number, process, ours, process.stdout, time.monotonic())
         # Linux signals the child when the thread that started it ends, so request that signal in the main thread only.
         main_thread = threading.current_thread() is threading.main_thread()
-        self._send(worker, Hello(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
+        self._send(worker, StartMessage(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
         return worker
 
     def _feed(self) -> None:
@@ -242,7 +242,7 @@ class _Run:
         streams += [w.output for w in self._workers if not w.silent]
         # After a request to stop, the wake-up pipe stays readable; waiting on it again would spin.
         extra = [] if stop.requested else [stop.wakeup]
-        readable: list[Any] = wait([*streams, *extra], self._patience(give_up_at))
+        readable: list[Any] = wait([*streams, *extra], self._seconds_to_timeout(give_up_at))
         for w in [w for w in self._workers if w.output in readable]:
             self._read_output(w)
         for w in [w for w in self._workers if w.conn in readable]:
@@ -252,7 +252,7 @@ class _Run:
             limit = self._limit(w)
             # A slow consumer is not a hang, so check the limit only when no message is waiting.
             if limit is not None and now - w.since > limit and not w.conn.poll():
-                yield from self._bury(w, "timeout")
+                yield from self._handle_dead_worker(w, "timeout")
 
     def _limit(self, w: _Worker) -> float | None:
         if not w.ready:
@@ -261,7 +261,7 @@ class _Run:
             return self._settings.task_timeout_s
         return self._settings.grace_s if w.ending else None
 
-    def _patience(self, give_up_at: float | None) -> float | None:
+    def _seconds_to_timeout(self, give_up_at: float | None) -> float | None:
         """Return the seconds until the first time limit of a worker."""
         ends = [w.since + limit for w in self._workers if (limit := self._limit(w)) is not None]
         if give_up_at is not None:
@@ -275,18 +275,18 @@ class _Run:
                     return
                 message = w.conn.recv()
             except (EOFError, OSError):
-                yield from self._bury(w, "crash")
+                yield from self._handle_dead_worker(w, "crash")
                 return
             if message[0] == "ready":
                 w.ready = True
                 w.since = time.monotonic()
                 self._failed_starts = 0
             elif message[0] == "no-start":
-                self._raise_no_start(w, message[1])
+                self._raise_factory_error(w, message[1])
             else:
-                yield self._take(w, message[1], message[2])
+                yield self._receive_result(w, message[1], message[2])
 
-    def _take(self, w: _Worker, index: int, done: Done) -> TaskResult:
+    def _receive_result(self, w: _Worker, index: int, done: ResultMessage) -> TaskResult:
         """Return the result in a message; dismiss the worker if it is due for replacement."""
         attempt = w.in_flight.popleft()
         assert attempt.index == index, "workers answer in order"
@@ -303,10 +303,10 @@ class _Run:
         big = w.finished >= MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
         if (old or big) and not w.ending:
             logger.info("worker %d is replaced after %d tasks, %d MiB", w.number, w.finished, done.rss_bytes >> 20)
-            self._dismiss(w)
+            self._retire(w)
         return TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
 
-    def _dismiss(self, w: _Worker) -> None:
+    def _retire(self, w: _Worker) -> None:
         """Let the worker end after the tasks in its inbox."""
         w.ending = True
         self._send(w, ("finish",))
@@ -333,7 +333,7 @@ class _Run:
 
     # ---- endings
 
-    def _bury(self, w: _Worker, kind: FailureKind) -> Iterator[TaskResult]:
+    def _handle_dead_worker(self, w: _Worker, kind: FailureKind) -> Iterator[TaskResult]:
         """Reap a worker that died or hung; retry or fail the task that it was running."""
         code = self._reap(w, patience_s=0.0 if kind == "timeout" else 5.0)
         if self._winding_down or (w.ending and not w.in_flight):
@@ -367,7 +367,7 @@ class _Run:
         )
         yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)
 
-    def _raise_no_start(self, w: _Worker, failure: Failure) -> None:
+    def _raise_factory_error(self, w: _Worker, failure: Failure) -> None:
         """Raise the error of a worker factory, which would fail again in every new worker."""
         self._reap(w, patience_s=5.0)
         error = failure.to_exception()
@@ -376,7 +376,7 @@ class _Run:
             raise error
         raise RenderError(f"The renderer could not start: {error.message}", error.problems)
 
-    def _wind_down(self) -> None:
+    def _finish_running_tasks(self) -> None:
         """Let running tasks finish after an interruption, and start nothing else."""
         self._winding_down = True
         self._pending.clear()
@@ -412,7 +412,7 @@ class _Run:
         w.output.close()
         if w in self._workers:
             self._workers.remove(w)
-        return _ending(code)
+        return _describe_exit(code)
 
     def kill_all(self) -> None:
         """Kill every worker and leave no zombie."""
@@ -434,7 +434,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         process.kill()
 
 
-def _ending(code: int) -> str:
+def _describe_exit(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     try:

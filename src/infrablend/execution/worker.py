@@ -2,8 +2,8 @@
 
 `main` is the whole life of a worker process. It exchanges pickled tuples with the parent over one socket:
 
- parent -> worker   Hello; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
- worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, Done) for each task, in order
+ parent -> worker   StartMessage; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
+ worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, ResultMessage) for each task, in order
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
-class Hello:
+class StartMessage:
     """First message to a new worker. `spec` is a pickled `WorkerSpec`."""
 
     number: int
@@ -56,7 +56,7 @@ class Hello:
 
 
 @dataclass(frozen=True)
-class Done:
+class ResultMessage:
     """Message of a worker about a task: a pickled value or a failure."""
 
     value: bytes | None
@@ -120,7 +120,7 @@ def _die_with_parent(parent_pid: int) -> None:
         os._exit(1)
 
 
-def _leave(code: int) -> None:
+def _exit_at_once(code: int) -> None:
     """End the process at once: bpy may hang or crash during the tear-down of Python or C."""
     with contextlib.suppress(Exception):
         logging.shutdown()
@@ -148,7 +148,7 @@ def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -
         inbox.put(message[1:] if message[0] == "task" else None)
 
 
-def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> Done:
+def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> ResultMessage:
     value: bytes | None = None
     failure = None
     begun = time.monotonic()
@@ -156,7 +156,7 @@ def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -
         value = pickle.dumps(work(task), pickle.HIGHEST_PROTOCOL)
     except BaseException as e:  # SystemExit too: the worker must outlive its task
         failure = failure_of(e)
-    return Done(value, failure, time.monotonic() - begun, int(process.memory_info().rss))
+    return ResultMessage(value, failure, time.monotonic() - begun, int(process.memory_info().rss))
 
 
 def main(fd: int) -> None:
@@ -166,7 +166,7 @@ def main(fd: int) -> None:
     os.set_inheritable(fd, False)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     conn = Connection(fd)
-    hello: Hello = conn.recv()
+    hello: StartMessage = conn.recv()
     if hello.die_with_parent:
         _die_with_parent(hello.parent_pid)
     logging.basicConfig(level=hello.log_level, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -176,7 +176,7 @@ def main(fd: int) -> None:
         work = make_callable(pickle.loads(hello.spec))
     except BaseException as e:
         conn.send(("no-start", failure_of(e)))
-        _leave(1)
+        _exit_at_once(1)
     _ignore_signals()
     process = psutil.Process()
     conn.send(("ready",))
@@ -184,4 +184,4 @@ def main(fd: int) -> None:
         index, task = item
         conn.send(("done", index, _perform(work, task, process)))
     close_callable(work)
-    _leave(0)
+    _exit_at_once(0)

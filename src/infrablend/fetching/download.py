@@ -31,7 +31,7 @@ OnBytes = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True)
-class Patience:
+class RetryPolicy:
     """When to retry and when to give up.
 
     Attributes:
@@ -62,7 +62,7 @@ class _Remote:
         return self.etag if self.etag and not self.etag.startswith("W/") else self.last_modified
 
 
-class _NotWhole(Exception):  # noqa: N818 - a signal between two functions here
+class _IncompleteDownload(Exception):  # noqa: N818 - a signal between two functions here
     """The connection ended early, or the server asked to come back later (`wait_s`)."""
 
     def __init__(self, why: str, wait_s: float = 0.0) -> None:
@@ -102,7 +102,7 @@ def download(
     size_bytes: int | None = None,
     room: Callable[[int], None] = lambda missing: None,
     on_bytes: OnBytes = lambda done, total: None,
-    patience: Patience | None = None,
+    patience: RetryPolicy | None = None,
 ) -> dict[str, Any]:
     """Fetch `url` into `part`; resume an earlier download if the file on the server has not changed.
 
@@ -124,14 +124,14 @@ def download(
         OutputError: The file cannot be written.
     """
     require_url(url)
-    patience = patience or Patience()
+    patience = patience or RetryPolicy()
     fails, best = 0, _size(part)
     try:
         while True:
             try:
                 remote, final = _attempt(url, part, size_bytes, room, on_bytes, patience.timeout_s)
                 break
-            except _NotWhole as broken:
+            except _IncompleteDownload as broken:
                 here = _size(part)
                 # A server that restarts and breaks every time makes no progress, however much it sends.
                 fails = 0 if here > best else fails + 1
@@ -164,7 +164,7 @@ def _size(path: Path) -> int:
 def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
     """Return the remote file and the bytes that an earlier call left; (None, 0) if they cannot be resumed."""
     try:
-        remote = _Remote(**json.loads(_memo(part).read_text("utf-8")))
+        remote = _Remote(**json.loads(_validator_file(part).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
         return None, 0
     here = _size(part)
@@ -176,7 +176,7 @@ def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
     return (remote, here) if usable else (None, 0)
 
 
-def _memo(part: Path) -> Path:
+def _validator_file(part: Path) -> Path:
     return part.with_name(part.name + ".json")
 
 
@@ -188,7 +188,11 @@ def _attempt(
     on_bytes: OnBytes,
     timeout_s: float,
 ) -> tuple[_Remote, str]:
-    """Send one request and return when the file is complete; raises `_NotWhole` if another attempt may succeed."""
+    """Send one request and return when the file is complete.
+
+    Raises:
+        _IncompleteDownload: Another attempt may succeed.
+    """
     remote, here = _known(url, part)
     if remote is not None and remote.total == here:
         on_bytes(here, here)
@@ -209,7 +213,7 @@ def _attempt(
     except urllib.error.HTTPError as error:
         with error:
             if error.code == 416 and remote is not None:
-                return _beyond_the_end(error, remote, here, part)
+                return _handle_range_not_satisfiable(error, remote, here, part)
             raise _refused(url, error) from error
     except (OSError, http.client.HTTPException) as error:
         raise _unreachable(url, error) from error
@@ -231,7 +235,7 @@ def _attempt(
             part.parent.mkdir(parents=True, exist_ok=True)
             with part.open("r+b" if begin else "wb") as file:
                 # Write the facts only now that old bytes are gone or known to belong to this file.
-                write_json(_memo(part), asdict(now))
+                write_json(_validator_file(part), asdict(now))
                 file.seek(begin)
                 file.truncate()
                 _receive(response, file, begin, total, on_bytes)
@@ -256,10 +260,10 @@ def _placed(response: Any, remote: _Remote | None, here: int, part: Path) -> tup
     return first, total if total is not None else remote.total
 
 
-def _changed(part: Path) -> _NotWhole:
+def _changed(part: Path) -> _IncompleteDownload:
     """Discard the part because the server's file has changed; the next attempt starts from zero."""
-    _memo(part).unlink(missing_ok=True)
-    return _NotWhole("the file on the server has changed")
+    _validator_file(part).unlink(missing_ok=True)
+    return _IncompleteDownload("the file on the server has changed")
 
 
 def _receive(response: Any, file: IO[bytes], begin: int, total: int | None, on_bytes: OnBytes) -> None:
@@ -269,17 +273,19 @@ def _receive(response: Any, file: IO[bytes], begin: int, total: int | None, on_b
         try:
             chunk = response.read1(CHUNK_BYTES)
         except (OSError, http.client.HTTPException, ValueError) as error:
-            raise _NotWhole(f"the connection broke at byte {done} ({_reason(error)})") from error
+            raise _IncompleteDownload(f"the connection broke at byte {done} ({_reason(error)})") from error
         if not chunk:
             break
         file.write(chunk)
         done += len(chunk)
         on_bytes(done, total)
     if total is not None and done < total:
-        raise _NotWhole(f"the connection ended at byte {done} of {total}")
+        raise _IncompleteDownload(f"the connection ended at byte {done} of {total}")
 
 
-def _beyond_the_end(error: urllib.error.HTTPError, remote: _Remote, here: int, part: Path) -> tuple[_Remote, str]:
+def _handle_range_not_satisfiable(
+    error: urllib.error.HTTPError, remote: _Remote, here: int, part: Path
+) -> tuple[_Remote, str]:
     """Handle HTTP 416, no bytes after those already here: the file is complete, or it has changed on the server."""
     found = re.fullmatch(r"bytes \*/(\d+)", (error.headers.get("Content-Range") or "").strip())
     if found and int(found[1]) == here:
@@ -322,7 +328,7 @@ def _refused(url: str, error: urllib.error.HTTPError) -> Exception:
     """Return the exception for an HTTP status: a retry, or a final error."""
     status = f"HTTP {error.code} {error.reason}".strip()
     if error.code in _RETRY_STATUS:
-        return _NotWhole(f"the server answers {status}", _retry_after(error.headers.get("Retry-After")))
+        return _IncompleteDownload(f"the server answers {status}", _retry_after(error.headers.get("Retry-After")))
     todo = {
         401: "the server requires a login: download the file in a browser and give --archive FILE",
         403: "the server refuses access: download the file in a browser and give --archive FILE",
@@ -352,8 +358,8 @@ def _unreachable(url: str, error: Exception) -> Exception:
         problem = Problem(public_url(url), "certificate", found, "a certificate that this machine trusts", todo)
         return FetchError("nothing was downloaded", [problem])
     if isinstance(reason, ssl.SSLError):
-        return _NotWhole(f"no encrypted connection ({reason.reason or reason})")
-    return _NotWhole(f"no connection ({_reason(reason)})")
+        return _IncompleteDownload(f"no encrypted connection ({reason.reason or reason})")
+    return _IncompleteDownload(f"no connection ({_reason(reason)})")
 
 
 def _reason(error: object) -> str:

@@ -21,7 +21,7 @@ from infrablend import __version__
 from infrablend.core.files import output_error, write_json
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
-from infrablend.fetching.download import Patience, download, require_url
+from infrablend.fetching.download import RetryPolicy, download, require_url
 from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
@@ -87,7 +87,7 @@ class _Order:
     archive: Path | None
     keep_archive: bool
     limits: Limits | None
-    patience: Patience | None
+    patience: RetryPolicy | None
     on_progress: OnFetch
 
     @property
@@ -112,7 +112,7 @@ def require_source(name: str) -> Source:
     return source
 
 
-def how_to_get(source: Source) -> str:
+def fetch_instructions(source: Source) -> str:
     """Return readable text on how to get a dataset: licence, address and command."""
     parts = [a.part for a in source.archives]
     lines = [source.title, f"Page: {source.page}", *licence_lines(source)]
@@ -165,7 +165,7 @@ def fetch(
     request: FetchRequest = FETCH_ALL,
     *,
     limits: Limits | None = None,
-    patience: Patience | None = None,
+    patience: RetryPolicy | None = None,
     on_progress: OnFetch | None = None,
 ) -> FetchReport:
     """Fetch a dataset into `out`; see `infrablend.api.fetch`.
@@ -191,7 +191,7 @@ def fetch(
     show = on_progress or (lambda progress: None)
     order = _Order(source, out, url, sha256, archive, request.keep_archive, limits, patience, show)
     if not order.own_file and any(not a.url for a in wanted):
-        raise DatasetError(f"{name}: nothing was fetched\n{how_to_get(source)}")
+        raise DatasetError(f"{name}: nothing was fetched\n{fetch_instructions(source)}")
     new = not out.exists()
     try:
         with _output(out).claimed():

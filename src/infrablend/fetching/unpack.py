@@ -107,7 +107,7 @@ class _Contents:
 
 
 @dataclass(frozen=True)
-class _Growth:
+class _SizeLimit:
     """Limit on the unpacked size of an archive."""
 
     archive: Path
@@ -137,7 +137,7 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
         OutputError: The disk failed.
     """
     try:
-        growth = _Growth(archive, archive.stat().st_size, limits or Limits())
+        growth = _SizeLimit(archive, archive.stat().st_size, limits or Limits())
         with _opened(archive, folder) as contents:
             if contents.count is not None:
                 growth.require_count(contents.count, f"{contents.count} entries")
@@ -163,7 +163,7 @@ def unpack(archive: Path, folder: Path, limits: Limits | None = None, on_files: 
         raise _damaged(archive, error.strerror or str(error)) from error
 
 
-def _write(folder: Path, contents: _Contents, growth: _Growth, on_files: OnFiles | None) -> tuple[int, int]:
+def _write(folder: Path, contents: _Contents, growth: _SizeLimit, on_files: OnFiles | None) -> tuple[int, int]:
     """Write every entry; return the number of files and of bytes."""
     archive = growth.archive
     files = written = 0
@@ -184,7 +184,7 @@ def _write(folder: Path, contents: _Contents, growth: _Growth, on_files: OnFiles
             raise _refusal(
                 archive, "archive-duplicate", f"{entry.name!r} collides with an earlier entry", "each name once"
             ) from error
-        with _closing(out, target), entry.open() as source:
+        with _closed_safely(out, target), entry.open() as source:
             while chunk := source.read(CHUNK_BYTES):
                 with _disk(target):
                     out.write(chunk)
@@ -209,7 +209,7 @@ def _disk(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _closing(out: IO[bytes], path: Path) -> Iterator[None]:
+def _closed_safely(out: IO[bytes], path: Path) -> Iterator[None]:
     """Close a written file; writing the last bytes may fail on a full disk."""
     try:
         yield
@@ -221,7 +221,7 @@ def _closing(out: IO[bytes], path: Path) -> Iterator[None]:
         out.close()
 
 
-class _Capped(io.BufferedReader):
+class _CappedReader(io.BufferedReader):
     """A file that refuses single reads above a limit.
 
     `zipfile` reads the list of an archive whole, and `tarfile` every long name, at the size that the archive announces.
@@ -261,11 +261,11 @@ def _opened(archive: Path, folder: Path) -> Iterator[_Contents]:
 
 @contextlib.contextmanager
 def _zip(archive: Path) -> Iterator[_Contents]:
-    def too_long(size: int) -> Exception:
+    def too_large(size: int) -> Exception:
         found = f"a list of {size} bytes"
         return _refusal(archive, "too-many-files", found, f"a list of at most {_DIRECTORY_BYTES} bytes")
 
-    with _Capped(io.FileIO(archive), _DIRECTORY_BYTES, too_long) as file, zipfile.ZipFile(file) as packed:
+    with _CappedReader(io.FileIO(archive), _DIRECTORY_BYTES, too_large) as file, zipfile.ZipFile(file) as packed:
         entries = [_zip_entry(packed, info) for info in packed.infolist()]
         refused = [
             Problem(archive.name, "archive-entry", f"{e.name!r}: {e.refused}", "plain files and folders")
@@ -297,12 +297,12 @@ def _zip_entry(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Entry:
 
 @contextlib.contextmanager
 def _tar(archive: Path, folder: Path, *, packed: bool) -> Iterator[_Contents]:
-    def too_long(size: int) -> Exception:
+    def too_large(size: int) -> Exception:
         return tarfile.ReadError(f"a header of {size} bytes, expected at most {CHUNK_BYTES}")
 
     with contextlib.ExitStack() as stack:
         raw = stack.enter_context(gzip.GzipFile(archive) if packed else io.FileIO(archive))
-        file = stack.enter_context(_Capped(raw, CHUNK_BYTES, too_long))  # type: ignore[arg-type] # GzipFile will do
+        file = stack.enter_context(_CappedReader(raw, CHUNK_BYTES, too_large))  # type: ignore[arg-type] # GzipFile will do
         tar = stack.enter_context(tarfile.TarFile(fileobj=file))
         # git writes the commit into the global header.
         yield _Contents(

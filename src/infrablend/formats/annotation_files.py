@@ -28,7 +28,7 @@ def leaves_folder(path: Path) -> bool:
     return os.path.commonpath([real, folder]) != folder
 
 
-def _unfit(path: Path, where: str, expected: str, limit: int) -> Problem | None:
+def _refusal_to_open(path: Path, where: str, expected: str, limit: int) -> Problem | None:
     """Return why a file must not be opened: a link out of its folder, not a regular file, or too large."""
     if leaves_folder(path):
         found, todo = f"{path.name!r} is a link out of its folder", "copy the file, or link the whole folder instead"
@@ -51,7 +51,7 @@ def read_json(path: Path) -> Any:
     """
     problem = None
     try:
-        problem = _unfit(path, path.name, "a JSON file", MAX_JSON_BYTES)
+        problem = _refusal_to_open(path, path.name, "a JSON file", MAX_JSON_BYTES)
         data = path.read_bytes() if problem is None else b""
         lists = data.count(b"[") + data.count(b"{")
         if lists > MAX_JSON_LISTS:
@@ -95,7 +95,7 @@ def _depth(value: Any) -> int:
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:
     """Return the UTF-8 text of a file (a byte order mark is accepted), or an empty text and the problem."""
     try:
-        problem = _unfit(path, where, expected, MAX_TEXT_BYTES)
+        problem = _refusal_to_open(path, where, expected, MAX_TEXT_BYTES)
         return ("", problem) if problem else (path.read_text(encoding="utf-8-sig"), None)
     except (OSError, UnicodeDecodeError) as error:
         found = f"not text ({getattr(error, 'strerror', None) or type(error).__name__})"
@@ -105,7 +105,7 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
 def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     """Return the root element of an XML file, or None and the problem; entities and DTDs are refused as unsafe."""
     try:
-        problem = _unfit(path, where, "an XML file", MAX_TEXT_BYTES)
+        problem = _refusal_to_open(path, where, "an XML file", MAX_TEXT_BYTES)
         return (None, problem) if problem else (ElementTree.parse(path, forbid_dtd=True).getroot(), None)
     except Exception as error:  # parse errors, refused entities, wrong encodings
         found = f"not safe XML ({type(error).__name__}: {error})"[:200].replace(str(path), path.name)

@@ -1,10 +1,11 @@
-"""BIRDSAI (Bondi et al. 2020): thermal video from fixed-wing aircraft, tracks of animals and people.
+"""BIRDSAI (Bondi et al. 2020): thermal video from fixed-wing aircraft with tracks of animals and people.
 
-    TrainReal/images/<sequence>/<sequence>_<frame>.jpg    TrainReal/annotations/<sequence>.csv    the same in TestReal
+    TrainReal/images/<sequence>/<sequence>_<frame>.jpg    TrainReal/annotations/<sequence>.csv    TestReal likewise
 
-A sequence is two numbers of ten digits, a frame one. A CSV line, without a header, has ten columns: frame, object, x,
-y, w, h (px, x and y the upper left corner), class (0 animal, 1 human), species, occlusion, noise. Frames without a
-line were not necessarily empty. A folder of frames alone is read as pictures without labels.
+The name of a sequence is two numbers of ten digits, joined by `_`; the number of a frame has ten digits. The CSV files
+have no header and ten columns: frame, object, x, y, w, h (px; x and y of the upper left corner), class (0 animal,
+1 human), species, occlusion, noise. A frame without a row may still show objects. A folder that contains only frames is
+read as pictures without labels.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from infrablend.formats.values import number_text, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {
-    "category": "species (the default) or class (animal, human): what the categories are",
+    "category": "categories to use: species (the default) or class (animal, human)",
     "noise": "keep (the default) or drop objects in frames flagged as noisy",
     "unlabelled": "keep or drop frames without a row in the table; keep is the default",
-    "frames": "number (the default): a line's frame is the number in the picture's name; order: its place, from 0",
-    "frame_offset": "whole number added to a line's frame to get the picture's, 0 by default",
+    "frames": "meaning of a row's frame: number (the default), as in the picture's name, or order, its position from 0",
+    "frame_offset": "whole number added to a row's frame to get the picture's; 0 by default",
 }
 SPECIES = {
     0: "human", 1: "elephant", 2: "lion", 3: "giraffe", 4: "dog", 5: "crocodile", 6: "hippo", 7: "zebra", 8: "rhino",
 }  # fmt: skip
-# A category's id may not be negative: -1, unknown, gets the first free number.
+# The id of a category must not be negative, so species -1 (unknown) gets the first free number.
 UNKNOWN = Category(9, "unknown", "animal")
 CATEGORIES = (*(Category(k, n, "human" if k == 0 else "animal") for k, n in SPECIES.items()), UNKNOWN)
 CLASSES = (Category(0, "animal", "animal"), Category(1, "human", "human"))
@@ -64,7 +65,7 @@ _NAMES_COLUMNS = ("file", "name", "sequence", "captured")
 
 @dataclass(frozen=True)
 class _Part:
-    """A folder with `images` and optionally `annotations`; or, without both, a folder of frames."""
+    """A folder with `images` and optionally `annotations`, or a folder that contains only frames."""
 
     split: Split
     folder: Path
@@ -79,7 +80,7 @@ class _Part:
 
     @cached_property
     def frames(self) -> dict[str, dict[int, Path]]:
-        """Return the pictures by sequence and frame number, if their names contain both."""
+        """Return the pictures whose names contain a sequence and a frame number, by both."""
         found: dict[str, dict[int, Path]] = defaultdict(dict)
         for path in self.pictures.values():
             named = _FRAME.fullmatch(path.stem)
@@ -94,13 +95,17 @@ class _Part:
 
     @cached_property
     def tables(self) -> dict[str, Path]:
-        """Return the CSV files by sequence, without `tracking`, `water_metadata` and other files beside them."""
+        """Return the CSV files by sequence, without other files such as `tracking` and `water_metadata`."""
         files = [] if self.flat else sorted((self.folder / "annotations").glob("*.csv"))
         return {p.stem: p for p in files if p.is_file() and not is_hidden(p.name) and _SEQUENCE.fullmatch(p.stem)}
 
 
 def _parts(root: Path) -> list[_Part]:
-    """Return the folders of splits, or those of the same name in them; else the folder or its `Real`; else frames."""
+    """Return the folders to read.
+
+    They are the split folders (or folders of the same name inside them), else the folder itself or its `Real`, else a
+    folder that contains only frames.
+    """
     named = [_Part(split, f) for name, split in _FOLDERS.items() for f in (root / name, root / name / name)]
     found = [p for p in named if (p.folder / "images").is_dir() and (p.tables or p.frames)]
     if not found:
@@ -108,7 +113,7 @@ def _parts(root: Path) -> list[_Part]:
         split = _FOLDERS.get(name, "train")
         others = [_Part(split, f) for f in (root, root / "Real", root / name) if (f / "images").is_dir()]
         found = [p for p in others if p.tables or (name in _FOLDERS and p.frames)][:1]
-    # Frames of BIRDSAI in another format do not count: a bare folder contains only pictures and our tables.
+    # A folder with labels or subfolders is BIRDSAI converted to another format, not a bare folder of frames.
     labels = (".txt", ".xml", ".json", ".yaml", ".yml", ".csv")
     if not found and root.is_dir():
         beside = [p for p in sorted(root.glob("*")) if p.is_dir() or p.suffix.lower() in labels]
@@ -125,7 +130,7 @@ def detect(root: Path) -> Match:
     frames = sum(len(s) for p in parts for s in p.frames.values())
     others = sum(p.others for p in parts)
     if others > frames:
-        return Match(NAME, False, f"{others} of {others + frames} pictures are not named like its frames")
+        return Match(NAME, False, f"{others} of {others + frames} pictures are not named like BIRDSAI's frames")
     tables = sum(len(p.tables) for p in parts)
     return Match(NAME, True, f"{frames} frame(s) and {tables} table(s) in {len(parts)} folder(s)")
 
@@ -135,7 +140,7 @@ def detect(root: Path) -> Match:
 
 @dataclass
 class _Reading:
-    """State of reading: records, counts and problems found so far."""
+    """Options of the reader, and the problems and counts so far."""
 
     root: Path
     by_class: bool
@@ -147,11 +152,11 @@ class _Reading:
     shifted: Counter[int] = field(default_factory=Counter)
 
     def add(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Record an error: the item is left out."""
+        """Record an error; the item is left out."""
         self.problems.append(Problem(where, code, found, expected, todo))
 
     def warn(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Record a warning."""
+        """Record a warning; the item is kept."""
         self.problems.append(Problem(where, code, found, expected, todo, "warning"))
 
 
@@ -178,17 +183,17 @@ def read(
     frames: str = "number",
     frame_offset: str = "0",
 ) -> Dataset:
-    """Read the sequences below a folder; every picture's size is read from its header, since it differs by sequence.
+    """Read the sequences below a folder; the size of every picture comes from its header, as it differs by sequence.
 
     Args:
-        root: The folder of `TrainReal` and `TestReal`, one of them, or a folder of frames.
+        root: Folder that contains `TrainReal` and `TestReal`, one of these, or a folder of frames.
         splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude, by file or by sequence; None takes `metadata.csv` or `.json`.
-        category: What becomes the category.
-        noise: What happens to objects in noisy frames.
-        unlabelled: Treatment of frames without a row in the table.
-        frames: What a line's frame number counts.
-        frame_offset: Added to it.
+        metadata: Table of pitch and altitude, by file or by sequence; None uses any `metadata.csv` or `.json`.
+        category: Categories to use: `species` or `class`.
+        noise: Whether to `keep` or `drop` objects in frames flagged as noisy.
+        unlabelled: Whether to `keep` or `drop` frames without a row in the table.
+        frames: Meaning of a row's frame: `number` or `order`, see `OPTIONS`.
+        frame_offset: Whole number added to a row's frame.
 
     Raises:
         DatasetError: An option is unknown, or no picture can be read.
@@ -215,8 +220,9 @@ def read(
         if part.split in wanted:
             records += _read_part(reading, part, frames == "order", offset, unlabelled)
     if (root / "TrainSimulation").is_dir():
-        reading.warn(root.name, "simulation-excluded", "TrainSimulation, left out", "thermal pictures of a camera")
-    _hint_at_offset(reading, offset)
+        found = "TrainSimulation was left out because its pictures are simulated"
+        reading.warn(root.name, "simulation-excluded", found, "thermal pictures of a camera")
+    _warn_of_offset(reading, offset)
     keys = ("tables", "rows", "incomplete", "read", "without_picture", "noisy", "noise_dropped", "unlabelled")
     notes = {
         "labels": NAME,
@@ -236,7 +242,7 @@ def read(
 
 
 def _further_species(root: Path) -> tuple[dict[int, Category], list[Problem]]:
-    """Return categories by species number beyond BIRDSAI's own, from the table of our writer."""
+    """Return the categories that our writer's table adds to BIRDSAI's own, by species number."""
     path = root / _SPECIES_FILE
     if not path.is_file():
         return {}, []
@@ -249,7 +255,7 @@ def _further_species(root: Path) -> tuple[dict[int, Category], list[Problem]]:
         if number is not None and number > UNKNOWN.id and number not in further and row[1] not in known:
             further[number] = Category(number, row[1], "", row[2] == "1")
         elif n > 1 and row:
-            expected = f"a new number above {UNKNOWN.id}, a new name, 1 for one to ignore"
+            expected = f"a new number above {UNKNOWN.id}, a new name, and 1 for a class to ignore"
             problems.append(Problem(f"{path.name}: line {n}", "species-malformed", repr(row)[:80], expected))
     return further, problems
 
@@ -258,12 +264,12 @@ def _csv_rows(text: str, where: str, problems: list[Problem]) -> list[list[str]]
     try:
         return list(csv.reader(io.StringIO(text, newline="")))
     except csv.Error as error:
-        problems.append(Problem(where, "table-unreadable", str(error), "a CSV table as it was written"))
+        problems.append(Problem(where, "table-unreadable", str(error), "a CSV table"))
         return []
 
 
 def _read_names(root: Path, problems: list[Problem]) -> dict[str, tuple[str, str]]:
-    """Return sequence and date by picture, from the table of our writer, which exists if it changed names."""
+    """Return sequence and date by picture from `names.csv`, which our writer adds if it changed names."""
     path = root / _NAMES_FILE
     if not path.is_file():
         return {}
@@ -282,7 +288,7 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
     records: list[ImageRecord] = []
     where = part.folder.relative_to(root).as_posix() if part.folder != root else root.name
     if part.others:
-        found = f"{part.others} picture(s) that are not named like frames, or twice, left out"
+        found = f"{part.others} picture(s) were left out because their names are not those of frames, or repeat one"
         reading.warn(where, "name-grammar", found, "<10 digits>_<10 digits>_<10 digits>.jpg")
     missing = 0
     for sequence in sorted(frames.keys() | tables.keys()):
@@ -345,7 +351,7 @@ def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
         if numbers is None or not all(map(math.isfinite, numbers)):
             reading.counts["incomplete"] += 1
             code = "row-incomplete" if len(cells) < 10 or {"", "nan"} & {c.lower() for c in cells} else "row-malformed"
-            reading.add(here, code, repr(line[:80]), _COLUMNS, "complete the line")
+            reading.add(here, code, repr(line[:80]), _COLUMNS, "complete the row")
             continue
         frame, track, class_, species, occlusion, noise = (to_int(numbers[i]) for i in (0, 1, 6, 7, 8, 9))
         if frame is None or track is None:
@@ -382,7 +388,8 @@ def _instances(reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int]
         if box is None:
             continue
         if row.track in tracks:
-            reading.warn(row.where, "track-twice", f"object {row.track} twice in frame {row.frame}, kept", "once")
+            found = f"object {row.track} occurs twice in frame {row.frame}; both are kept"
+            reading.warn(row.where, "track-twice", found, "each object once per frame")
         tracks.add(row.track)
         extra = {"class": row.class_, "species": row.species, "occlusion": row.occlusion, "noise": row.noise}
         name = CLASSES[row.class_].name if reading.by_class else _species(row.class_, row.species, reading.names)
@@ -396,13 +403,15 @@ def _species(class_: int, number: int, names: Mapping[int, str]) -> str:
     return "human" if number == -1 and class_ == 1 else names[number]
 
 
-def _hint_at_offset(reading: _Reading, offset: int) -> None:
+def _warn_of_offset(reading: _Reading, offset: int) -> None:
     """Warn if another offset of the frame numbers would match clearly more rows."""
     best = max((0, -1, 1), key=lambda d: reading.shifted[d])
     total = reading.counts["rows"] - reading.counts["incomplete"]
     if best and reading.shifted[best] > reading.shifted[0] + 0.02 * total:
-        found = f"{reading.shifted[0]} of {total} lines have a picture, {reading.shifted[best]} with another offset"
-        todo = f"look at some, and give frame_offset={offset + best} if the boxes fit then"
+        found = (
+            f"{reading.shifted[0]} of {total} rows have a picture; with another offset {reading.shifted[best]} would"
+        )
+        todo = f"compare some boxes with their pictures; if they fit better so, add --read frame_offset={offset + best}"
         reading.warn(reading.root.name, "frame-offset", found, "frame numbers as in the names", todo)
     noise = reading.counts["noise_dropped"]
     if noise:
@@ -422,18 +431,18 @@ def write(
 ) -> Written:
     """Write `<Split>Real/annotations/<sequence>.csv`, and link the pictures as `<Split>Real/images/<sequence>/...`.
 
-    Sequences and frames keep their numbers where they are BIRDSAI's and unique; else they are numbered, and
-    `names.csv` lists the original names; `read` takes sequence and date from it. Fractional coordinates get
-    up to eight decimals. Categories of other names than BIRDSAI's get species numbers of their own, in `species.csv`;
-    as a class they count as human or animal. Pitch, altitude and time of day stand in `metadata.csv`. Validation
-    pictures go to `ValReal`, which BIRDSAI itself has not.
+    Sequences and frames keep their numbers if these are unique and in BIRDSAI's form. Otherwise they are numbered, and
+    `names.csv` lists the original names, from which `read` takes sequence and date. Coordinates have up to eight
+    decimals. Categories that BIRDSAI does not have get new species numbers, listed in `species.csv`; their class is
+    human or animal. Pitch, altitude and time of day are written to `metadata.csv`. Validation pictures go to `ValReal`,
+    which BIRDSAI itself does not have.
 
     Args:
         out: Output folder, created if necessary.
-        images: With `size_wh` known or not: the format does not hold it.
-        categories: Of the instances.
-        dont_care: Regions to ignore are left out, or kept as objects with a species number of their own.
-        pictures: False writes the tables alone.
+        images: Images to write; the format does not contain sizes, so `size_wh` may be None.
+        categories: Categories of the instances.
+        dont_care: Whether to `drop` regions to ignore, or to `keep` them as objects with a species number of their own.
+        pictures: Whether to link the pictures; False writes only the tables.
 
     Raises:
         OutputError: A file cannot be written.
@@ -491,7 +500,7 @@ def _csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
-    """Return (class, species) by category: BIRDSAI's if it has the name, else a new species number."""
+    """Return (class, species) by category name; names that BIRDSAI does not have get a new species number."""
     own = {name: number for number, name in SPECIES.items()} | {UNKNOWN.name: -1, "animal": -1}
     taken = {c.id for c in categories if c.name not in own and c.id > UNKNOWN.id}
     free = (n for n in itertools.count(UNKNOWN.id + 1) if n not in taken)
@@ -505,7 +514,7 @@ def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int
 
 
 def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
-    """Return (sequence, frame) by image id: the image's own if they are unique BIRDSAI names, else counted."""
+    """Return (sequence, frame) by image id; images keep their own if these are unique names in BIRDSAI's form."""
     groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
     for image in images:
         groups[image.split, image.sequence or ""].append(image)
@@ -523,7 +532,7 @@ def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
 
 
 def _frame_of(image: ImageRecord) -> int | None:
-    """Return the frame number from the name, or the reader's; None if there is none."""
+    """Return the frame number from the image's name, else the one that was read; None if there is neither."""
     named = _FRAME.fullmatch(PurePosixPath(image.name).stem)
     number = int(named[2]) if named and named[1] == image.sequence else image.extra.get("frame")
     return number if isinstance(number, int) and 0 <= number < 10**10 else None
@@ -539,18 +548,18 @@ def _grouped(
 
 
 class _Tracks:
-    """Track numbers of one sequence: whole numbers stay, names and objects without a track get free numbers."""
+    """Track numbers of one sequence; named tracks and objects without a track get free numbers."""
 
     def __init__(self) -> None:
         self.named: dict[str, int] = {}
         self.free = 0
 
     def reserve(self, ids: Iterable[int | str | None]) -> None:
-        """Reserve numbers."""
+        """Reserve the numbers of numbered tracks."""
         self.free = max([self.free, *(i + 1 for i in ids if isinstance(i, int))])
 
     def number(self, id_: int | str | None) -> int:
-        """Return the number of a track."""
+        """Return the number of a track; each call with None returns a new number."""
         if isinstance(id_, int):
             return id_
         if id_ is None or id_ not in self.named:
@@ -562,7 +571,7 @@ class _Tracks:
 
 
 def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
-    """Return class and species: those that were read if they still match the category, else those of its name."""
+    """Return class and species: as read if they still match the category, else those of the category's name."""
     class_, number = (instance.extra.get(k) for k in ("class", "species"))
     if class_ in (0, 1) and (number in SPECIES or number == -1):
         names = {**SPECIES, -1: UNKNOWN.name}

@@ -1,4 +1,4 @@
-"""COCO JSON: one file per split, masks as run lengths, oriented boxes and InfraBlend's facts as extra fields."""
+"""COCO JSON: one file per split; masks are run lengths, oriented boxes and camera facts are extra fields."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NAME = "coco"
 WithoutMask = Literal["polygon", "omit"]
 
 _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
-# Far below a pixel, but sums such as 0.1 + 0.2 do not fill the file with digits.
+# Far finer than a pixel, but short: sums such as 0.1 + 0.2 would otherwise be written with 17 digits.
 _DIGITS = 9
 
 
@@ -56,11 +56,11 @@ def write(
     info: Mapping[str, Any] | None = None,
     pictures: bool = False,
 ) -> Written:
-    """Write one file per existing split, see `coco_files`.
+    """Write one file per split that has images, see `coco_files`.
 
-    With `pictures` they are `out/annotations/instances_<split>.json`, and the pictures go to `out/images/<split>/`, as
-    hard links to `ImageRecord.path` (copies where that is impossible); without, they are `out/<split>.json`, and the
-    pictures should lie in an `images/<split>/` beside or above `out`.
+    With `pictures`, the files are `out/annotations/instances_<split>.json`, and the pictures are hard-linked (copied
+    where that is impossible) to `out/images/<split>/`. Without, the files are `out/<split>.json`; readers then expect
+    the pictures in `images/<split>/` in `out` or its parent folder.
 
     Raises:
         OutputError: A file cannot be written.
@@ -83,19 +83,19 @@ def coco_files(
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the text of `<split>.json` by file name, and the losses; equal records give equal bytes.
+    """Return the texts of the files `<split>.json` by name, and the losses; equal records give equal bytes.
 
-    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their native ids;
-    those with `ignore` get `"ignore": 1` and their annotations `iscrowd` 1.
+    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their ids. A category to
+    ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
 
     Args:
         images: Images with known `size_wh`.
         categories: Categories with the ids to write.
-        ids: `new` numbers images and annotations from 1 over all splits (pycocotools takes annotation id 0 for "no
-            match") and writes the source's id as `source_id`; `source` keeps the source's own.
-        without_mask: What `segmentation` of an object without a mask is: the polygon of its oriented box, else of its
-            box, or the field omitted. `segmentation_from` is `mask`, `obb` or `box`.
-        info: The `info` object; it should hold no dates.
+        ids: `new` numbers images and annotations from 1 over all splits (0 means "no match" to pycocotools) and writes
+            the source's ids as `source_id`; `source` keeps the source's ids.
+        without_mask: `segmentation` of objects without a mask: `polygon` writes that of the oriented box, else of the
+            box; `omit` leaves the field out. `segmentation_from` is `mask`, `obb` or `box`.
+        info: The `info` object; dates in it would make the files differ between runs.
     """
     ordered = sort_images(images)
     of_category = category_ids(categories)
@@ -135,7 +135,7 @@ def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
 
 
 def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
-    """Return the field `source_id`: the source's id if ids are new, or the field that was read."""
+    """Return the field `source_id`: the source's id if `new` ids are written, else the field that was read, if any."""
     if new and item.source_id is not None:
         return {"source_id": item.source_id}
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
@@ -159,7 +159,7 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
 def annotation_record(
     instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask, losses: Counter[str]
 ) -> dict[str, Any]:
-    """Return an annotation without `id`, `image_id` and `category_id`; with `new` ids, `source_id` is the source's."""
+    """Return an annotation without `id`, `image_id` and `category_id`; `source_id` as in `source_id_field`."""
     x0, y0, x1, y1 = instance.box_xyxy
     a: dict[str, Any] = {
         "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
@@ -198,9 +198,9 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """Return the COCO files of a folder with their splits: in the folder, or in `annotations/` or `coco/` below it.
+    """Return the COCO files in a folder, or in its subfolder `annotations` or `coco`, with their splits.
 
-    The name determines the split (`test.json`, `instances_val2017.json`); a single file is train.
+    The file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
     """
     for folder in (root, root / "annotations", root / "coco"):
         found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
@@ -218,7 +218,7 @@ def _looks_like_coco(path: Path) -> bool:
     try:
         return is_coco(read_json(path))
     except DatasetError:
-        # A broken file named after a split is reported when read; any other is not ours.
+        # A broken file named after a split will be reported when it is read; any other is no annotation file.
         return path.stem in SPLITS or path.stem.startswith("instances_")
 
 
@@ -260,13 +260,13 @@ def read(
     """Read COCO files and find their pictures.
 
     Args:
-        root: Folder with the JSON files (or with `annotations/` or `coco/`).
+        root: Folder that contains the JSON files, directly or in `annotations/` or `coco/`.
         splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
-        file: Read this JSON alone.
+        file: The only JSON file to read; None reads all that are found.
 
     Raises:
-        DatasetError: No COCO file, or nothing can be read.
+        DatasetError: There is no COCO file, or no picture can be read.
     """
     wanted = check_splits(splits)
     files = {file: _split_of(file.stem)} if file is not None else find_files(root)
@@ -320,12 +320,12 @@ def read_records(
 
     Args:
         top: A COCO object, see `is_coco`.
-        folder: Where the pictures lie.
-        split: Of all of them.
-        where: What problems call the file.
-        categories: Those of other files; new ones are added.
-        captures: Tells pitch and altitude.
-        problems: What is wrong is added.
+        folder: Folder of the pictures.
+        split: Split of all pictures.
+        where: Name of the file in problems.
+        categories: Categories of earlier files; new ones are appended.
+        captures: Source of pitch and altitude.
+        problems: List to which problems are appended.
     """
     names: dict[int, str] = {}
     for i, c in enumerate(top["categories"]):
@@ -364,7 +364,8 @@ def read_records(
         if fault is None and file is None:
             fault = Problem(here, "image-missing", f"no picture {name!r}", "a file in the picture folder", "restore it")
         if fault is None and (name in seen_names or number in seen_ids):
-            fault = Problem(here, "image-duplicate", f"{name!r}, id {number}, a second time", "each picture once")
+            found = f"a second record with name {name!r} or id {number}"
+            fault = Problem(here, "image-duplicate", found, "each picture once")
         if fault is not None or file is None:
             problems += [fault] if fault else []
             if number not in seen_ids:
@@ -377,7 +378,7 @@ def read_records(
         records.append((f"{split}/{name}", _image(r, number, name, file, split, size_wh, instances, captures, here)))
     for number, left in sorted(of_image.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
-        problems.append(Problem(where, "image-unknown", text, "the id of a picture that is read"))
+        problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
     return records
 
 
@@ -424,7 +425,7 @@ def _read_annotations(
         number = to_int(a.get("id"))
         here = f"{where}: annotation {a.get('id')}"
         if number is not None and number in seen:
-            text = f"id {number} a second time"
+            text = f"a second annotation with id {number}"
             problems.append(Problem(here, "annotation-duplicate", text, "each id once", severity="warning"))
         seen |= {number} if number is not None else set()
         category = to_int(a.get("category_id"))
@@ -471,7 +472,7 @@ def _track(value: object) -> int | str | None:
 
 
 def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:
-    """Return the right and lower edge; a sum that misses the frame's edge only by rounding is moved to it."""
+    """Return the right and lower edge; an edge that rounding puts just outside the frame is moved onto its edge."""
     x1, y1 = x + w, y + h
     if size_wh is not None:
         x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
@@ -482,7 +483,7 @@ def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None
 def _read_mask(
     a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str, problems: list[Problem]
 ) -> Mask | None:
-    """Return the mask of run lengths or polygons; None if there is none or it only repeats the box."""
+    """Return the mask from run lengths or polygons; None if there is none or it was derived from the box."""
     value = a.get("segmentation")
     if not value or a.get("segmentation_from") in ("obb", "box"):
         return None
@@ -492,6 +493,6 @@ def _read_mask(
     try:
         return Mask.from_rings(value, size_hw) if isinstance(value, list) else Mask.from_coco(value, size_hw)
     except (ValueError, TypeError, OverflowError) as error:
-        text = f"segmentation that cannot be read ({type(error).__name__}: {error}), left out"
+        text = f"a segmentation that cannot be read and is left out ({type(error).__name__}: {error})"
         problems.append(Problem(where, "mask-malformed", text, "run lengths or polygons", severity="warning"))
         return None

@@ -189,7 +189,7 @@ def by_folder(root: Path) -> dict[str, dict[str, Path]]:
     return dict(sorted(folders.items()))
 
 
-def labels_beside(folders: dict[str, dict[str, Path]], suffix: str) -> bool:
+def sidecar_labels(folders: dict[str, dict[str, Path]], suffix: str) -> bool:
     """Return whether a picture has a file of its stem beside it, or all folders are in the root."""
     shallow = all("/" not in folder for folder in folders)
     return shallow or any(p.with_suffix(suffix).is_file() for found in folders.values() for p in found.values())

@@ -1,11 +1,11 @@
-"""Pascal VOC: one XML file per picture, in VOC's own folders, beside the pictures, or in folders of splits.
+"""Pascal VOC: one XML file per picture, in VOC's folders, beside the pictures, or in one folder per split.
 
     Annotations/<stem>.xml   JPEGImages/<stem>.jpg   ImageSets/Main/{train,val,test}.txt   [labelmap.txt]
     [train|val|test/]<stem>.xml beside <stem>.jpg, or in annotations/ and images/, xml/ and img/
 
-Boxes are `xmin, ymin, xmax, ymax` in pixels. With `origin=0` they are edges as HIT-UAV, LabelImg and most tools write
-them: half-open, counted from 0. With `origin=1` they are pixels counted from 1, both inclusive, as in the original
-VOC challenge: the edges are `xmin - 1, ymin - 1, xmax, ymax`. roLabelImg's `robndbox` (`cx, cy, w, h, angle`, radians,
+Boxes are `xmin, ymin, xmax, ymax` in pixels. With `origin=0` these are edges, counted from 0, as HIT-UAV, LabelImg and
+most tools write them. With `origin=1` they are the first and last pixel, counted from 1, as in the original VOC
+challenge: the edges are `xmin - 1, ymin - 1, xmax, ymax`. The `robndbox` of roLabelImg (`cx, cy, w, h, angle`, radians,
 clockwise on screen) is read as well.
 """
 
@@ -46,7 +46,8 @@ from infrablend.formats.values import number_text, to_bool, to_floats, to_size
 
 NAME = "voc"
 OPTIONS = {
-    "origin": "0: edges counted from 0, the default; 1: pixels counted from 1, both inclusive, as in the VOC challenge",
+    "origin": "meaning of boxes: 0 (the default), edges counted from 0; 1, first and last pixel counted from 1, as in "
+    "the VOC challenge",
     "unlabelled": "keep or drop pictures without an XML file; keep is the default",
 }
 DATABASE = "InfraBlend VOC"
@@ -55,7 +56,7 @@ DATABASE = "InfraBlend VOC"
 SPLIT_FOLDERS: Mapping[str, Split] = {
     "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
 }  # fmt: skip
-# Folders that only sort files by kind: the rest of the path of a picture equals that of its XML.
+# Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
 _KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
 _LABELMAP = "labelmap.txt"
 
@@ -66,7 +67,7 @@ Key = tuple[str, ...]
 
 
 def key_of(name: str) -> Key:
-    """Return the common part of the paths of a picture and its annotation, without folders of kinds and suffix."""
+    """Return the part of a path that a picture shares with its annotation: no folder in `_KINDS`, and no suffix."""
     path = PurePosixPath(name)
     return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
 
@@ -80,12 +81,12 @@ def list_xml(root: Path) -> Iterable[str]:
 
 
 def detect(root: Path) -> Match:
-    """Decide whether `root` contains VOC files: XML with the root `annotation`, and a picture to one of the first."""
+    """Decide whether `root` contains VOC files: XML with the root `annotation`, and a picture for one of the first."""
     names = list(islice(list_xml(root), 20))
     if not names:
-        return Match(NAME, False, "no XML file in it or below")
+        return Match(NAME, False, "no XML file in the folder or below it")
     pictures = {key_of(n) for n in list_pictures(root)}
-    reason = f"no picture belongs to {names[0]} or the XML files after it"
+    reason = f"no picture for {names[0]} or the next XML files"
     for name in names:
         top, problem = read_xml(root / name, name)
         if problem is not None or top.tag != "annotation":
@@ -96,7 +97,7 @@ def detect(root: Path) -> Match:
 
 
 def _named(name: str, top: Any) -> Key:
-    """Return the key of the picture named in the XML file; only the last part of the name is used."""
+    """Return the key of the picture that the XML file names; folders in that name are ignored."""
     said = re.split(r"[\\/]", _text(top, "filename") or "")[-1]
     folder = key_of(name)[:-1]
     return (*folder, PurePosixPath(said).stem if re.search(r"\.\w{2,5}$", said) else said)
@@ -115,10 +116,10 @@ class Read:
     """Contents of the XML files of a folder.
 
     Attributes:
-        records: Of the pictures, without ids; those without an XML file have `labelled` False in `extra`.
-        names: Categories in order of their names.
-        problems: What is wrong.
-        counts: `files`, `objects` as they stand in the files, `read`, `unlabelled`.
+        records: Records of the pictures, without ids; those without an XML file have `labelled` False in `extra`.
+        names: Sorted names of the categories.
+        problems: Problems found.
+        counts: Number of `files`, `objects` in them, objects `read`, `parts` of objects, and `unlabelled` pictures.
     """
 
     records: tuple[ImageRecord, ...]
@@ -138,11 +139,11 @@ def read(
     """Read VOC files and their pictures.
 
     Args:
-        root: The folder, or one that holds it alone (`VOCdevkit/VOC2012`).
+        root: Folder of the dataset, or a folder that contains nothing else (`VOCdevkit/VOC2012`).
         splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
-        origin: What the numbers of a box are, see the head of this module.
-        unlabelled: What happens to pictures without an XML file.
+        origin: Meaning of the numbers of a box, see the docstring of this module.
+        unlabelled: Whether to `keep` or `drop` pictures without an XML file.
 
     Raises:
         DatasetError: An option is unknown, or no picture can be read.
@@ -160,7 +161,7 @@ def read(
 
 
 def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], unlabelled: str) -> Read:
-    """Read every XML file below a folder with its picture, and the pictures without XML file."""
+    """Read all XML files below a folder with their pictures, and the pictures without an XML file."""
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
     pictures: dict[Key, list[str]] = {}
@@ -193,7 +194,7 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
         counts["files"] += 1
         size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
         if size_wh is None:
-            found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}, taken from the picture"
+            found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}; the picture's size is used"
             problems.append(Problem(name, "image-size-unknown", found, "width and height in px", severity="warning"))
             size_wh, problem = read_size(paths[picture], picture)
             problems += [problem] if problem else []
@@ -210,23 +211,23 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
         record = ImageRecord("", paths[name], split, None, None, None, None, (), extra={"labelled": False})
         records[name] = replace(record, file_name=_file_name(name))
     if unlisted:
-        found = f"{len(unlisted)} file(s) in no list of ImageSets/Main, taken as train: {', '.join(unlisted[:3])}"
+        found = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
         problems.append(Problem(root.name, "split-unknown", found, "every stem in one list", severity="warning"))
     if counts["parts"]:
-        found = f"{counts['parts']} part(s) of objects, not read"
-        problems.append(Problem(root.name, "part-unread", found, "objects alone", severity="warning"))
+        found = f"{counts['parts']} part(s) of objects were left out"
+        problems.append(Problem(root.name, "part-unread", found, "objects without parts", severity="warning"))
     counted = {k: counts[k] for k in ("files", "objects", "read", "parts", "unlabelled")}
     return Read(tuple(records.values()), tuple(sorted(categories)), tuple(problems), counted)
 
 
 def _file_name(name: str) -> str:
-    """Return the path below the split's picture folder, without folders of kinds and splits."""
+    """Return the picture's path without folders that only name a kind or a split."""
     parts = PurePosixPath(name).parts
     return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
 
 
 def _folder_split(name: str) -> Split:
-    """Return the split named by a folder of a path; train if there is none."""
+    """Return the split that a folder of the path names; train if no folder does."""
     parts = PurePosixPath(name).parts[:-1]
     return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
 
@@ -234,7 +235,7 @@ def _folder_split(name: str) -> Split:
 def _find_picture(
     name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord], problems: list[Problem]
 ) -> tuple[str | None, Problem | None]:
-    """Return the picture of an XML file, by its own name or the name inside; or None and the problem."""
+    """Return the picture with the XML file's name, else the one named inside it; or None and the problem."""
     own, named = key_of(name), _named(name, top)
     said = _text(top, "filename") or ""
     choices = pictures.get(own) or pictures.get(named) or []
@@ -242,7 +243,7 @@ def _find_picture(
         found, todo = f"no picture {said or own[-1]!r}", "restore it"
         return None, Problem(name, "image-missing", found, "a picture of the same name", todo)
     if named != own and own in pictures and named in pictures:
-        found = f"filename {said!r}, and a picture of that name; {choices[0]!r} counts"
+        found = f"filename {said!r}, which is another picture; {choices[0]!r} is used"
         problems.append(Problem(name, "name-disagrees", found, "the name of the XML file", severity="warning"))
     picture = next((c for c in choices if PurePosixPath(c).name == said), choices[0])
     if picture in taken:
@@ -267,17 +268,17 @@ def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict
             text, problem = read_text(path, where, "a list of stems")
             problems += [problem] if problem else []
             for line in text.splitlines():
-                # Lists of single classes add 1, 0 or -1 to each stem; some tools do so in all lists.
+                # Lists of a single class add 1, 0 or -1 to each stem; some tools do so in all lists.
                 listed = line.strip()
                 listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
                 if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
-                    found = f"{listed!r} is also in {split_of[listed]}, which counts"
+                    found = f"{listed!r} is also in {split_of[listed]}, which is used"
                     problems.append(Problem(where, "split-twice", found, "each stem in one list", severity="warning"))
     return split_of
 
 
 def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
-    """Return category names in the order of `labelmap.txt` (`name:colour:parts:actions`), if there is such a file."""
+    """Return category names in the order of `labelmap.txt` (`name:colour:parts:actions`); none if it does not exist."""
     path = root / _LABELMAP
     if not path.is_file():
         return [], []
@@ -311,7 +312,7 @@ def _objects(
             value = _text(element, flag)
             flags[flag] = None if value is None else to_bool(value)
             if value and flags[flag] is None:
-                found = f"{flag} {value[:40]!r}, ignored"
+                found = f"{flag} {value[:40]!r}, which is ignored"
                 problems.append(Problem(here, "flag-value", found, "0 or 1", severity="warning"))
         extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
         pose = _text(element, "pose")
@@ -334,7 +335,7 @@ def _geometry(
     origin: Literal["0", "1"],
     problems: list[Problem],
 ) -> Instance | None:
-    """Return the object with its box, and its oriented box if it has one; None, with a problem, if it is left out."""
+    """Return the object with its box and any oriented box; None, with a problem, if the box is invalid."""
     turned = element.find("robndbox")
     keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
     base = turned if turned is not None else element.find("bndbox")
@@ -348,7 +349,7 @@ def _geometry(
     if turned is not None:
         if not all(math.isfinite(v) and abs(v) < 1e9 for v in values) or values[2] <= 0 or values[3] <= 0:
             code = "box-empty" if all(math.isfinite(v) for v in values) else "box-not-finite"
-            expected = "finite numbers, a width and height above 0"
+            expected = "finite numbers, with width and height above 0"
             problems.append(Problem(where, code, f"box {said}"[:120], expected, "correct the annotation"))
             return None
         corners = corners_of_cxcywha(np.array([values], np.float64))[0]
@@ -378,9 +379,9 @@ def write(
 ) -> Written:
     """Write `Annotations/<stem>.xml`, `ImageSets/Main/*.txt`, `labelmap.txt`, and link the pictures to `JPEGImages/`.
 
-    Boxes are edges counted from 0 (`origin=0`); whole numbers stand as such, others with up to eight decimals. The
-    order of the categories is that of `labelmap.txt`; their ids are not kept. Objects that InfraBlend put in carry
-    `inserted`, which other tools ignore. Unknown flags are written as 0.
+    Boxes are edges counted from 0 (`origin=0`), with up to eight decimals. `labelmap.txt` keeps the order of the
+    categories, but not their ids. Inserted objects get the element `inserted`, which other tools ignore. Unknown flags
+    are written as 0.
 
     Raises:
         OutputError: A file cannot be written.
@@ -395,7 +396,7 @@ def write(
     for image in ordered:
         stem = image.name.rpartition(".")[0] or image.name
         if "/" in image.name or stem in stems:
-            raise ValueError(f"{image.id}: VOC has one folder of pictures, {image.name!r} does not fit in")
+            raise ValueError(f"{image.id}: {image.name!r} has a folder or a stem that another picture has")
         stems[stem] = image.split
         files.append(write_text(out / "Annotations" / f"{stem}.xml", _xml(image, known, losses)))
         losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)

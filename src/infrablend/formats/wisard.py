@@ -1,9 +1,9 @@
-"""WiSARD (Broyles et al. 2022): clips of thermal and visible frames, YOLO text beside each picture.
+"""WiSARD (Broyles et al. 2022): clips of thermal and visible frames with a YOLO label file beside each picture.
 
-    <YYMMDD>_<Site>_<Platform>[_FLIR]_{VIS|IR}_<clip>/<anything><frame>.jpg|.jpeg    the same stem .txt    [count.txt]
+    <YYMMDD>_<Site>_<Platform>[_FLIR]_{VIS|IR}_<clip>/<anything><frame>.jpg|.jpeg    <same stem>.txt    [count.txt]
 
-A label line is `0 cx cy w h`, shares of the picture; the only class is human. An empty file means that nobody is
-visible, a missing one that the picture was not labelled. `count.txt` is not a label file.
+A line of a label file is `0 cx cy w h` in shares of the picture; the only class is human. An empty label file means
+that nobody is visible, a missing one that the picture was not labelled. `count.txt` is not a label file.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.labels_beside import LabelsBeside
-from infrablend.formats.pictures import by_folder, is_hidden, labels_beside
+from infrablend.formats.pictures import by_folder, is_hidden, sidecar_labels
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset
+from infrablend.formats.sidecar_labels import SidecarLabels
 from infrablend.formats.values import to_floats
 from infrablend.formats.yolo import parse_labels
 
 NAME = "wisard"
 OPTIONS = {
-    "modality": "ir (the default), vis or all: which clips are read",
+    "modality": "clips to read: ir (the default), vis or all",
     "unlabelled": "keep or drop pictures without a label file; keep is the default",
-    "logo": "region to ignore in clips of a FLIR camera, for its burnt-in logo: auto (the default, an assumption: the "
-    "left fifth of the lowest eighth), none, or x0,y0,x1,y1 in px",
-    "split": "train (the default), val or test: the split of all clips, since WiSARD has none",
+    "logo": "region to ignore in clips of a FLIR camera, because its logo is burnt in: auto (the default: the left "
+    "fifth of the lowest eighth, an assumption), none, or x0,y0,x1,y1 in px",
+    "split": "split of all clips, since WiSARD has no splits: train (the default), val or test",
 }
 CATEGORIES = (Category(0, "human"), Category(1, "Logo", ignore=True))
 
 _DATE = re.compile(r"(\d\d)(\d\d)(\d\d)_", re.ASCII)
 _FRAME = re.compile(r"[_ ](\d{1,12})$", re.ASCII)
-# Six decimals put a box at the frame's edge up to 1e-6 of its size outside.
+# With six decimals, rounding moves the edge of a box at the frame's edge outside by up to 1e-6 of the frame.
 _ROUNDING = 2e-6
 _LOGO_SHARES = (0.0, 0.875, 0.2, 1.0)
 
@@ -62,11 +62,11 @@ def _clip_name(root: Path, folder: str) -> str:
 
 
 def detect(root: Path) -> Match:
-    """Decide whether `root` contains folders of pictures named as WiSARD's clips, or is one."""
+    """Decide whether `root` contains or is a folder of pictures named like WiSARD's clips."""
     clips = _clips(root)
     if not clips:
         return Match(NAME, False, "no folder of pictures named like a clip, <YYMMDD>_<Site>_..._IR_<n> or ..._VIS_<n>")
-    if not labels_beside(clips, ".txt"):
+    if not sidecar_labels(clips, ".txt"):
         return Match(NAME, False, f"{len(clips)} clip(s), but no label file beside a picture")
     return Match(NAME, True, f"{len(clips)} clip(s) such as {_clip_name(root, next(iter(clips)))}")
 
@@ -86,9 +86,9 @@ def read(
     Args:
         root: Folder of clips, or one clip.
         splits: Splits to read; only `split` has any pictures.
-        metadata: Table of pitch and altitude, by file or by clip (`sequence`); None takes `metadata.csv` or `.json`.
-        modality: Clips to read; those left out are counted.
-        unlabelled: Treatment of pictures without a label file.
+        metadata: Table of pitch and altitude, by file or by clip (`sequence`); None uses any `metadata.csv` or `.json`.
+        modality: Clips to read: `ir`, `vis` or `all`; a warning counts the others.
+        unlabelled: Whether to `keep` or `drop` pictures without a label file.
         logo: Region to ignore in `_FLIR_` clips, see `OPTIONS`.
         split: Split of all clips.
 
@@ -106,7 +106,7 @@ def read(
     (of_all,) = check_splits([split])
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
-    beside = LabelsBeside(root, ".txt", unlabelled, _read_label, problems, counts)
+    beside = SidecarLabels(root, ".txt", unlabelled, _read_label, problems, counts)
     records: list[ImageRecord] = []
     for folder, pictures in _clips(root).items() if of_all in wanted else ():
         clip = _clip_name(root, folder)
@@ -138,7 +138,7 @@ def read(
 
 
 def _captured(clip: str) -> str | None:
-    """Return the date at the start of a clip's name, ISO 8601; None if it is not a date."""
+    """Return the date at the start of a clip's name as ISO 8601; None if there is no valid date."""
     found = _DATE.match(clip)
     try:
         return None if found is None else datetime.date(2000 + int(found[1]), int(found[2]), int(found[3])).isoformat()
@@ -152,7 +152,7 @@ def _report_strays(root: Path, folder: str, pictures: Mapping[str, Path], proble
     strays = [p.name for p in texts if p.stem not in stems]
     if strays:
         found = f"{len(strays)} label file(s) without a picture: {', '.join(strays[:3])}"
-        problems.append(Problem(folder, "image-missing", found, "a picture for each", "restore them", "warning"))
+        problems.append(Problem(folder, "image-missing", found, "a picture per label file", "restore them", "warning"))
 
 
 def _read_label(
@@ -192,7 +192,7 @@ def _read_label(
 
 
 def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:
-    """Return the region given by the option, in px or (all within 0 and 1) in shares of the picture; or None."""
+    """Return the region of the option `logo`, in px or, if no value exceeds 1, in shares of the picture; or None."""
     if logo in ("auto", "none"):
         return _LOGO_SHARES if logo == "auto" else None
     region = to_floats(logo.split(","), 4)
@@ -206,7 +206,7 @@ def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:
 def _logo(
     clip: str, region: tuple[float, ...] | None, size_wh: tuple[int, int], where: str, problems: list[Problem]
 ) -> list[Instance]:
-    """Return the region of the burnt-in logo, to be ignored; none for other cameras and for `logo=none`."""
+    """Return the region of the burnt-in logo as an object to ignore; nothing for other cameras and `logo=none`."""
     if region is None or "FLIR" not in clip.split("_"):
         return []
     if max(region) <= 1:
@@ -223,6 +223,6 @@ def _summary(root: Path, modality: str, logo: str, counts: Counter[str]) -> list
         problems.append(Problem(root.name, "modality-excluded", found, f"modality={modality}", "", "warning"))
     if counts["logos"] and logo == "auto":
         found = f"the position of the logo in {counts['logos']} pictures of FLIR clips is assumed"
-        todo = "look at one, and add --read logo=x0,y0,x1,y1 or logo=none"
-        problems.append(Problem(root.name, "logo-assumed", found, "a region that was measured", todo, "warning"))
+        todo = "check it in one picture, and add --read logo=x0,y0,x1,y1 or --read logo=none"
+        problems.append(Problem(root.name, "logo-assumed", found, "a region given by an option", todo, "warning"))
     return problems

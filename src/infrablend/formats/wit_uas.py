@@ -19,9 +19,9 @@ from infrablend.errors import Problem
 from infrablend.formats.annotation_files import read_text
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.labels_beside import LabelsBeside
-from infrablend.formats.pictures import by_folder, labels_beside
+from infrablend.formats.pictures import by_folder, sidecar_labels
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset
+from infrablend.formats.sidecar_labels import SidecarLabels
 from infrablend.formats.values import to_floats
 
 NAME = "wit-uas"
@@ -52,7 +52,7 @@ def detect(root: Path) -> Match:
     runs = _runs(root)
     if not runs:
         return Match(NAME, False, "no folder <run>_flir or <run>_seek with pictures time_<seconds>.png")
-    if not labels_beside(runs, ".label"):
+    if not sidecar_labels(runs, ".label"):
         return Match(NAME, False, f"{len(runs)} folder(s) of runs, but no .label file beside a picture")
     return Match(NAME, True, f"{len(runs)} folder(s) of runs such as {next(iter(runs))}")
 
@@ -81,7 +81,7 @@ def read(
     wanted = check_splits(splits)
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
-    beside = LabelsBeside(root, ".label", unlabelled, _read_label, problems, counts)
+    beside = SidecarLabels(root, ".label", unlabelled, _read_label, problems, counts)
     records: list[ImageRecord] = []
     for folder, frames in _runs(root).items():
         found = _RUN.fullmatch((root / folder).absolute().name)

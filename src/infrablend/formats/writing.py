@@ -112,7 +112,7 @@ def write(
     if name == NATIVE:
         writer = None if source is None else native_writer(source)
         if writer is None:
-            return Written() if source is None or source.notes.get("labels") == "none" else _no_native(source)
+            return Written() if source is None or source.notes.get("labels") == "none" else _native_not_writable(source)
         settings = replace(settings, dont_care="keep", without_mask="obb")
     else:
         writer = find_writer(name)
@@ -129,7 +129,7 @@ def write(
     return Written.together(parts)
 
 
-def _no_native(source: Dataset) -> Written:
+def _native_not_writable(source: Dataset) -> Written:
     found = f"{source.format} is read but not written; native was left out"
     todo = "ask for another format"
     return Written(
@@ -160,7 +160,7 @@ def _flat_names(paths: Mapping[int, str]) -> dict[int, str]:
     return {n: ids[p] + PurePosixPath(p).suffix for n, p in paths.items()}
 
 
-def _unsaid(image: ImageRecord) -> Capture | None:
+def _telemetry_not_in_name(image: ImageRecord) -> Capture | None:
     """Return pitch, altitude and time of day of a picture, unless its name contains them."""
     facts = facts_from_name(image.name)
     said = facts.capture if facts else Capture()
@@ -172,7 +172,9 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
     """Write `metadata.csv` with telemetry that neither the format nor the pictures' names contain."""
     if not writer.table:
         return Written()
-    rows = [(writer.table.format(split=i.split, name=i.name), known) for i in images if (known := _unsaid(i))]
+    rows = [
+        (writer.table.format(split=i.split, name=i.name), known) for i in images if (known := _telemetry_not_in_name(i))
+    ]
     if not rows:
         return Written()
     text = io.StringIO()
@@ -191,7 +193,7 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
         "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
         "tracks": sum(o.track_id is not None for i in images for o in i.instances),
         "inserted": sum(o.inserted for i in images for o in i.instances),
-        "telemetry": sum(_unsaid(i) is not None for i in images),
+        "telemetry": sum(_telemetry_not_in_name(i) is not None for i in images),
         "sequence": sum(
             (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images
         ),

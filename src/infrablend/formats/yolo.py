@@ -1,9 +1,10 @@
-"""Ultralytics' YOLO formats: detect, OBB and seg, read and written.
+"""Ultralytics' YOLO formats (detect, OBB and seg): reader and writer.
 
     data.yaml    images/<split>/<name>.<ext>    labels/<split>/<name>.txt
 
-One line per object, numbers as shares of the picture's width and height: detect `cls cx cy w h`, OBB
-`cls x1 y1 x2 y2 x3 y3 x4 y4` (corners clockwise on screen), seg `cls x1 y1 x2 y2 ...` (one closed polygon).
+There is one line per object; coordinates are shares of the picture's width and height. A line of detect is
+`cls cx cy w h`, of OBB `cls x1 y1 x2 y2 x3 y3 x4 y4` (corners clockwise on screen), of seg `cls x1 y1 x2 y2 ...` (one
+closed polygon).
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ TASKS: tuple[Task, ...] = ("detect", "obb", "seg")
 Classes = Mapping[str, int]
 WithoutMask = Literal["omit", "obb"]
 
-# Ten decimals: 640 px times half a unit is 3e-8 px.
+# Ten decimals: the rounding error is at most 640 px * 0.5e-10 = 3e-8 px.
 _DECIMALS = 10
-# More classes than any detector has; `nc` alone must not exhaust memory.
+# More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
@@ -51,9 +52,9 @@ _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
 
 def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "keep"] = "drop") -> dict[str, int]:
-    """Return the class number per category name: categories by id, counted from 0, ignore regions left out or kept.
+    """Return class numbers by category name, from 0 in the order of the ids; ignore regions are left out or kept.
 
-    HIT-UAV with a drone: Person 0, Car 1, Bicycle 2, OtherVehicle 3, drone 4; kept, DontCare is 4 and drone 5.
+    For HIT-UAV with a drone: Person 0, Car 1, Bicycle 2, OtherVehicle 3, drone 4; with "keep", DontCare 4, drone 5.
     """
     kept = [c for c in sorted(categories, key=lambda c: c.id) if dont_care == "keep" or not c.ignore]
     return {c.name: k for k, c in enumerate(kept)}
@@ -80,7 +81,7 @@ def _count_flags(instance: Instance, losses: Counter[str]) -> None:
 
 
 def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
-    """Return the box clipped to the frame; None, counted as a loss, if it is outside."""
+    """Return the box clipped to the frame; None if it is outside, which counts as a loss."""
     w, h = size_wh
     box = np.clip(instance.box_xyxy, 0.0, np.array([w, h, w, h], np.float64))
     if box[2] <= box[0] or box[3] <= box[1]:
@@ -91,7 +92,7 @@ def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[
 
 
 def detect_text(image: ImageRecord, classes: Classes) -> Text:
-    """Return the detect label file of an image, and the losses; empty text for an image without objects."""
+    """Return the text of an image's detect label file, and the losses; an image without objects gives empty text."""
     size_wh = require_size(image)
     w, h = size_wh
     losses: Counter[str] = Counter()
@@ -113,7 +114,7 @@ def detect_text(image: ImageRecord, classes: Classes) -> Text:
 
 
 def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
-    """Return four corners inside the frame, since Ultralytics rejects a whole image for one outside."""
+    """Return four corners inside the frame, because Ultralytics rejects an image with a single corner outside."""
     corners = instance.corners_xy
     if corners is None:
         box = _box_in_frame(instance, size_wh, losses)
@@ -130,7 +131,7 @@ def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Coun
 
 
 def obb_text(image: ImageRecord, classes: Classes) -> Text:
-    """Return the OBB label file of an image, four corners per object clockwise on screen, and the losses."""
+    """Return the text of an image's OBB label file, and the losses; corners are clockwise on screen."""
     size_wh = require_size(image)
     losses: Counter[str] = Counter()
     lines = []
@@ -148,12 +149,12 @@ def obb_text(image: ImageRecord, classes: Classes) -> Text:
 
 
 def seg_text(image: ImageRecord, classes: Classes, without_mask: WithoutMask = "omit") -> Text:
-    """Return the seg label file of an image, one polygon per mask (see `polygons.outline`), and the losses.
+    """Return the text of an image's seg label file, and the losses; each mask is one polygon (`polygons.outline`).
 
     Args:
         image: The image.
-        classes: From `yolo_classes`.
-        without_mask: Whether to leave objects without a mask out, or to write their oriented box (else their box).
+        classes: Class numbers from `yolo_classes`.
+        without_mask: Whether to `omit` objects without a mask, or to write their oriented box, else their box (`obb`).
     """
     size_wh = require_size(image)
     losses: Counter[str] = Counter()
@@ -189,7 +190,7 @@ def _counted(losses: Counter[str]) -> dict[str, int]:
 
 
 def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: WithoutMask = "omit") -> Text:
-    """Return the label file of an image for one task, and the losses."""
+    """Return the text of an image's label file for a task, and the losses."""
     if task == "detect":
         return detect_text(image, classes)
     return obb_text(image, classes) if task == "obb" else seg_text(image, classes, without_mask)
@@ -198,9 +199,9 @@ def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: W
 def write_frame(
     out: Path, image: ImageRecord, classes: Classes, task: Task, *, without_mask: WithoutMask = "omit"
 ) -> Written:
-    """Write one image below `out`: `labels/<split>/<name>.txt` and `images/<split>/<name>`, a link to `image.path`.
+    """Write one image: its labels to `labels/<split>/<name>.txt`, and a link to it as `images/<split>/<name>`.
 
-    The label is written first, so that no picture is ever without it. Files appear complete or not at all.
+    The label file is written first, so that no picture is ever without one. Files appear complete or not at all.
 
     Raises:
         OutputError: A file cannot be written.
@@ -214,7 +215,7 @@ def write_frame(
 
 
 class _QuotedForBoth(yaml.SafeDumper):
-    """Quotes class names that YAML 1.1 (Ultralytics) or YAML 1.2 (our reader) would take for another type."""
+    """Dumper that quotes class names which YAML 1.1 (Ultralytics) or YAML 1.2 (our reader) would not read as text."""
 
 
 def _represent_name(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
@@ -231,9 +232,9 @@ _QuotedForBoth.add_representer(str, _represent_name)
 def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
     """Return the text of a `data.yaml`, and warnings.
 
-    It has no `path`: Ultralytics then uses the file's own folder, so that the dataset can be moved. Ultralytics
-    requires `train` and `val`: a missing val points to train, a missing train to an existing split, each with a
-    warning. `stand_ins` lists such splits for our reader; Ultralytics ignores the key.
+    There is no `path`, so that Ultralytics uses the file's own folder and the dataset can be moved. Ultralytics needs
+    `train` and `val`. A missing val therefore points to train, and a missing train to a split that exists, each with a
+    warning. `stand_ins` lists these splits for our reader; Ultralytics ignores that key.
     """
     present = [s for s in SPLITS if s in set(splits)]
     if not present:
@@ -248,7 +249,7 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
                 continue
             stand_in = "train" if "train" in present else present[0]
             stand_ins.append(split)
-            found = f"no split {split}; it points to {stand_in}"
+            found = f"no split {split}; data.yaml points to {stand_in} instead"
             todo = f"do not treat results on {split} as independent"
             problems.append(
                 Problem("data.yaml", f"{split}-absent", found, f"pictures of split {split}", todo, severity="warning")
@@ -277,7 +278,7 @@ def write(
     dont_care: Literal["drop", "keep"] = "drop",
     without_mask: WithoutMask = "omit",
 ) -> Written:
-    """Write a whole dataset, every frame and `data.yaml`; see `write_frame` and `data_yaml`."""
+    """Write a dataset: every image with `write_frame`, and `data.yaml` with `write_data_yaml`."""
     ordered = sort_images(images)
     classes = yolo_classes(categories, dont_care)
     frames = [write_frame(out, image, classes, task, without_mask=without_mask) for image in ordered]
@@ -289,14 +290,14 @@ def write(
 
 @dataclass(frozen=True)
 class LabelLines:
-    """Numbers of a label file: (line number, class, values) per object, and the problems."""
+    """Content of a label file: (line number, class, values) per object, and the problems."""
 
     rows: tuple[tuple[int, int, tuple[float, ...]], ...]
     problems: tuple[Problem, ...]
 
 
 def parse_labels(text: str, where: str) -> LabelLines:
-    """Parse a label file into numbers; a malformed line is an error and left out."""
+    """Parse the text of a label file; malformed lines are left out and reported as errors."""
     rows: list[tuple[int, int, tuple[float, ...]]] = []
     problems: list[Problem] = []
     seen: set[tuple[int, tuple[float, ...]]] = set()
@@ -365,7 +366,7 @@ def _instances(
 
 @dataclass(frozen=True)
 class FoundPicture:
-    """A picture in a folder: its name below its split's folder, and its label file, if it exists."""
+    """A picture, its name relative to the folder of its split, and its label file, if there is one."""
 
     name: str
     path: Path
@@ -413,7 +414,7 @@ def build_records(
     problems: list[Problem],
     task: Task | None,
 ) -> tuple[list[ImageRecord], dict[int, str]]:
-    """Return image records of a folder with their labels, and the class names; adds to `problems`.
+    """Return image records with their labels, and the class names; problems are appended to `problems`.
 
     Args:
         root: The dataset's folder.
@@ -421,8 +422,8 @@ def build_records(
         names: Category name per class number; None uses `class_<n>`, with a warning.
         captures: Source of pitch and altitude.
         problems: List to which problems are added.
-        task: Meaning of lines of nine numbers: `obb` corners, or `seg` polygons of four corners; None takes them as
-            oriented boxes if every line other than boxes has nine numbers.
+        task: Meaning of lines of nine numbers: corners of an oriented box (`obb`) or of a polygon (`seg`). None decides
+            for oriented boxes if all lines have five or nine numbers.
     """
     parsed: dict[str, LabelLines] = {}
     for p in pictures:
@@ -437,8 +438,8 @@ def build_records(
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
-        found = f"no data.yaml and no classes.txt; the classes were named {', '.join(known.values())}"
-        problems.append(Problem(root.name, "names-missing", found, "the classes' names", severity="warning"))
+        found = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"
+        problems.append(Problem(root.name, "names-missing", found, "names of the classes", severity="warning"))
     if task is None:
         longer = [len(v) for labels in parsed.values() for _, _, v in labels.rows if len(v) != 4]
         task = "obb" if longer and all(n == 8 for n in longer) else "seg"
@@ -461,8 +462,8 @@ def build_records(
             unlabelled += 1
         records.append(_record(p, ids[p.unique_name], size_wh, instances, captures, where))
     if parsed and unlabelled:
-        found = f"{unlabelled} picture(s) have no label file, taken as without objects"
-        problems.append(Problem(root.name, "label-missing", found, "a label file each", severity="warning"))
+        found = f"{unlabelled} picture(s) without a label file are read as pictures without objects"
+        problems.append(Problem(root.name, "label-missing", found, "a label file per picture", severity="warning"))
     return records, known
 
 
@@ -531,7 +532,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
-    """Return a warning per class that Ultralytics, which reads YAML 1.1, gives another name: an unquoted `no` is False.
+    """Return a warning per class that has another name for Ultralytics, whose YAML 1.1 reads an unquoted `no` as False.
 
     The text must have passed `read_yaml`, which refuses aliases that exhaust memory.
     """
@@ -544,7 +545,7 @@ def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
             f"{path.name}: class {number}",
             "name-unquoted",
             f"{name!r} without quotes, which Ultralytics reads as {theirs[number]!r}",
-            "a name that both read alike",
+            "a name that YAML 1.1 and 1.2 read alike",
             f"write '{name}' in quotes",
             "warning",
         )
@@ -578,7 +579,7 @@ def categories_of(names: Mapping[int, str]) -> tuple[Category, ...]:
 
 
 def detect(root: Path) -> Match:
-    """Decide whether `root` is a YOLO dataset: it holds a `data.yaml` with `names` and a split that exists."""
+    """Decide whether `root` is a YOLO dataset: its `data.yaml` has `names` and a split that exists."""
     path = find_yaml(root)
     if path is None:
         return Match(NAME, False, "no data.yaml")
@@ -598,7 +599,8 @@ def _split_places(
 ) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]], list[Problem]]:
     """Return (split, folder) and (split, text file that lists pictures) according to data.yaml.
 
-    A folder named twice belongs to the first split. Lists of all splits are returned, because they share folders.
+    A folder named for several splits belongs to the one in its path, else to the first. The lists of all splits are
+    returned, not only those of `splits`, because they may share folders.
     """
     problems: list[Problem] = []
     folders: list[tuple[Split, Path]] = []
@@ -607,10 +609,10 @@ def _split_places(
     base = top.get("path")
     if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
         home = root / base
-    # Splits that are missing and only point to another one, see `data_yaml`.
+    # Splits that do not exist and only point to another one, see `data_yaml`.
     stand_ins = top.get("stand_ins")
     absent = stand_ins if isinstance(stand_ins, list) else []
-    # In other files a folder may also stand in for a missing split: its own name then decides.
+    # Files of other tools do so too, without `stand_ins`; then the folder's own name decides.
     said: dict[Path, list[Split]] = {}
     for split in SPLITS:
         value = None if split in absent else top.get(split)
@@ -634,7 +636,7 @@ def _split_places(
     for folder, claims in said.items():
         split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
         if len(set(claims)) > 1:
-            found = f"{folder.name!r} is {' and '.join(claims)}; taken as {split}"
+            found = f"{folder.name!r} is the folder of {' and '.join(claims)}; it is read as {split}"
             problems.append(Problem(where, "split-twice", found, "a folder per split", severity="warning"))
         if split in splits:
             folders.append((split, folder))
@@ -644,7 +646,7 @@ def _split_places(
 def _listed_pictures(
     root: Path, lists: Sequence[tuple[Split, Path]], problems: list[Problem]
 ) -> dict[Path, tuple[Split, str]]:
-    """Return split and name of every picture in text files with one path per line, as read by Ultralytics.
+    """Return split and name of the pictures in lists (text files with one path per line, as Ultralytics reads them).
 
     Paths are relative to the list, else to the dataset. A picture listed twice belongs to the first split.
     """
@@ -698,14 +700,14 @@ def read(
     wanted = check_splits(splits)
     path = find_yaml(root)
     if path is None:
-        problem = Problem(str(root), "annotation-missing", "no data.yaml", "one", "read it as a plain folder")
+        problem = Problem(str(root), "annotation-missing", "no data.yaml", "a data.yaml", "read it as a plain folder")
         raise DatasetError(f"{root}: no YOLO dataset", [problem])
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
     folders, lists, problems = _split_places(root, top, wanted, path.name)
     problems += name_warnings(path, names)
     if (said := top.get("nc")) is not None and said != len(names):
-        expected = f"{len(names)}, the number of names: Ultralytics stops otherwise"
+        expected = f"{len(names)}, the number of names; otherwise Ultralytics stops"
         problems.append(Problem(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it", "warning"))
     listed = _listed_pictures(root, lists, problems)
     in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]

@@ -92,7 +92,9 @@ class Material:
     sensor: bool
 
 
-def gather(run: Path, dataset: Dataset, request: ComparisonRequest, on_progress: OnProgress | None = None) -> Material:
+def measure_populations(
+    run: Path, dataset: Dataset, request: ComparisonRequest, on_progress: OnProgress | None = None
+) -> Material:
     """Survey, pair and redo.
 
     Args:
@@ -141,15 +143,15 @@ def gather(run: Path, dataset: Dataset, request: ComparisonRequest, on_progress:
     found = Measurements()
     for part in _run(settings, surveyed, request, clock):
         found.extend(part)
-    found.keep_with_real_beside()
+    found.drop_without_real_object()
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
     sensor = any(r.facts.get("sensor") for r in records)
     controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
     if measured != chosen:
-        controlled[REFERENCE_CLASS] = _some(
+        controlled[REFERENCE_CLASS] = _random_subset(
             [m for m in found.of("real", REFERENCE_CLASS) if not m.flaw], request.most_pairs
         )
-    redo = _redo(controlled, pairs, images, {r.frame_id: r for r in records}, sensor)
+    redo = _control_jobs(controlled, pairs, images, {r.frame_id: r for r in records}, sensor)
     clock.total += len(redo)
     for part in _run(settings, redo, request, clock):
         found.extend(part)
@@ -214,12 +216,12 @@ def _run_levels(records: Sequence[FrameRecord]) -> tuple[float, float]:
     return _EIGHT_BIT
 
 
-def _some(objects: Sequence[Measured], most: int) -> list[Measured]:
+def _random_subset(objects: Sequence[Measured], most: int) -> list[Measured]:
     order = stream(0, "some").permutation(len(objects))[:most]
     return [objects[int(k)] for k in sorted(order)]
 
 
-def _redo(
+def _control_jobs(
     controlled: Mapping[str, Sequence[Measured]],
     pairs: Mapping[str, Sequence[tuple[Measured, Measured]]],
     images: Mapping[str, ImageRecord],
@@ -301,11 +303,11 @@ def compare(
     request: ComparisonRequest | None = None,
     on_progress: OnProgress | None = None,
 ) -> RealismReport:
-    """Compare a run's inserted objects with real ones, and write the report; see `gather` for the arguments.
+    """Compare the inserted objects of a run with real ones and write the report; arguments as `measure_populations`.
 
     Raises:
         MissingDependencyError: scikit-learn is not installed.
-        OutputError, DatasetError: See `gather`.
+        OutputError, DatasetError: See `measure_populations`.
     """
     request = request if request is not None else ComparisonRequest()
     require_sklearn()
@@ -313,7 +315,7 @@ def compare(
     ours = record is not None and {"version", "run", "classes", "ablation"} <= record.keys()
     for name in ("realism.json", "realism.html", *sorted(p.name for p in out.glob("*.png"))):
         require_replaceable(out / name, "comparison", ours=ours)
-    material = gather(run, dataset, request, on_progress)
+    material = measure_populations(run, dataset, request, on_progress)
     found = material.found
     comparisons = [
         compare_class(

@@ -104,7 +104,7 @@ def evaluate_detector(
         problems += _count_detections(predictions, case, prepared.counts)
         metrics, matches = figures(case, Draws(settings.bootstrap, prepared.groups, settings.seed))
         stored = StoredMatches(case.classes, matches, prepared.groups)
-        problems += _without_hits(metrics["classes"], prepared.counts)
+        problems += _no_match_warning(metrics["classes"], prepared.counts)
         facts = {
             "infrablend": __version__,
             "dataset": {
@@ -248,7 +248,7 @@ def _count_detections(predictions: Predictions, case: Case, counts: dict[str, in
     return [Problem("detector", "no-detections", found, "a trained detector", severity="warning")]
 
 
-def _without_hits(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
+def _no_match_warning(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
     """Return a warning if there are detections, but the AP of every class rounds to 0.000."""
     best = max(row["map50"] for row in table.values() if row["map50"] is not None)
     if not counts["detections"] or best >= _LEAST_AP:

@@ -25,7 +25,16 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.record import FrameRecord
 from infrablend.realism.controls import paste_controls
-from infrablend.realism.features import Bool, Labels, Measured, Picture, eight_bit, from_eight_bit, measure, unfit
+from infrablend.realism.features import (
+    Bool,
+    Labels,
+    Measured,
+    Picture,
+    eight_bit,
+    from_eight_bit,
+    measure,
+    reason_not_measured,
+)
 from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
@@ -106,7 +115,7 @@ class Measurements:
             self.left_out.setdefault(key, Counter()).update(reasons)
         self.unreadable += other.unreadable
 
-    def keep_with_real_beside(self) -> None:
+    def drop_without_real_object(self) -> None:
         """Leave out inserted objects whose background shows no real object of their class to compare with."""
         beside = {(m.category, m.group) for m in self.objects.get("real", [])}
         inserted = self.objects.get("inserted", [])
@@ -172,7 +181,7 @@ class ObjectMeasurer:
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
-            reason = unfit(instance, where)
+            reason = reason_not_measured(instance, where)
             if reason:
                 found.leave_out(population, instance.category, reason)
             else:
@@ -190,7 +199,7 @@ class ObjectMeasurer:
                 found.leave_out("floor", i.category, "no_place")
         for population, pasted in (("floor", controls.real), ("hard_paste", controls.flat)):
             pixels = from_eight_bit(pasted, background.pixels.dtype, levels)
-            saved = eight_bit(_saved_and_read(pixels, background, self._recipe.output.image), levels)
+            saved = eight_bit(_after_saving(pixels, background, self._recipe.output.image), levels)
             for n, i in sorted(controls.labels.items()):
                 found.add(population, _measure(saved, i, controls.free, source, f"{key}#{n}"))
         return found
@@ -209,7 +218,7 @@ class ObjectMeasurer:
             # The motion tail belongs to the optics, which the first step leaves out.
             motion_px = (0.0, 0.0) if step == SENSOR_STEPS[0] else record.scene.motion_px
             pixels = overlay(rendered, background.pixels, mapping, self._recipe.overlay, sensor, motion_px)
-            saved = _saved_and_read(pixels, background, self._recipe.output.image)
+            saved = _after_saving(pixels, background, self._recipe.output.image)
             picture = eight_bit(saved, self._settings.levels)
             for n in numbers:
                 found.add(step, _measure(picture, record.inserted[n], free, source, f"{record.frame_id}#{n}"))
@@ -235,7 +244,7 @@ def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageReco
     return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.altitude_m)
 
 
-def _saved_and_read(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:
+def _after_saving(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:
     """Return the pixels as they are after saving and reading the picture."""
     with Image.open(io.BytesIO(encode_image(pixels, like, kind))) as picture:
         saved = np.array(picture)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Readings, Survey, chain_readings, fit_profile
+from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Survey, SurveySummary, chain_readings, fit_profile
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json
@@ -123,7 +123,7 @@ def profile_dataset(
     )
 
 
-def taken_by(dataset: Dataset, time: str) -> Dataset:
+def pictures_taken_by(dataset: Dataset, time: str) -> Dataset:
     """Return the dataset with only the pictures known to be taken by `day` or by `night`.
 
     Raises:
@@ -205,7 +205,7 @@ def _quality_table(quality: int) -> NDArray[np.int64]:
 
 
 def _table(
-    fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: Readings | None
+    fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: SurveySummary | None
 ) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
     """Return the columns and rows of the comparison of pictures, fitted profile and shipped profile."""
     chains = [(fit.found, None), (fit.chain, fit.profile)]

@@ -115,7 +115,7 @@ def _select_alike(
     wanted: Selection,
     left_out: Counter[str],
 ) -> tuple[Dataset, dict[str, Any]]:
-    copies = copies_alike([_flight(i) for i in pool], [_flight(i) for i in like], size, wanted.seed)
+    copies = copies_to_match([_flight(i) for i in pool], [_flight(i) for i in like], size, wanted.seed)
     kept = []
     for image, n in zip(pool, copies, strict=True):
         kept += [image] * (n > 0)
@@ -148,7 +148,7 @@ def _flight_distance(a: Flight, b: Flight) -> tuple[bool, float]:
     return a[0] != b[0], abs(a[1] - b[1]) / 20 + abs(a[2] - b[2]) / 10
 
 
-def copies_alike(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
+def copies_to_match(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
     """Return the number of copies of each picture in the pool so that flights are distributed as in `like`.
 
     The copies add up to `size`. If a flight has too few pictures, even with `MOST_COPIES` copies of each, the nearest

@@ -147,7 +147,7 @@ def split_dataset(
     groups = group_images(dataset.images, by, gap)
     names = [c.name for c in dataset.categories if not c.ignore]
     counts = np.array([_weights(group, names) for group in groups.values()], np.float64)
-    chosen = deal_out(counts, wanted, seed)
+    chosen = assign_groups(counts, wanted, seed)
     of_group: dict[str, Split] = dict(zip(groups, (SPLITS[k] for k in chosen), strict=True))
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
     report = SplitReport(
@@ -194,7 +194,7 @@ def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
     return [len(group), *(counts[n] for n in names)]
 
 
-def deal_out(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
+def assign_groups(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
     """Return the index of the split of each of n groups so that every column of the (n, k) counts follows the shares.
 
     All columns weigh the same, whatever their sums; columns of zeros are ignored.

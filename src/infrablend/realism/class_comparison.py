@@ -61,7 +61,7 @@ def compare_class(
             objects), steps of the sensor chain (with the keys of the inserted ones).
     """
     reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
-    logistic, boosting = _both(pairs)
+    logistic, boosting = _both_scores(pairs)
     facts: dict[str, Any] = {"n": len(pairs), "n_real": len(real), "n_inserted": len(inserted)}
     facts |= _scores("auc", logistic, boosting)
     facts["ci"] = facts.pop("auc_ci")
@@ -73,11 +73,11 @@ def compare_class(
         if step in ("floor", "hard_paste"):
             continue
         usable = [(partner[m.key], m) for m in objects if not m.flaw]
-        a, b = _both(usable)
+        a, b = _both_scores(usable)
         steps[step] = {
             "n": len(usable),
-            "auc_logistic": _of(a),
-            "auc_boosting": _of(b),
+            "auc_logistic": _auc_or_none(a),
+            "auc_boosting": _auc_or_none(b),
             "ci": _interval(a),
             "medians": _medians([m for _, m in usable]),
         }
@@ -103,7 +103,7 @@ def compare_control(name: str, real: Sequence[Measured], made: Sequence[Measured
     """Return the AUCs of untouched objects against a control made of them."""
     by_key = {m.key: m for m in real}
     usable = [(by_key[m.key], m) for m in made if not m.flaw and m.key in by_key]
-    facts = _scores(name, *_both(usable))
+    facts = _scores(name, *_both_scores(usable))
     return {f"{name}_n": len(usable), **facts}
 
 
@@ -135,7 +135,7 @@ def _show(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3f}"
 
 
-def _both(pairs: Pairs) -> tuple[Score | None, Score | None]:
+def _both_scores(pairs: Pairs) -> tuple[Score | None, Score | None]:
     """Return the scores of both classifiers; None where there are too few pairs or backgrounds for the folds."""
     if _too_few(pairs):
         return None, None
@@ -149,7 +149,7 @@ def _too_few(pairs: Pairs) -> str | None:
     return None
 
 
-def _of(s: Score | None) -> float | None:
+def _auc_or_none(s: Score | None) -> float | None:
     return None if s is None else round(s.auc, 4)
 
 
@@ -159,8 +159,8 @@ def _interval(s: Score | None) -> list[float] | None:
 
 def _scores(name: str, logistic: Score | None, boosting: Score | None) -> dict[str, Any]:
     return {
-        f"{name}_logistic": _of(logistic),
-        f"{name}_boosting": _of(boosting),
+        f"{name}_logistic": _auc_or_none(logistic),
+        f"{name}_boosting": _auc_or_none(boosting),
         f"{name}_ci": _interval(logistic),
         f"{name}_boosting_ci": _interval(boosting),
     }
@@ -239,19 +239,19 @@ def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> dict[str, Any]:
     if reason := missing("torch") or _too_few(pairs):
         return {"skipped": reason}
     s = score_crops([r for r, _ in pairs], [i for _, i in pairs])
-    facts: dict[str, Any] = {"auc": _of(s), "ci": _interval(s)}
+    facts: dict[str, Any] = {"auc": _auc_or_none(s), "ci": _interval(s)}
     by_key = {r.key: r for r, _ in pairs}
     usable = [(by_key[m.key], m) for m in floor if not m.flaw and m.key in by_key]
     if not _too_few(usable):
         s = score_crops([r for r, _ in usable], [m for _, m in usable])
-        facts |= {"floor": _of(s), "floor_ci": _interval(s)}
+        facts |= {"floor": _auc_or_none(s), "floor_ci": _interval(s)}
     return facts
 
 
 def _kid(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
     if reason := no_inception(min(len(real), len(inserted))):
         return {"skipped": reason}
-    return _apart(real, inception_features(real), inception_features(inserted))
+    return _feature_distance(real, inception_features(real), inception_features(inserted))
 
 
 def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
@@ -259,10 +259,10 @@ def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[s
     if min(len(real) // 2, len(inserted)) < SUBSET:
         return {"skipped": f"{len(real)} pairs; {2 * SUBSET} are needed"}
     a, b = dct_features(real), dct_features(inserted)
-    return _apart(real, standardised(a, a), standardised(b, a))
+    return _feature_distance(real, standardised(a, a), standardised(b, a))
 
 
-def _apart(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+def _feature_distance(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     """Return the distance of the inserted features `b` from the real `a`, and that of two halves of the real ones."""
     apart = mmd(a, b)
     facts = {"inserted": [round(apart.mean, 6), round(apart.sd, 6)]}

@@ -85,19 +85,21 @@ def paste_real(source: Picture, target: Picture, found: Outline, ground: float, 
         shift_xy: Offset from the old place to the new one.
     """
     alpha = cv2.GaussianBlur(
-        cv2.dilate(_whole(source, found), _THREE, iterations=_MARGIN_PX).astype(np.float32), (0, 0), _SOFT_PX
+        cv2.dilate(_extended_silhouette(source, found), _THREE, iterations=_MARGIN_PX).astype(np.float32),
+        (0, 0),
+        _SOFT_PX,
     )
     moved = source[found.part] + np.float32(ground - found.level)
     # Pixels at the sensor's ceiling cannot become brighter.
     moved = np.minimum(moved, max(float(source[found.part][found.silhouette].max()), 235.0))
-    _lay(target, found.part, shift_xy, alpha, moved)
+    _paste(target, found.part, shift_xy, alpha, moved)
 
 
 def paste_flat(source: Picture, target: Picture, found: Outline, ground: float, shift_xy: tuple[int, int]) -> None:
     """Paste a hard-edged silhouette of one level: the new ground plus the object's median contrast."""
     level = float(np.median(source[found.part][found.silhouette])) - found.level + ground
     alpha = found.silhouette.astype(np.float32)
-    _lay(target, found.part, shift_xy, alpha, np.full(alpha.shape, min(max(level, 16.0), 235.0), np.float32))
+    _paste(target, found.part, shift_xy, alpha, np.full(alpha.shape, min(max(level, 16.0), 235.0), np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +147,14 @@ def paste_controls(picture: Picture, labels: Labels, objects: Sequence[tuple[int
     return Controls(real, flat, placed, ~taken)
 
 
-def _whole(source: Picture, found: Outline) -> NDArray[np.uint8]:
+def _extended_silhouette(source: Picture, found: Outline) -> NDArray[np.uint8]:
     """Extend the silhouette by nearby pixels that differ from the ground by a quarter of the contrast."""
     differs = np.abs(source[found.part] - found.level) > 0.25 * abs(found.contrast)
     near = cv2.dilate(found.silhouette.astype(np.uint8), _THREE, iterations=2)
     return np.asarray((differs & (near > 0)) | found.silhouette, np.uint8)
 
 
-def _lay(
+def _paste(
     target: Picture,
     part: tuple[slice, slice],
     shift_xy: tuple[int, int],

@@ -149,7 +149,7 @@ def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple
     return min(max(x0, 0), w), min(max(y0, 0), h), min(max(x1, 0), w), min(max(y1, 0), h)
 
 
-def unfit(instance: Instance, labels: Labels) -> str | None:
+def reason_not_measured(instance: Instance, labels: Labels) -> str | None:
     """Return why an object cannot be measured as far as its label shows, or None if it can."""
     h, w = labels.free.shape
     x0, y0, x1, y1 = instance.box_xyxy

@@ -186,7 +186,7 @@ def check_objects(
         if 0 < low < 1:
             found = f"a box {low:.3g} px across"
             problems.append(Problem(here, "box-tiny", found, "at least 1 px", severity="warning"))
-        apart = _apart(o, image.size_wh or size_wh)
+        apart = _box_distance_px(o, image.size_wh or size_wh)
         if apart > AGREE_PX:
             found = f"oriented and axis-aligned box are {apart:.3g} px apart"
             expected = f"the bounds of the oriented box, within {AGREE_PX:g} px"
@@ -204,7 +204,7 @@ def _key(o: Instance) -> tuple[Any, ...]:
     return o.category, o.box_xyxy.tobytes(), corners, o.mask, o.track_id
 
 
-def _apart(o: Instance, size_wh: tuple[int, int] | None) -> float:
+def _box_distance_px(o: Instance, size_wh: tuple[int, int] | None) -> float:
     """Return the distance (px) of the box from the oriented box's bounds inside the frame; 0 where they may differ."""
     if o.corners_xy is None or o.inserted or o.extra.get("tight_box"):
         return 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from infrablend.compositing.fitting import LAGS, Fit, Readings
+from infrablend.compositing.fitting import LAGS, Fit, SurveySummary
 from infrablend.compositing.measure import EDGE_PX
 
 # Distinct for colour-blind readers too.
@@ -20,7 +20,7 @@ def draw_profile(
     histogram: NDArray[np.int64],
     out: IO[bytes],
     against: str | None = None,
-    reference: Readings | None = None,
+    reference: SurveySummary | None = None,
 ) -> None:
     """Draw all plots of a fit as one PNG.
 
@@ -49,7 +49,7 @@ def draw_profile(
     figure.savefig(out, format="png", metadata={"Software": None})
 
 
-def _edge(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
+def _edge(ax: Any, fit: Fit, others: list[tuple[Any, SurveySummary]]) -> None:
     p = fit.profile
     ax.axhline(0, color=FAINT, lw=0.7)
     ax.axhline(1, color=FAINT, lw=0.7)
@@ -77,7 +77,7 @@ def _sigmas(ax: Any, fit: Fit) -> None:
     )
 
 
-def _grain(ax: Any, fit: Fit, others: list[tuple[Any, Readings]]) -> None:
+def _grain(ax: Any, fit: Fit, others: list[tuple[Any, SurveySummary]]) -> None:
     ax.axhline(0, color=FAINT, lw=0.7)
     for name, r in others:
         if r.correlations is not None:

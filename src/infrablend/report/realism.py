@@ -134,7 +134,14 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
         ),
         "crop_rows": _crop_rows(f),
         "cue_rows": [
-            [t["feature"], compact(t["auc"]), t["inserted_is"], _three(t["real"]), _three(t["inserted"]), t["weight"]]
+            [
+                t["feature"],
+                compact(t["auc"]),
+                t["inserted_is"],
+                _three_decimals(t["real"]),
+                _three_decimals(t["inserted"]),
+                t["weight"],
+            ]
             for t in f["separating_features"]
         ],
         "ablation_rows": [
@@ -213,5 +220,5 @@ def _plots(v: ClassComparison) -> bytes:
     return data.getvalue()
 
 
-def _three(values: Sequence[float]) -> str:
+def _three_decimals(values: Sequence[float]) -> str:
     return " / ".join(compact(v) for v in values)

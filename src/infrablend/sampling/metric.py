@@ -22,7 +22,16 @@ from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pi
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
 from infrablend.sampling.calibration import Calibration, calibrate
-from infrablend.sampling.placement import MAX_OVERLAP, Pose, Tally, Wanted, box_px, boxes_of, overlaps, rejection
+from infrablend.sampling.placement import (
+    MAX_OVERLAP,
+    DrawStatistics,
+    PlacementRequest,
+    Pose,
+    box_px,
+    boxes_of,
+    overlaps,
+    rejection,
+)
 
 # A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
@@ -86,10 +95,10 @@ def place_metric(
     camera: CameraSpec,
     view: View,
     recipe: MetricRecipe,
-    wanted: Sequence[Wanted],
+    wanted: Sequence[PlacementRequest],
     site: Site,
     rng: np.random.Generator,
-    tally: Tally,
+    tally: DrawStatistics,
 ) -> list[Pose | None]:
     """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`."""
     rules = recipe.placement
@@ -108,7 +117,7 @@ def place_metric(
         for attempt in range(rules.attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * rules.attempts
-            pose = _beside(item, mates, rng) if company else _draw(camera, view, item, rng)
+            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -136,12 +145,12 @@ def place_metric(
     return poses
 
 
-def _kind(item: Wanted) -> MetricObject:
+def _kind(item: PlacementRequest) -> MetricObject:
     assert isinstance(item.kind, MetricObject)
     return item.kind
 
 
-def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator) -> Pose | str:
+def _draw(camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator) -> Pose | str:
     """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
@@ -162,7 +171,7 @@ def _draw(camera: CameraSpec, view: View, item: Wanted, rng: np.random.Generator
     return float(place[0]), float(place[1]), float(place[2]), yaw
 
 
-def _beside(item: Wanted, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
+def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
     """Draw a pose beside one of the objects already placed, on the same ground."""
     kind = _kind(item)
     group = kind.group

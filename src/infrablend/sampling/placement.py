@@ -25,7 +25,7 @@ Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class PlacementRequest:
     """An object to be placed.
 
     Attributes:
@@ -53,7 +53,7 @@ class Wanted:
 
 
 @dataclass
-class Tally:
+class DrawStatistics:
     """Statistics of the draws for one frame, stored in the scene's `draws`.
 
     Attributes:
@@ -80,11 +80,11 @@ class Tally:
 def place_as_paper(
     camera_of: CameraSpec,
     recipe: PaperRecipe,
-    wanted: Sequence[Wanted],
+    wanted: Sequence[PlacementRequest],
     labels: Sequence[Instance],
     ignored: frozenset[str],
     rng: np.random.Generator,
-    tally: Tally,
+    tally: DrawStatistics,
 ) -> tuple[CameraSpec, list[Pose | None]]:
     """Draw the camera and a pose per object, None where no place was found.
 
@@ -150,7 +150,7 @@ def place_as_paper(
     return camera, poses
 
 
-def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Placement) -> str | None:
+def rejection(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest, rules: Placement) -> str | None:
     """Return the rule on visibility or size that an object with these (V, 3) vertices breaks, or None."""
     inside, depth_m = inside_fraction(camera, world_m, item.mesh.triangles)
     if depth_m < rules.min_depth_m:
@@ -167,7 +167,7 @@ def rejection(camera: CameraSpec, world_m: FloatArray, item: Wanted, rules: Plac
     return None
 
 
-def box_px(camera: CameraSpec, world_m: FloatArray, item: Wanted) -> FloatArray | None:
+def box_px(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> FloatArray | None:
     """Return the (4,) box around an object's labelled parts, cut to the frame as labels are; None outside it."""
     triangles: IntArray = item.mesh.triangles[item.labelled]
     xy = project_triangles(camera, world_m, triangles).xy

@@ -28,7 +28,7 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
 from infrablend.errors import ModelError
 from infrablend.sampling.metric import Site, place_metric, real_camera
-from infrablend.sampling.placement import Tally, Wanted, place_as_paper
+from infrablend.sampling.placement import DrawStatistics, PlacementRequest, place_as_paper
 
 ZERO_C_K = 273.15
 
@@ -79,7 +79,7 @@ def sample_scene(
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
-    tally = Tally()
+    tally = DrawStatistics()
     c, view = recipe.camera, None
     if isinstance(recipe, MetricSections):
         if site is None:
@@ -208,7 +208,7 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> flo
 
 def _wanted(
     recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, time_of_day: TimeOfDay | None
-) -> list[Wanted]:
+) -> list[PlacementRequest]:
     """Draw number, shape and size of the objects of a frame."""
     result = []
     for kind in recipe.objects:
@@ -226,7 +226,7 @@ def _wanted(
             params = models[kind.model].sample(rng, options)
             low, high = kind.scale
             scale = math.exp(rng.uniform(math.log(low), math.log(high)))
-            result.append(Wanted(kind, models[kind.model], params, models[kind.model].build(params), scale))
+            result.append(PlacementRequest(kind, models[kind.model], params, models[kind.model].build(params), scale))
     return result
 
 

@@ -14,13 +14,13 @@ from types import ModuleType
 from typing import Any
 
 
-def settle_ultralytics(folder: Path) -> None:
+def configure_ultralytics(folder: Path) -> None:
     """Prepare for the import of Ultralytics: settings in `folder`, no installs, no telemetry, no network."""
     folder.mkdir(parents=True, exist_ok=True)
     os.environ.update(
         YOLO_CONFIG_DIR=str(folder), YOLO_OFFLINE="1", YOLO_AUTOINSTALL="0", YOLO_VERBOSE="1", WANDB_MODE="disabled"
     )
-    _settle_torchvision()
+    _replace_broken_torchvision()
 
 
 @contextlib.contextmanager
@@ -30,7 +30,7 @@ def quiet_ultralytics() -> Iterator[None]:
         # Ultralytics reads its settings on import; we need none of them, so the folder may be cleaned up at any time.
         folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        settle_ultralytics(folder)
+        configure_ultralytics(folder)
     from ultralytics.utils import LOGGER
 
     before = LOGGER.level
@@ -64,7 +64,7 @@ def wrong_arguments(arguments: Mapping[str, Any]) -> str:
     return ""
 
 
-def _settle_torchvision() -> None:
+def _replace_broken_torchvision() -> None:
     """Replace torchvision by a stand-in if it fails to import, like its CUDA build beside the CPU build of torch.
 
     Detection needs one of its functions, non-maximum suppression. `make train` also installs such a stand-in for the

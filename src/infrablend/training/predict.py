@@ -247,16 +247,16 @@ def check_pictures(images: Sequence[ImageRecord]) -> list[Problem]:
     problems = []
     for image in images:
         size, problem = read_size(image.path, image_key(image))
-        problem = problem or _torn(image)
+        problem = problem or _file_damage(image)
         if problem is not None:  # OpenCV reads some that others do not, and it is what counts
             problems += [] if imread(str(image.path), cv2.IMREAD_COLOR) is not None else [problem]
         elif size is not None and image.size_wh is not None and sorted(size) != sorted(image.size_wh):
             # The sides may be swapped: decoding applies the file's orientation tag.
-            problems.append(_other_size(image, size))
+            problems.append(_size_mismatch(image, size))
     return problems
 
 
-def _torn(image: ImageRecord) -> Problem | None:
+def _file_damage(image: ImageRecord) -> Problem | None:
     """Return a problem if the file is truncated or has wrong checksums, as far as its format shows without decoding."""
     try:
         with warnings.catch_warnings():
@@ -269,7 +269,7 @@ def _torn(image: ImageRecord) -> Problem | None:
     return None
 
 
-def _other_size(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
+def _size_mismatch(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
     assert image.size_wh is not None
     found, expected = "{}x{} px".format(*size_wh), "{}x{} px as annotated".format(*image.size_wh)
     return Problem(image_key(image), "image-size", found, expected)
@@ -322,7 +322,7 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
         return None
     height, width = pixels.shape[:2]
     if image.size_wh is not None and image.size_wh != (width, height):
-        problems.append(_other_size(image, (width, height)))
+        problems.append(_size_mismatch(image, (width, height)))
         return None
     return fit_picture(pixels, image_size, detector.stride)
 

@@ -24,7 +24,7 @@ from typing import Any
 
 from infrablend.core.files import replace_atomically
 from infrablend.core.rng import stream
-from infrablend.training.environment import has_fast_bfloat16, settle_ultralytics
+from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.training.scale import MARK
 
 CHECKPOINT = "checkpoint.pt"
@@ -80,11 +80,11 @@ class Job:
         path.write_text(json.dumps(asdict(self), indent=1, sort_keys=True), "utf-8")
 
 
-class _Stopped(Exception):  # noqa: N818
+class _IncompleteDataError(Exception):
     """Ultralytics would not use all images and labels."""
 
 
-class Turns:
+class ShuffledPasses:
     """Sampler of `shown` indices per epoch, from consecutive shuffled passes over all images.
 
     The same seed and epoch give the same indices, so a resumed training continues in the same order.
@@ -105,16 +105,16 @@ class Turns:
             yield from order[max(first - start, 0) : first + self.shown - start]
 
 
-def with_turns(base: Any, job: Job, begun: int) -> Any:
-    """Return a trainer class that takes its training data in `Turns` from epoch `begun` on."""
+def trainer_with_passes(base: Any, job: Job, begun: int) -> Any:
+    """Return a trainer class that takes its training data in `ShuffledPasses` from epoch `begun` on."""
 
     class Trainer(base):  # type: ignore[misc]
-        turns: Turns | None = None
+        turns: ShuffledPasses | None = None
 
         def get_dataloader(self, *args: Any, mode: str = "train", **kwargs: Any) -> Any:
             loader = super().get_dataloader(*args, mode=mode, **kwargs)
             if mode == "train" and job.shown != job.images:
-                self.turns = Turns(len(loader.dataset), job.shown, job.seed, begun)
+                self.turns = ShuffledPasses(len(loader.dataset), job.shown, job.seed, begun)
                 loader.batch_sampler.sampler.sampler = self.turns
                 object.__setattr__(loader, "sampler", self.turns)  # torch's own __setattr__ forbids it
                 if hasattr(loader, "reset"):
@@ -133,7 +133,7 @@ def with_turns(base: Any, job: Job, begun: int) -> Any:
 def main(arguments: list[str]) -> int:
     """Train and return 0 for success or 1 for failure, as reported by the last line on standard output."""
     job = Job(**json.loads(Path(arguments[0]).read_text("utf-8")))
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
     out = sys.stdout
 
     def say(event: str, **facts: Any) -> None:
@@ -143,7 +143,7 @@ def main(arguments: list[str]) -> int:
     with contextlib.redirect_stdout(sys.stderr):
         try:
             _train(job, say)
-        except _Stopped as error:
+        except _IncompleteDataError as error:
             say("error", code="labels-dropped", message=str(error))
             return 1
         except Exception as error:
@@ -157,7 +157,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _end_with(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """Exit once the parent process is gone, as nobody would use the result."""
     while os.getppid() == parent:
         time.sleep(1)
@@ -166,7 +166,7 @@ def _end_with(parent: int) -> None:
 
 def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
-    settle_ultralytics(out / "ultralytics")
+    configure_ultralytics(out / "ultralytics")
     import numpy as np
     import torch
     import ultralytics
@@ -177,9 +177,9 @@ def _train(job: Job, say: Any) -> None:
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
     checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
-    begun = _begun(checkpoint, torch, say)
+    begun = _finished_epochs(checkpoint, torch, say)
 
-    class Trainer(with_turns(base, job, begun)):  # type: ignore[misc]
+    class Trainer(trainer_with_passes(base, job, begun)):  # type: ignore[misc]
         """Ultralytics' trainer, with the memory layout that suits convolutions on a processor."""
 
         def set_model_attributes(self) -> None:
@@ -207,12 +207,12 @@ def _train(job: Job, say: Any) -> None:
         say("gate", images=images, labels=labels, images_per_epoch=shown,
             **({"val_images": val[0], "val_labels": val[1]} if job.val_images else {}))  # fmt: skip
         if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
-            raise _Stopped(
+            raise _IncompleteDataError(
                 f"of {job.images} images and {job.labels} labels the trainer would use "
                 f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({out / 'train.log'})"
             )
         if val != (job.val_images, job.val_labels):
-            raise _Stopped(
+            raise _IncompleteDataError(
                 f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
                 f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({out / 'train.log'})"
             )
@@ -273,7 +273,7 @@ def _loaded(loader: Any) -> tuple[int, int]:
     return len(found), sum(len(label["cls"]) for label in found)
 
 
-def _begun(checkpoint: Path, torch: Any, say: Any) -> int:
+def _finished_epochs(checkpoint: Path, torch: Any, say: Any) -> int:
     """Return the number of finished epochs; move an unreadable checkpoint away and return 0."""
     if not checkpoint.is_file():
         return 0

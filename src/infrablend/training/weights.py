@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Start:
+class StartWeights:
     """Start weights of a network.
 
     Attributes:
@@ -44,7 +44,7 @@ class Start:
     why: str = ""
 
 
-def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None) -> Start:
+def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None) -> StartWeights:
     """Return the weights to start from, after downloading them if needed.
 
     Args:
@@ -59,20 +59,20 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
     """
     own = f"{preset.model}{SUFFIX[task]}"
     if wanted == SCRATCH:
-        return Start(f"{own}.yaml", "scratch", "requested")
+        return StartWeights(f"{own}.yaml", "scratch", "requested")
     path = Path(wanted)
     if wanted != AUTO and _is_file(path):
-        return Start(str(path.resolve()), "file")
+        return StartWeights(str(path.resolve()), "file")
     name = f"{own}.pt" if wanted == AUTO else wanted
     require_known(wanted)
     if not _NAME.fullmatch(name):
-        return Start(f"{own}.yaml", "scratch", f"{name} is not a name of published weights")
+        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not a name of published weights")
     try:
-        return Start(str(_published(name, cache or weights_folder())), "published", name)
+        return StartWeights(str(_published(name, cache or weights_folder())), "published", name)
     except FetchError as error:
         if wanted != AUTO:
             raise
-        return Start(f"{own}.yaml", "scratch", f"{name} is not available: {error.message}")
+        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not available: {error.message}")
 
 
 def require_known(wanted: str) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infrablend.annotation import merge as merging
-from infrablend.annotation.merge import MergeSettings, Removal, cover_of, covered_share, partly_covered
+from infrablend.annotation.merge import MergeSettings, Removal, covered_pixels, covered_share, partly_covered
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Instance
 from infrablend.core.masks import Mask
@@ -161,9 +161,9 @@ def test_partly_covered_originals_are_less_visible() -> None:
         original((10, 10, 20, 20), mask=Mask.from_array(pixels)),
         original((40, 40, 50, 45), visibility=0.5),
     ]
-    covered = partly_covered(labels, cover_of([drone(0, 0, 13, 48)]))
+    covered = partly_covered(labels, covered_pixels([drone(0, 0, 13, 48)]))
     assert {n: i.visibility for n, i in covered.items()} == {0: 0.7, 1: 0.35, 2: 0.7}
     assert covered[2].mask is not None and covered[2].mask.area_px == 70
     assert not covered[2].mask.to_array()[:, :13].any()
     assert all((i.box_xyxy == labels[n].box_xyxy).all() for n, i in covered.items())
-    assert partly_covered(labels, cover_of([])) == {}
+    assert partly_covered(labels, covered_pixels([])) == {}

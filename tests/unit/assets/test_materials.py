@@ -10,7 +10,7 @@ import pytest
 from infrablend.assets import deer, person
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.assets.materials import MATERIALS
-from infrablend.assets.model import PartRange, made_of
+from infrablend.assets.model import PartRange, part_role
 from infrablend.assets.user_model import GroupFacts, assign_parts, read_description
 from infrablend.config.loading import load_recipe
 from infrablend.core.rng import stream
@@ -57,14 +57,14 @@ def test_smooth_materials_follow_their_complex_index(name: str, n: float, k: flo
 
 
 def test_parts_take_what_they_are_not_given() -> None:
-    bare = made_of("bare_aluminium", (0.0, 5.0), "mast")
+    bare = part_role("bare_aluminium", (0.0, 5.0), "mast")
     m = MATERIALS["bare_aluminium"]
     assert (bare.emissivity, bare.ior, bare.roughness, bare.metal) == (m.emissivity, 1.0, m.roughness, True)
     assert bare.kind == "bare_aluminium" and bare.what == "mast" and bare.label and bare.opacity == 1
-    own = made_of("glass", (0.0, 5.0), emissivity=(0.9, 0.91), ior=1.5, label=False, opacity=0.4)
+    own = part_role("glass", (0.0, 5.0), emissivity=(0.9, 0.91), ior=1.5, label=False, opacity=0.4)
     assert (own.emissivity, own.ior, own.label, own.opacity) == ((0.9, 0.91), 1.5, False, 0.4)
     with pytest.raises(KeyError):
-        made_of("unobtainium", (0.0, 1.0))
+        part_role("unobtainium", (0.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -199,13 +199,13 @@ def described(tmp_path, parts: str):
 
 def test_a_users_part_may_name_its_material(tmp_path) -> None:
     _, roles = assign_parts(described(tmp_path, "delta_t_k: 3, kind: bare_aluminium"), [GroupFacts("Body", "")], "fox")
-    assert roles["body"] == made_of("bare_aluminium", (3.0, 3.0), "from fox")
+    assert roles["body"] == part_role("bare_aluminium", (3.0, 3.0), "from fox")
     _, roles = assign_parts(
         described(tmp_path, "delta_t_k: 3, kind: glass, emissivity: 0.9, ior: 1.5, label: false, opacity: 0.4"),
         [GroupFacts("Body", "")],
         "fox",
     )
-    assert roles["body"] == made_of(
+    assert roles["body"] == part_role(
         "glass", (3.0, 3.0), "from fox", emissivity=(0.9, 0.9), ior=1.5, label=False, opacity=0.4
     )
     _, roles = assign_parts(described(tmp_path, "delta_t_k: 3, emissivity: 0.9"), [GroupFacts("Body", "")], "fox")

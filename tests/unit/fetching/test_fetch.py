@@ -31,7 +31,7 @@ from infrablend.cli.progress import FetchPace, fetch_line
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, Interrupted, OutputError
 from infrablend.fetching import download as downloading
 from infrablend.fetching import fetch as fetching
-from infrablend.fetching.download import Patience, download
+from infrablend.fetching.download import RetryPolicy, download
 from infrablend.fetching.fetch import FetchProgress
 from infrablend.fetching.unpack import Limits, unpack, without_wrapper
 from infrablend.formats import sources
@@ -155,11 +155,11 @@ def waits() -> Waits:
 
 
 @pytest.fixture
-def patience(waits) -> Patience:
-    return Patience(failures=3, timeout_s=5.0, sleep=waits)
+def patience(waits) -> RetryPolicy:
+    return RetryPolicy(failures=3, timeout_s=5.0, sleep=waits)
 
 
-def get(server: Server, part: Path, patience: Patience, path: str = "/a.zip", **options) -> dict:
+def get(server: Server, part: Path, patience: RetryPolicy, path: str = "/a.zip", **options) -> dict:
     return download(server.url + path, part, patience=patience, **options)
 
 
@@ -234,11 +234,11 @@ def test_a_file_that_became_shorter_is_fetched_anew(server, tmp_path, patience):
     server.acts = [("cut", 200_000)]
     original = server.files["/a.zip"]
     with pytest.raises(FetchError):
-        get(server, tmp_path / "a.part", Patience(failures=1, sleep=lambda s: None), "/b.zip")
+        get(server, tmp_path / "a.part", RetryPolicy(failures=1, sleep=lambda s: None), "/b.zip")
     del original
     with pytest.raises(FetchError):
         server.acts = [("cut", 200_000), ("status", 503)]
-        get(server, tmp_path / "a.part", Patience(failures=1, sleep=lambda s: None))
+        get(server, tmp_path / "a.part", RetryPolicy(failures=1, sleep=lambda s: None))
     server.files["/a.zip"] = BODY[:150_000]
     get(server, tmp_path / "a.part", patience)
     assert (tmp_path / "a.part").read_bytes() == BODY[:150_000]
@@ -324,7 +324,7 @@ def test_troubles_that_pass_are_waited_for(server, tmp_path, patience, waits):
 def test_a_silent_server_is_not_waited_for_forever(server, tmp_path):
     server.always = ("stall",)
     with pytest.raises(FetchError, match="given up after 2 attempts"):
-        get(server, tmp_path / "a.part", Patience(failures=2, timeout_s=0.2, sleep=lambda s: None))
+        get(server, tmp_path / "a.part", RetryPolicy(failures=2, timeout_s=0.2, sleep=lambda s: None))
 
 
 def test_no_server_at_all(tmp_path, patience):
@@ -745,7 +745,7 @@ def tiny(server, monkeypatch) -> Source:
 
 def fetch(name: str, out: Path, **options):
     of_call = {k: options.pop(k) for k in ("limits", "patience", "on_progress") if k in options}
-    patience = Patience(failures=2, timeout_s=5, sleep=lambda s: None)
+    patience = RetryPolicy(failures=2, timeout_s=5, sleep=lambda s: None)
     return fetching.fetch(name, out, fetching.FetchRequest(**options), **{"patience": patience, **of_call})
 
 

@@ -159,7 +159,7 @@ def test_files_that_cannot_be_used_are_all_named(tmp_path: Path) -> None:
 def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     match = voc.detect(tmp_path)
-    assert (match.ok, match.reason) == (False, "no XML file in it or below")
+    assert (match.ok, match.reason) == (False, "no XML file in the folder or below it")
     (tmp_path / "a.png.aux.xml").write_text("<PAMDataset/>")
     match = voc.detect(tmp_path)
     assert not match.ok and "<PAMDataset>" in match.reason

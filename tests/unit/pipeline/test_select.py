@@ -17,7 +17,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
-from infrablend.pipeline.select import MOST_COPIES, Selection, copies_alike, draw_with_sum, select
+from infrablend.pipeline.select import MOST_COPIES, Selection, copies_to_match, draw_with_sum, select
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
 
@@ -93,20 +93,20 @@ def test_heights_and_times_are_shared_out_as_among_those_with_the_class():
 
 def test_what_a_height_cannot_give_the_nearest_of_the_same_time_gives():
     pool = [("night", 60.0, 30), ("night", 80.0, 30), ("night", 120.0, 30), ("night", 120.0, 30), ("day", 60.0, 30)]
-    copies = copies_alike(pool, [("night", 60.0, 30)] * 3 + [("day", 90.0, 30)], 12, 0)
+    copies = copies_to_match(pool, [("night", 60.0, 30)] * 3 + [("day", 90.0, 30)], 12, 0)
     # Nine at night from 60 m, of which four are to be had; four from 80 m, one from 120 m. Three by day.
     assert copies[0] == copies[1] == MOST_COPIES
     assert copies[2] + copies[3] == 1
     assert copies[4] == 3
-    assert sum(copies_alike(pool, [("night", 60.0, 30)], MOST_COPIES * 5, 0)) == MOST_COPIES * 5
+    assert sum(copies_to_match(pool, [("night", 60.0, 30)], MOST_COPIES * 5, 0)) == MOST_COPIES * 5
 
 
 def test_pitches_are_shared_out_too():
     pool = [("night", 60.0, p) for p in (30, 40, 40, 60, 90, 90)]
-    assert copies_alike(pool, [("night", 60.0, 30)], 4, 0) == [4, 0, 0, 0, 0, 0]
+    assert copies_to_match(pool, [("night", 60.0, 30)], 4, 0) == [4, 0, 0, 0, 0, 0]
     # 80 degrees are not there: 90 are nearer than 60.
-    assert copies_alike(pool, [("night", 60.0, 80)], 2, 0) == [0, 0, 0, 0, 1, 1]
-    assert copies_alike([*pool, ("night", 70.0, 80)], [("night", 60.0, 80)], 3, 0)[-1] == 3
+    assert copies_to_match(pool, [("night", 60.0, 80)], 2, 0) == [0, 0, 0, 0, 1, 1]
+    assert copies_to_match([*pool, ("night", 70.0, 80)], [("night", 60.0, 80)], 3, 0)[-1] == 3
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.split import check_shares, deal_out
+from infrablend.pipeline.split import assign_groups, check_shares
 from tests.samples import SAMPLES, picture
 
 
@@ -132,18 +132,18 @@ def test_shares_are_met_within_the_largest_group(groups: int, classes: int, seed
     rng = np.random.default_rng(groups * 100 + classes)
     counts = rng.integers(0, 30, (groups, 1 + classes)).astype(np.float64)
     counts[:, 0] += 1
-    chosen = deal_out(counts, (0.7, 0.1, 0.2), seed)
+    chosen = assign_groups(counts, (0.7, 0.1, 0.2), seed)
     assert len(chosen) == groups and set(chosen) <= {0, 1, 2}
-    assert deal_out(counts, (0.7, 0.1, 0.2), seed) == chosen
+    assert assign_groups(counts, (0.7, 0.1, 0.2), seed) == chosen
     # With one column every split is within one group of its share.
-    of_images = deal_out(counts[:, :1], (0.7, 0.1, 0.2), seed)
+    of_images = assign_groups(counts[:, :1], (0.7, 0.1, 0.2), seed)
     for k, share in enumerate((0.7, 0.1, 0.2)):
         held = counts[np.array(of_images) == k, 0].sum()
         assert abs(held - share * counts[:, 0].sum()) <= counts[:, 0].max()
 
 
 def test_a_share_of_nothing_gets_nothing() -> None:
-    assert set(deal_out(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
+    assert set(assign_groups(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
     assert check_shares((8, 0, 2)) == (0.8, 0.0, 0.2)
 
 

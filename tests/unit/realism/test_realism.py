@@ -16,7 +16,7 @@ from infrablend.errors import DatasetError, MissingDependencyError
 from infrablend.realism import classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
-from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, unfit
+from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, reason_not_measured
 from infrablend.realism.pairing import CALIPER_OCTAVES, pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 
@@ -105,13 +105,13 @@ def test_what_cannot_be_made_out_is_said():
 
 def test_unfit_objects():
     labels = Labels((128, 128), [instance(), instance([60, 60, 80, 80]), instance([2, 40, 20, 60])])
-    assert unfit(instance(), labels) == "overlapping"
-    assert unfit(instance([2, 40, 20, 60]), labels) == "truncated"
-    assert unfit(instance([30, 90, 36, 97]), labels) == "small"
-    assert unfit(instance([30, 90, 46, 107], truncated=True), labels) == "truncated"
-    assert unfit(instance([30, 90, 46, 107]), labels) is None
+    assert reason_not_measured(instance(), labels) == "overlapping"
+    assert reason_not_measured(instance([2, 40, 20, 60]), labels) == "truncated"
+    assert reason_not_measured(instance([30, 90, 36, 97]), labels) == "small"
+    assert reason_not_measured(instance([30, 90, 46, 107], truncated=True), labels) == "truncated"
+    assert reason_not_measured(instance([30, 90, 46, 107]), labels) is None
     touching = Labels((128, 128), [instance([10, 10, 30, 30]), instance([29, 10, 49, 30])])
-    assert unfit(instance([10, 10, 30, 30]), touching) is None
+    assert reason_not_measured(instance([10, 10, 30, 30]), touching) is None
 
 
 def test_sixteen_bit_pictures_are_brought_to_eight_bit_levels():
@@ -155,7 +155,7 @@ def both_controls(count: int):
     for seed in range(count):
         picture, labels = scene(seed)
         where = Labels(picture.shape, labels)
-        chosen = [(n, i) for n, i in enumerate(labels) if unfit(i, where) is None]
+        chosen = [(n, i) for n, i in enumerate(labels) if reason_not_measured(i, where) is None]
         made = controls.paste_controls(picture, where, chosen, str(seed))
         soft, hard, free = made.real, made.flat, made.free
         for n, i in made.labels.items():

@@ -135,7 +135,7 @@ class WorldRenderer:
             self._add(surface, placed(surface, f.x_m, f.y_m, f.heading_rad), 0)
         for t in plan.trees:
             self._tree(t)
-        self._light(plan)
+        self._add_lights(plan)
         return labelled
 
     def _tree(self, t: Tree) -> None:
@@ -198,7 +198,7 @@ class WorldRenderer:
         self._meshes.append(mesh)
         self._object(mesh)
 
-    def _light(self, plan: WorldPlan) -> None:
+    def _add_lights(self, plan: WorldPlan) -> None:
         nodes = self._thing_material.node_tree.nodes
         nodes["air"].outputs[0].default_value = plan.air_k
         nodes["sky drop"].outputs[0].default_value = plan.sky_drop_k

@@ -52,7 +52,7 @@ def detect(root: Path) -> Match:
     if not files:
         return Match(NAME, False, "no JSON file in the folder or up to four levels below")
     for path in files:
-        key = _mentioned(path)
+        key = _pitch_key_in(path)
         if key is not None:
             return Match(NAME, True, f"{path.relative_to(root).as_posix()} contains {key!r}")
     for base, folders, _ in os.walk(root):
@@ -65,7 +65,7 @@ def detect(root: Path) -> Match:
     return Match(NAME, False, f"no JSON file contains {' or '.join(PITCH_KEYS)}, no folder runway_NN or dirtroad_NN")
 
 
-def _mentioned(path: Path) -> str | None:
+def _pitch_key_in(path: Path) -> str | None:
     """Return the pitch key that a file contains as text, found without parsing it."""
     keys = [f'"{k}"'.encode() for k in PITCH_KEYS]
     keep = max(map(len, keys))

@@ -20,7 +20,7 @@ from infrablend.formats.monet.options import MonetOptions, check_options
 from infrablend.formats.monet.telemetry import (
     BEYOND_DEG,
     Frame,
-    Tally,
+    UnusableValues,
     apply_table,
     frame_of,
     join_lists,
@@ -178,7 +178,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
     part = dict(top) | {"images": images, "annotations": annotations}
     captures = Captures(None, problems)
     records = coco.read_records(part, listing.folder, "train", where, dataset.categories, captures, problems)
-    tally = Tally()
+    tally = UnusableValues()
     frames = []
     for _, record in records:
         number = record.source_id if isinstance(record.source_id, int) else -1

@@ -92,7 +92,7 @@ class Frame:
 
 
 @dataclass(slots=True)
-class Tally:
+class UnusableValues:
     """Unusable values of one file: their number, and the first few."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -115,7 +115,9 @@ class Tally:
         ]  # fmt: skip
 
 
-def frame_of(record: ImageRecord, where: str, fields: dict[str, Any], chosen: MonetOptions, tally: Tally) -> Frame:
+def frame_of(
+    record: ImageRecord, where: str, fields: dict[str, Any], chosen: MonetOptions, tally: UnusableValues
+) -> Frame:
     """Return a picture with its telemetry; unusable values are counted."""
     here = f"(image {record.source_id})"
     pitch_at, pitch = _find(fields, chosen.pitch, _number)

@@ -81,7 +81,7 @@ def run_trainer(
             record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
     write_json(out / RECORD, record, durable=True)
     if stopped and not done:
-        reached = _reached(record["sessions"])
+        reached = _last_epoch(record["sessions"])
         if reached:
             raise Interrupted(f"Stopped after epoch {reached} of {epochs}; the same command with --resume continues.")
         raise Interrupted(
@@ -96,7 +96,7 @@ def run_trainer(
     return record
 
 
-def _reached(sessions: Sequence[Mapping[str, Any]]) -> int:
+def _last_epoch(sessions: Sequence[Mapping[str, Any]]) -> int:
     """Return the last finished epoch of sessions that each continued the one before or started again."""
     reached = 0
     for s in sessions:

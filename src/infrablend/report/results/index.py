@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.report.figures import markdown_table
-from infrablend.report.results.text import figure, paper_and_ours, standing
+from infrablend.report.results.text import figure, paper_and_ours, run_state
 
 _HOW_TO = Path("how_to/experiments.md")
 
@@ -36,7 +36,7 @@ def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
     return [
         f"[{facts['title']}]({stem}.md)",
         facts["scale"],
-        standing(facts),
+        run_state(facts),
         _headline(facts),
         f"{verdicts.count(True)} of {len(verdicts)}" if verdicts else "-",
     ]

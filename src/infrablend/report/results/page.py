@@ -14,13 +14,13 @@ from infrablend.report.results.differences import list_differences
 from infrablend.report.results.text import (
     INDEX_FILE,
     METRICS,
-    all_first,
+    class_order,
     count,
     duration,
     figure,
     page_name,
     paper_and_ours,
-    standing,
+    run_state,
 )
 
 _STRATA = {"size": "longer side, px", "pitch": "camera pitch, °", "altitude": "altitude, m", "time": "time of day"}
@@ -85,7 +85,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
 
 def _head(facts: Mapping[str, Any]) -> str:
     """Return scale, status and command."""
-    status = f"**Scale: {facts['scale']}. {standing(facts).capitalize()}.** This command writes the page:"
+    status = f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** This command writes the page:"
     return f"{status}\n\n```text\n{facts['command']}\n```"
 
 
@@ -165,7 +165,7 @@ def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
 def _comparisons_table(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
     lines = []
     for c in comparisons.values():
-        for name in sorted(c["classes"], key=all_first):
+        for name in sorted(c["classes"], key=class_order):
             of_class = c["classes"][name]
             cells = []
             for k in ("map50", "map50_95"):
@@ -191,7 +191,7 @@ def _interval(ci: Any) -> str:
 
 def _ultralytics_table(evaluations: Mapping[str, Mapping[str, Any]]) -> str:
     tables = {n: e["ultralytics"] for n, e in evaluations.items() if e.get("ultralytics")}
-    classes = sorted({c for t in tables.values() for c in t if isinstance(t[c], Mapping)}, key=all_first)
+    classes = sorted({c for t in tables.values() for c in t if isinstance(t[c], Mapping)}, key=class_order)
     lines = [[c, *(_ap_pair(t.get(c)) for t in tables.values())] for c in classes]
     return markdown_table(["mAP50 / mAP50-95", *tables], lines)
 

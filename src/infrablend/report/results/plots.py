@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from infrablend.report.results.text import METRICS, all_first
+from infrablend.report.results.text import METRICS, class_order
 
 # Distinguishable for colour-blind readers.
 OURS, PAPER, FAINT = "#0072b2", "#d55e00", "#9a9a9a"
@@ -67,7 +67,7 @@ def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
     rows = [
         (f"{c['title']}, {name}", c["classes"][name])
         for c in comparisons.values()
-        for name in sorted(c["classes"], key=all_first)
+        for name in sorted(c["classes"], key=class_order)
     ]
     figure = Figure(figsize=(9, 1.0 + 0.3 * len(rows)), layout="constrained")
     axes: Any = figure.subplots(1, 2, sharey=True)

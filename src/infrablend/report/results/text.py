@@ -14,7 +14,7 @@ def page_name(experiment: str, scale: str) -> str:
     return experiment if scale == "small" else f"{experiment}-{scale}"
 
 
-def standing(facts: Mapping[str, Any]) -> str:
+def run_state(facts: Mapping[str, Any]) -> str:
     """Return the state of a run; if some datasets were not given, it is complete only for the others."""
     some_left_out = facts["status"] == "complete" and facts["left_out"]
     return "complete for the data at hand" if some_left_out else str(facts["status"])
@@ -43,6 +43,6 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02} min"
 
 
-def all_first(name: str) -> tuple[bool, str]:
+def class_order(name: str) -> tuple[bool, str]:
     """Return the sorting key of a class name: `all` first, then alphabetically."""
     return name != "all", name.casefold()

@@ -17,7 +17,7 @@ ReadLabel = Callable[[Path, Path, tuple[int, int], list[Problem], "Counter[str]"
 
 
 @dataclass(frozen=True)
-class LabelledPicture:
+class SidecarPicture:
     """A picture and the objects in its label file.
 
     Attributes:
@@ -38,7 +38,7 @@ class LabelledPicture:
 
 
 @dataclass(frozen=True)
-class LabelsBeside:
+class SidecarLabels:
     """How to read label files that are beside their pictures.
 
     Attributes:
@@ -57,7 +57,7 @@ class LabelsBeside:
     problems: list[Problem] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
 
-    def read(self, where: str, pictures: Mapping[str, Path]) -> Iterator[LabelledPicture]:
+    def read(self, where: str, pictures: Mapping[str, Path]) -> Iterator[SidecarPicture]:
         """Read the pictures of one folder; those that cannot be read, or whose labels cannot, are left out.
 
         Args:
@@ -78,6 +78,6 @@ class LabelsBeside:
                 continue
             found = self.read_label(self.root, label, size_wh, self.problems, self.counts) if labelled else []
             if found is not None:
-                yield LabelledPicture(name, path, here, size_wh, labelled, tuple(found))
+                yield SidecarPicture(name, path, here, size_wh, labelled, tuple(found))
         self.counts["unlabelled"] += missing
         self.problems.extend(unlabelled_problems(where, missing, self.unlabelled, f"no {self.suffix} file"))
