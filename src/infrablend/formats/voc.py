@@ -396,7 +396,9 @@ def write(
     for image in ordered:
         stem = image.name.rpartition(".")[0] or image.name
         if "/" in image.name or stem in stems:
-            raise ValueError(f"{image.id}: {image.name!r} has a folder or a stem that another picture has")
+            raise ValueError(
+                f"{image.id}: {image.name!r} does not fit: its name has a folder, or the stem of another picture"
+            )
         stems[stem] = image.split
         files.append(write_text(out / "Annotations" / f"{stem}.xml", _xml(image, known, losses)))
         losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
