@@ -358,10 +358,10 @@ def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
     events(monkeypatch, {"event": "damaged", "message": "bad"}, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="before the end of the first"):
         train(data, tmp_path / "out", existing="resume", **call)
-    assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["begun_anew"] == "bad"
+    assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["restarted"] == "bad"
 
 
-def test_a_record_that_cannot_be_read_is_begun_anew_when_asked(tmp_path, monkeypatch, caplog):
+def test_a_record_that_cannot_be_read_starts_again_when_asked(tmp_path, monkeypatch, caplog):
     data = yolo(tmp_path / "data", {"train": 2})
     events(monkeypatch, END)
     out = tmp_path / "out"
@@ -432,7 +432,7 @@ def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_turns_stay_with_their_epoch_when_the_loader_is_begun_anew(ultralytics, tmp_path, workers):
+def test_turns_stay_with_their_epoch_when_the_loader_starts_again(ultralytics, tmp_path, workers):
     with quiet_ultralytics():
         from ultralytics.data.build import InfiniteDataLoader
 

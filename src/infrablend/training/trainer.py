@@ -13,7 +13,6 @@ import contextlib
 import json
 import os
 import random
-import shutil
 import sys
 import threading
 import time
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import replace_atomically
+from infrablend.core.output import OutputFolder
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.training.scale import MARK
@@ -283,7 +283,7 @@ def _finished_epochs(checkpoint: Path, torch: Any, say: Any) -> int:
         raise
     except Exception as error:  # unpickling can raise anything
         checkpoint.replace(checkpoint.with_name(DAMAGED))
-        shutil.rmtree(checkpoint.parent / "run", ignore_errors=True)
+        OutputFolder(checkpoint.parent, "training").remove(["run"])
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
         say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
         return 0

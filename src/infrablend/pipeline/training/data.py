@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import shutil
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +20,7 @@ from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.pipeline.content import content_digest
-from infrablend.pipeline.training.folder import DATA
+from infrablend.pipeline.training.folder import DATA, TILES, output_folder
 from infrablend.training import presets, tiles
 from infrablend.training.presets import Preset
 
@@ -138,7 +137,8 @@ def most_tiles(preset: Preset, split: str) -> int:
 
 def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) -> dict[str, Any]:
     """Write the data for the trainer to `out/data`, and return their counts."""
-    shutil.rmtree(out / DATA, ignore_errors=True)
+    folder = output_folder(out)
+    folder.remove([DATA, TILES])  # of a call that was killed here
     images = [i for i in dataset.images if i.split in ("train", "val")]
     counts: dict[str, Any] = {
         "pictures": dict(Counter(i.split for i in images)),
@@ -150,7 +150,7 @@ def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, 
         for split in ("train", "val"):
             part = [i for i in images if i.split == split]
             planned = tiles.plan_tiles(part, preset.tile, seed=seed, most=most_tiles(preset, split))
-            records, found = tiles.write_tiles(planned, out / "tiles")
+            records, found = tiles.write_tiles(planned, out / TILES)
             cut += records
             counts["tiles" if split == "train" else "tiles_val"] = {"tiles": len(records), **found}
         images = cut
@@ -161,7 +161,7 @@ def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, 
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
     name = writer_for_task(task).name
     written = writing.write(name, out / DATA, images, categories)
-    shutil.rmtree(out / "tiles", ignore_errors=True)
+    folder.remove([TILES])
     fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
     if fatal:
         problems = [Problem(name, k, f"{n} labels would be lost", "none",

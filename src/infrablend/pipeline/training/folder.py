@@ -17,7 +17,11 @@ RECORD = "train.json"
 LOG = "train.log"
 JOB = "job.json"
 DATA = "data"
-NEW_CHECKPOINT = Path(trainer.CHECKPOINT).with_suffix(".new").name
+TILES = "tiles"
+# What only an unfinished training needs, in the order to delete it.
+WORKING_FILES = (
+    DATA, TILES, "run", "ultralytics", trainer.CHECKPOINT, Path(trainer.CHECKPOINT).with_suffix(".new").name,
+)  # fmt: skip
 
 log = logging.getLogger(__name__)
 
@@ -30,11 +34,17 @@ def begin_training(out: Path, existing: Existing) -> dict[str, Any] | None:
     if damaged:
         log.warning("%s: cannot be read; the training starts again", out / RECORD)
     if record is not None or damaged:
-        output_folder(out).remove(
-            [DATA, "tiles", "run", "ultralytics", trainer.CHECKPOINT, trainer.DAMAGED, NEW_CHECKPOINT, trainer.WEIGHTS,
-             JOB, LOG, RECORD]
-        )  # fmt: skip
+        # The record goes last: an overwrite that is interrupted can be repeated.
+        output_folder(out).remove([*WORKING_FILES, trainer.DAMAGED, trainer.WEIGHTS, LOG, JOB, RECORD])
     return None
+
+
+def remove_working_files(out: Path) -> None:
+    """Delete what a finished training no longer needs; if that fails, warn, because the weights are complete."""
+    try:
+        output_folder(out).remove(WORKING_FILES)
+    except OutputError as error:
+        log.warning("%s; the training is complete, and what is left in %s can be deleted", error, out)
 
 
 def output_folder(out: Path) -> OutputFolder:

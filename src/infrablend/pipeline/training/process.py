@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 import subprocess
 import sys
 import threading
@@ -17,7 +16,7 @@ from infrablend.core.files import output_error, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.execution.interrupt import Interruption
-from infrablend.pipeline.training.folder import DATA, JOB, LOG, NEW_CHECKPOINT, RECORD
+from infrablend.pipeline.training.folder import DATA, JOB, LOG, RECORD, remove_working_files
 from infrablend.training import trainer
 from infrablend.training.presets import Preset
 
@@ -63,7 +62,7 @@ def run_trainer(
                                "end": "end" if done else "stopped" if stopped else "failed",
                                "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
     if "damaged" in last:
-        session["begun_anew"] = last["damaged"]["message"]
+        session["restarted"] = last["damaged"]["message"]
     record["sessions"] = [*record["sessions"], session]
     record["status"] = "complete" if done else "interrupted" if stopped else "failed"
     if done:
@@ -89,10 +88,7 @@ def run_trainer(
         )
     if not done:
         raise _failure(out, code, last.get("error"), preset)
-    for name in (DATA, "run", "ultralytics"):  # tiles take more space than everything else
-        shutil.rmtree(out / name, ignore_errors=True)
-    for name in (trainer.CHECKPOINT, NEW_CHECKPOINT):
-        (out / name).unlink(missing_ok=True)
+    remove_working_files(out)
     return record
 
 
@@ -100,7 +96,7 @@ def _last_epoch(sessions: Sequence[Mapping[str, Any]]) -> int:
     """Return the last finished epoch of sessions that each continued the one before or started again."""
     reached = 0
     for s in sessions:
-        reached = max(0 if "begun_anew" in s else reached, s["epoch"])
+        reached = max(0 if "restarted" in s else reached, s["epoch"])
     return reached
 
 
