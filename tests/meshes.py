@@ -2,12 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
 
 def signed_volume(vertices: FloatArray, triangles: IntArray) -> float:
     """Return the enclosed volume; negative if the triangles run clockwise seen from outside."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def areas(mesh: Mesh) -> FloatArray:
+    """Return the (T,) areas of a mesh's triangles, m²."""
+    a, b, c = (mesh.vertices_m[mesh.triangles[:, i]] for i in range(3))
+    found: FloatArray = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return found
+
+
+def vertices_of(mesh: Mesh, *parts: str) -> FloatArray:
+    """Return the (V, 3) vertices of some parts of a mesh."""
+    wanted = [i for i, name in enumerate(mesh.part_names) if name in parts]
+    return mesh.vertices_m[np.unique(mesh.triangles[np.isin(mesh.part_of_triangle, wanted)])]
+
+
+def digest(mesh: Mesh) -> tuple[bytes, ...]:
+    """Return all bytes of a mesh: equal for equal meshes."""
+    return (
+        mesh.vertices_m.tobytes(),
+        mesh.triangles.tobytes(),
+        mesh.part_of_triangle.tobytes(),
+        mesh.smooth.tobytes(),
+        repr(mesh.part_names).encode(),
+    )
+
+
+def check_pieces(pieces: Sequence[tuple[Any, Any, Any, Any]]) -> None:
+    """Check that every piece is a closed surface that faces outward."""
+    for part, vertices, triangles, _ in pieces:
+        # Vertices are doubled at sharp edges: a piece is closed by position.
+        _, index = np.unique(vertices, axis=0, return_inverse=True)
+        t = index.reshape(-1)[triangles]
+        edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+        key, back = edges[:, 0] * 10**6 + edges[:, 1], edges[:, 1] * 10**6 + edges[:, 0]
+        assert (edges[:, 0] != edges[:, 1]).all(), part
+        assert len(np.unique(key)) == len(key), part
+        assert np.array_equal(np.sort(key), np.sort(back)), part
+        assert signed_volume(vertices, triangles) > 0, part

@@ -2,42 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from itertools import product
 
 import numpy as np
 import pytest
 
 from infrablend.assets import person
-from infrablend.assets.catalogue import list_models, load_model
 from infrablend.assets.implicit import is_closed
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
-from infrablend.errors import ModelError
-from tests.meshes import signed_volume
+from tests.meshes import areas, signed_volume, vertices_of
 
 SHAPES = [(pose, variant) for pose in person.POSES for variant in person.VARIANTS[pose]]
 STANDING = [s for s in SHAPES if s[0] == "standing"]
-
-
-def digest(mesh: Mesh) -> tuple[bytes, ...]:
-    return (
-        mesh.vertices_m.tobytes(),
-        mesh.triangles.tobytes(),
-        mesh.part_of_triangle.tobytes(),
-        mesh.smooth.tobytes(),
-        repr(mesh.part_names).encode(),
-    )
-
-
-def vertices_of(mesh: Mesh, *parts: str) -> np.ndarray:
-    wanted = [i for i, name in enumerate(mesh.part_names) if name in parts]
-    return mesh.vertices_m[np.unique(mesh.triangles[np.isin(mesh.part_of_triangle, wanted)])]
-
-
-def areas(mesh: Mesh) -> np.ndarray:
-    a, b, c = (mesh.vertices_m[mesh.triangles[:, i]] for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def check_surface(mesh: Mesh) -> None:
@@ -168,29 +145,6 @@ def test_seat_belongs_to_a_seated_person_only_and_is_not_labelled() -> None:
     assert [n for n, role in person.PARTS.items() if not role.label] == ["seat"]
 
 
-def test_same_params_same_bytes_cached_or_not() -> None:
-    params = person.sample(stream(3, "person"), {"pose": "walking", "backpack": True, "top": "coat"})
-    first = digest(person.build(params))
-    assert digest(person.build(json.loads(json.dumps(params)))) == first
-    for piece in (person._upper, person._legs, person._skirt, person._shoes, person._head, person._hands):
-        piece.cache_clear()
-    person._backpack.cache_clear()
-    assert digest(person.build(params)) == first
-
-
-def test_a_build_leaves_the_cached_pieces_alone() -> None:
-    plain = digest(person.build({}))
-    person.build({"mirror": True, "head_turn_rad": 0.5, "width_factor": 1.1, "lean_rad": 0.2, "head_nod_rad": 0.3})
-    assert digest(person.build({})) == plain
-
-
-def test_mirror_is_a_mirror() -> None:
-    params = {"pose": "walking", "head_turn_rad": 0.3, "arms": "call"}
-    a, b = person.build(params), person.build({**params, "mirror": True})
-    assert (b.vertices_m == a.vertices_m * [1, -1, 1]).all()
-    assert signed_volume(b.vertices_m, b.triangles) == pytest.approx(signed_volume(a.vertices_m, a.triangles))
-
-
 def test_turning_the_head_moves_the_head_and_nothing_else() -> None:
     still, turned = person.build({}), person.build({"head_turn_rad": 0.8, "head_nod_rad": 0.2})
     for part in ("jacket", "sleeve", "hand", "trousers", "shoe"):
@@ -200,9 +154,8 @@ def test_turning_the_head_moves_the_head_and_nothing_else() -> None:
     check_surface(person.build({"head_turn_rad": -1.2, "head_nod_rad": 0.7, "arms": "phone", "hair": "long"}))
 
 
-def test_samples_are_json_vary_and_build() -> None:
+def test_draws_vary_and_build() -> None:
     drawn = [person.sample(stream(seed, "s"), {}) for seed in range(300)]
-    assert {(d["pose"], d["variant"]) for d in drawn} == set(SHAPES)
     for name, allowed in person._WORDS.items():
         assert {d[name] for d in drawn} == set(allowed)
     assert {d["arms"] for d in drawn} == set(person.ALL_ARMS)
@@ -212,10 +165,8 @@ def test_samples_are_json_vary_and_build() -> None:
     assert heights.max() <= 1.95
     assert 1.66 < heights.mean() < 1.77
     assert 0.05 < heights.std() < 0.12
-    assert json.loads(json.dumps(drawn)) == drawn
     for d in drawn[:15]:
         check_surface(person.build(d))
-    assert person.sample(stream(1, "s"), {}) == person.sample(stream(1, "s"), {})
 
 
 def test_options_fix_what_they_name_and_nothing_else() -> None:
@@ -240,47 +191,6 @@ def test_options_fix_what_they_name_and_nothing_else() -> None:
     assert set(person.OPTIONS) < set(person.DEFAULTS)
 
 
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"pose": "flying"}, r"person model, option pose: found 'flying'; expected one of standing, walking, sitting"),
-        ({"pose": []}, r"option pose: found \[\]"),
-        (
-            {"pose": "walking", "variant": "knees-up"},
-            r"option variant: found 'knees-up'; expected variants of the pose",
-        ),
-        ({"pose": "sitting", "arms": "pockets"}, r"option arms: found 'pockets'; expected for a sitting person one of"),
-        ({"headwear": "helmet"}, r"option headwear: found 'helmet'; expected one of none, beanie, cap, hood"),
-        ({"backpack": 1}, r"option backpack: found 1; expected true or false"),
-        ({"height_m": 3}, r"option height_m: found 3; expected a number from 1.4 to 2.1"),
-        ({"height_m": [1.9, 1.7]}, r"option height_m: .*expected .low, high. with low not above high"),
-        ({"height_m": [1.7]}, r"option height_m: found \[1.7\]"),
-        ({"height_m": True}, r"option height_m: found True"),
-        ({"colour": "red"}, r"option colour: .*expected options pose, variant"),
-    ],
-)
-def test_bad_options_name_the_option_and_what_was_expected(options: dict[str, object], match: str) -> None:
-    with pytest.raises(ModelError, match=match):
-        person.sample(stream(0, "b"), options)
-
-
-@pytest.mark.parametrize(
-    ("params", "match"),
-    [
-        ({"pose": "flying"}, "parameter pose"),
-        ({"pose": "sitting", "variant": "contact"}, "parameter variant: found 'contact'; expected one of seat"),
-        ({"pose": "sitting", "arms": "pockets"}, "parameter arms"),
-        ({"height_m": float("nan")}, "parameter height_m: found nan"),
-        ({"head_turn_rad": 3.0}, "parameter head_turn_rad"),
-        ({"mirror": 1}, "parameter mirror"),
-        ({"legs": 3}, "parameter legs"),
-    ],
-)
-def test_bad_params_name_the_parameter(params: dict[str, object], match: str) -> None:
-    with pytest.raises(ModelError, match=match):
-        person.build(params)
-
-
 def test_thermal_roles_follow_the_facts_table() -> None:
     mean = {name: sum(role.delta_t_k) / 2 for name, role in person.PARTS.items()}
     cloth = ("jacket", "sleeve", "trousers", "hood", "hat", "coat_skirt")
@@ -295,9 +205,3 @@ def test_thermal_roles_follow_the_facts_table() -> None:
         assert 0.9 <= role.emissivity[0] <= role.emissivity[1] <= 1
         assert role.ior == 1.0
         assert role.what
-
-
-def test_catalogue_ships_it() -> None:
-    assert "person" in list_models()
-    assert list_models() == sorted(list_models())
-    assert load_model("person") is person.MODEL
