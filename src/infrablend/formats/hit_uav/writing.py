@@ -79,7 +79,6 @@ def native_files(
     of_category = category_ids(categories)
     image_ids, object_ids = number_ids(ordered, ids, 0)
     numbered = list(zip(ordered, image_ids, object_ids, strict=True))
-    new = ids == "new"
     losses: Counter[str] = Counter()
     texts: dict[str, str] = {}
     for form in forms:
@@ -87,9 +86,8 @@ def native_files(
         if form.endswith("_json"):
             for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
                 part = [n for n in numbered if n[0].split == split]
-                make = _normal_json if form == "normal_json" else _rotate_json
-                top = make(part, categories, of_category, new, dict(extra or {}), counted)
-                # The key order of the original; ASCII, as there.
+                top = _json_file(form, part, categories, ids == "new", extra or {}, counted)
+                # ASCII, as in the original.
                 texts[f"{form}/annotations/{split}.json"] = json.dumps(top, allow_nan=False)
         else:
             texts.update(_xml_texts(form, ordered, of_category, counted))
@@ -155,10 +153,6 @@ def _marks(instance: Instance) -> dict[str, Any]:
     return {name: True for name, is_set in marks.items() if is_set}
 
 
-def _top_fields(extra: dict[str, Any], keys: Sequence[str], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: extra.get(k, defaults[k]) for k in keys}
-
-
 _TOP: Mapping[str, Any] = {
     "info": _INFO,
     "licenses": [],
@@ -167,77 +161,71 @@ _TOP: Mapping[str, Any] = {
 }
 
 
-def _normal_json(
+def _json_file(
+    form: Form,
     numbered: Sequence[_Numbered],
     categories: Sequence[Category],
-    of_category: Mapping[str, int],
     new: bool,
-    extra: dict[str, Any],
+    extra: Mapping[str, Any],
     losses: Counter[str],
 ) -> dict[str, Any]:
+    """Return the content of a JSON file, with keys in the order of the original."""
+    normal = form == "normal_json"
+    of_category = category_ids(categories)
     images, objects = [], []
     for image, image_id, object_ids in numbered:
-        w, h = require_size(image)
-        record: dict[str, Any] = {"filename": image.name, "height": h, "width": w, "id": image_id}
-        record["date_captured"] = str(image.extra.get("date", ""))
+        record = _normal_image(image, image_id) if normal else _rotate_image(image, image_id)
         images.append(record | _source_fields(image, new))
         for instance, object_id in zip(image.instances, object_ids, strict=True):
-            _count_losses(instance, "normal_json", losses)
-            x0, y0, x1, y1 = _truncated_box(instance.box_xyxy, (w, h), losses)
-            annotation: dict[str, Any] = {
-                "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],
-                "area": (x1 - x0) * (y1 - y0),
-                "image_id": image_id,
-                "bbox": [x0, y0, x1 - x0, y1 - y0],
-                "category_id": of_category[instance.category],
-                "id": object_id,
-            }
-            annotation |= _source_fields(instance, new)
-            objects.append(annotation | _marks(instance))
-    names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
-    top = _top_fields(extra, ("info", "licenses"), _TOP)
-    return top | {"images": images, "categories": names, "annotation": objects}
-
-
-def _rotate_json(
-    numbered: Sequence[_Numbered],
-    categories: Sequence[Category],
-    of_category: Mapping[str, int],
-    new: bool,
-    extra: dict[str, Any],
-    losses: Counter[str],
-) -> dict[str, Any]:
-    images, objects = [], []
-    for image, image_id, object_ids in numbered:
-        w, h = require_size(image)
-        scenario = {"day": "0", "night": "1"}.get(str(image.time_of_day), "")
-        record: dict[str, Any] = {
-            "id": image_id,
-            "width": w,
-            "height": h,
-            "depth": image.extra.get("depth", 1),
-            "filename": image.name,
-            "scenario": scenario,
-            "weather": str(image.extra.get("weather", "")),
-            "perspective": "" if image.pitch_deg is None else f"{image.pitch_deg:.10g}",
-            "altitude": "" if image.altitude_m is None else f"{image.altitude_m:.10g}",
-            "date": str(image.extra.get("date", "")),
-        }
-        images.append(record | _source_fields(image, new))
-        for instance, object_id in zip(image.instances, object_ids, strict=True):
-            _count_losses(instance, "rotate_json", losses)
-            annotation: dict[str, Any] = {
-                "id": object_id,
-                "image_id": image_id,
-                "category_id": of_category[instance.category],
-                "difficult": bool(instance.difficult),
-                "bbox": _oriented_numbers(instance, losses),
-            }
-            annotation |= _source_fields(instance, new)
-            objects.append(annotation | _marks(instance))
+            _count_losses(instance, form, losses)
+            ids = {"id": object_id, "image_id": image_id, "category_id": of_category[instance.category]}
+            if normal:
+                annotation = _normal_object(_truncated_box(instance.box_xyxy, require_size(image), losses), ids)
+            else:
+                difficult = bool(instance.difficult)
+                annotation = {**ids, "difficult": difficult, "bbox": _oriented_numbers(instance, losses)}
+            objects.append(annotation | _source_fields(instance, new) | _marks(instance))
+    if normal:
+        names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
+        top = {k: extra.get(k, _TOP[k]) for k in ("info", "licenses")}
+        return top | {"images": images, "categories": names, "annotation": objects}
     names = [{"id": c.id, "name": c.name} for c in categories]
-    top = _top_fields(extra, ("info", "licenses", "scenarios", "weather"), _TOP)
+    top = {k: extra.get(k, v) for k, v in _TOP.items()}
     return top | {"images": images, "categories": names, "annotations": objects}
+
+
+def _normal_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
+    w, h = require_size(image)
+    date = str(image.extra.get("date", ""))
+    return {"filename": image.name, "height": h, "width": w, "id": image_id, "date_captured": date}
+
+
+def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
+    w, h = require_size(image)
+    return {
+        "id": image_id,
+        "width": w,
+        "height": h,
+        "depth": image.extra.get("depth", 1),
+        "filename": image.name,
+        "scenario": {"day": "0", "night": "1"}.get(str(image.time_of_day), ""),
+        "weather": str(image.extra.get("weather", "")),
+        "perspective": "" if image.pitch_deg is None else f"{image.pitch_deg:.10g}",
+        "altitude": "" if image.altitude_m is None else f"{image.altitude_m:.10g}",
+        "date": str(image.extra.get("date", "")),
+    }
+
+
+def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str, Any]:
+    x0, y0, x1, y1 = box_xyxy
+    return {
+        "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],
+        "area": (x1 - x0) * (y1 - y0),
+        "image_id": ids["image_id"],
+        "bbox": [x0, y0, x1 - x0, y1 - y0],
+        "category_id": ids["category_id"],
+        "id": ids["id"],
+    }
 
 
 def _xml_texts(
