@@ -269,7 +269,7 @@ def recode(
     """Return the picture with its touched 8 px blocks (those with a changed pixel) JPEG-compressed at that quality.
 
     The background around the object has been through the codec already, so its grain is restored: only the object and
-    its edges are compressed anew.
+    its edges are compressed again.
     """
     height, width = picture.shape
     changed = picture != background

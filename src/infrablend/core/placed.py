@@ -92,7 +92,7 @@ class PlacedObject:
 
 @dataclass(frozen=True, eq=False)
 class PlacedScene:
-    """A scene together with the geometry of its objects.
+    """A scene together with the geometry of its objects; `place` makes one.
 
     Attributes:
         spec: The scene.
@@ -101,11 +101,6 @@ class PlacedScene:
 
     spec: SceneSpec
     objects: tuple[PlacedObject, ...]
-
-    def __post_init__(self) -> None:
-        n = len(self.spec.objects)
-        if len(self.objects) != n:
-            raise ValueError(f"{self.spec.frame_id}: {n} objects need {n} meshes, got {len(self.objects)}")
 
     def without(self, numbers: Collection[int], reason: str) -> PlacedScene:
         """Return the scene without some of its objects, counted in its draws as absent for `reason`."""

@@ -100,9 +100,6 @@ class WorkerSpec:
     settings: Any = None
 
 
-WorkerFactory = Callable[[Any], Callable[[Task], Any]]
-
-
 class Executor(Protocol):
     """Runner of tasks. Values depend neither on the executor, nor on the number of workers, nor on the order."""
 

@@ -39,7 +39,8 @@ class WriteSettings:
     """Choices for writing; a format without such a choice ignores it.
 
     Attributes:
-        ids: `new` numbers images and annotations anew (keeping the source's as `source_id`); `source` keeps the ids.
+        ids: `new` assigns new numbers to images and annotations and keeps the source's as `source_id`; `source` keeps
+            the source's ids.
         category_ids: The source's ids, or numbers from 1: many tools take COCO's category 0 for background.
         dont_care: YOLO and BIRDSAI: leave regions to ignore out, or keep them as a class.
         without_mask: yolo-seg: leave objects without a mask out, or write their oriented box (else their box).
@@ -217,11 +218,11 @@ def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings
     )
     if bad:
         found = f"{bad} image(s) or object(s) without a whole number as id in the source"
-        return Problem("ids", "ids-missing", found, "an id for each", "number them anew: ids new")
+        return Problem("ids", "ids-missing", found, "an id for each", "write with new ids: ids new")
     for split in sorted({i.split for i in ordered}):
         part = [i for i in ordered if i.split == split]
         objects = [o.source_id for i in part for o in i.instances if o.source_id is not None]
         if len({i.source_id for i in part}) != len(part) or len(set(objects)) != len(objects):
             found = f"duplicate ids of the source in split {split}"
-            return Problem("ids", "ids-repeated", found, "unique ids", "number them anew: ids new")
+            return Problem("ids", "ids-repeated", found, "unique ids", "write with new ids: ids new")
     return None

@@ -1,4 +1,4 @@
-"""BIRDSAI: tracks, species, flags, frame numbers, odd folders; written back as it was, or numbered anew."""
+"""BIRDSAI: tracks, species, flags, frame numbers, odd folders; written back as it was, or with new numbers."""
 
 from __future__ import annotations
 
