@@ -14,7 +14,11 @@ MODELS = {
     "car": "infrablend.assets.car:MODEL",
     "deer": "infrablend.assets.deer:MODEL",
     "drone": "infrablend.assets.drone:MODEL",
+    "drones": "infrablend.assets.drones:MODEL",
+    "fixed-wing": "infrablend.assets.fixed_wing:MODEL",
+    "hexacopter": "infrablend.assets.hexacopter:MODEL",
     "person": "infrablend.assets.person:MODEL",
+    "racer": "infrablend.assets.racer:MODEL",
 }
 
 

@@ -3,15 +3,16 @@
 `sample_params` draws what varies between quadrotors, `build_drone` builds the mesh of one. All lengths are for a
 motor-to-motor diagonal of 1 and are scaled at the end. +X is the heading, +Y points left, +Z up.
 
-Temperatures are surface minus air in steady flight; each part's `what` describes their basis. The sources range from
-a light hover to heavy load; the ranges here cover a hovering or cruising aircraft.
+Temperatures are surface minus air in steady flight; each part's `what` describes their basis, and
+docs/explanation/models.md lists the sources. They range from a light hover to heavy load; the ranges here cover a
+hovering or cruising aircraft.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,12 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, Range
+from infrablend.assets.rotors import DISC_PARTS, DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, Vector, with_discs
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
 
-Vector = tuple[float, float, float]
 _CHECKS = Checks("drone")
 
-_DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
 PARTS: Mapping[str, PartRange] = {
     "battery": part_role(
         "plastic", (8.0, 20.0), "battery pack: +8..+20 K, rising with flight time", emissivity=(0.92, 0.95)
@@ -54,21 +54,7 @@ PARTS: Mapping[str, PartRange] = {
     ),
     "leg": part_role("plastic", (0.0, 0.8), "landing gear, at air temperature", emissivity=(0.85, 0.94)),
     "antenna": part_role("plastic", (0.0, 3.0), "antennas, satellite receiver and mast", emissivity=(0.90, 0.95)),
-    # A spinning propeller makes 0.5 to 1.5 turns within the time constant of the detector (10 ms), so it appears as a
-    # translucent disc, which is modelled in rings.
-    "prop_disc_root": part_role("plastic", (0.0, 1.0), "spinning blades", **_DISC),
-    "prop_disc_inner": part_role("plastic", (0.0, 2.0), "spinning blades", **_DISC),
-    "prop_disc_outer": part_role("plastic", (0.5, 3.0), "spinning blades", **_DISC),
-    "prop_disc_tip": part_role(
-        "plastic", (1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K", **_DISC
-    ),
-}
-# Ring -> inner and outer radius as fractions of the propeller's radius.
-DISC_RINGS: Mapping[str, tuple[float, float]] = {
-    "prop_disc_root": (0.14, 0.3),
-    "prop_disc_inner": (0.3, 0.5),
-    "prop_disc_outer": (0.5, 0.75),
-    "prop_disc_tip": (0.75, 1.0),
+    **DISC_PARTS,
 }
 
 # Parts left out of the bounding box whose centre is the origin: thin parts that stick out, and propellers, whose extent
@@ -86,7 +72,6 @@ CHOICES: Mapping[str, tuple[Any, ...]] = {
     "camera": (False, True),
     "mast": (False, True),
 }
-PROPELLERS = ("still", "spinning")
 _STATES: Mapping[str, tuple[Any, ...]] = {**CHOICES, "propellers": PROPELLERS}
 """Parameters with a fixed set of values. `propellers` is not drawn: still unless a recipe sets it."""
 DRAWN: Mapping[str, tuple[float, float]] = {
@@ -327,159 +312,37 @@ def _plan(p: Params) -> _Plan:
     )  # fmt: skip
 
 
-class _Pieces:
-    """Collects the pieces of a drone in the order they are added."""
-
-    def __init__(self) -> None:
-        self.items: list[tuple[str, FloatArray, IntArray, bool]] = []
-
-    def add(self, part: str, solid: Solid, *, at: Vector | None = None, smooth: bool = True) -> None:
-        if at is not None:
-            solid = shapes.moved(solid, at)
-        self.items.append((part, solid.vertices, solid.triangles, smooth))
-
-    def add_both_sides(self, part: str, solid: Solid, *, smooth: bool = True) -> None:
-        """Add a solid and its mirror image across the plane y = 0."""
-        self.add(part, solid, smooth=smooth)
-        self.add(part, shapes.mirrored(solid, 1), smooth=smooth)
-
-
 # --- motors and propellers -----------------------------------------------------------------------------------
 
 
-def _motor_height(plan: _Plan) -> float:
-    """Return the height of a motor from its seat to the top of the bell."""
-    r = plan.motor_radius
-    return r * (0.62 if plan.p["body"] == "industrial" else 0.8) + 0.10 * r
-
-
-def _motor_top(plan: _Plan) -> float:
-    return plan.tip_z + plan.arm_half_height + _motor_height(plan)
-
-
-def _add_motors(out: _Pieces, plan: _Plan) -> None:
-    r = plan.motor_radius
-    gap = 0.10 * r
-    top = _motor_height(plan)
-    # Outrunner: a fixed base with the stator on it, and a bell that turns around the stator, with a spoked top.
-    base = shapes.lathe([(0.55 * r, -0.03 * r), (0.98 * r, 0.0), (0.98 * r, 0.08 * r), (0.5 * r, 0.12 * r)], 16)
-    stator = shapes.cylinder(0.78 * r, 0.05 * r, top - 0.22 * r, 12)
-    wall = shapes.lathe(
-        [
-            (0.97 * r, 0.08 * r + gap),
-            (1.0 * r, 0.12 * r + gap),
-            (1.0 * r, top - 0.14 * r),
-            (0.9 * r, top),
-            (0.76 * r, top),
-            (0.85 * r, top - 0.18 * r),
-            (0.87 * r, 0.08 * r + gap),
-        ],
-        20,
-        wrap=True,
+def _rotors(plan: _Plan) -> Rotors:
+    r, industrial = plan.motor_radius, plan.p["body"] == "industrial"
+    return Rotors(
+        plan.motors_xy,
+        plan.tip_z + plan.arm_half_height,
+        r,
+        r * (0.62 if industrial else 0.8) + 0.10 * r,
+        _propeller(plan.p, plan.propeller_radius),
+        tuple(plan.p["propeller_angle_deg"]),
     )
-    spoke = shapes.sweep([(-0.31 * r, 0.0, 0.0), (0.31 * r, 0.0, 0.0)], 0.11 * r, 0.07 * r, n=4)
-    cap = shapes.lathe([(0.32 * r, top - 0.16 * r), (0.34 * r, top - 0.02 * r), (0.28 * r, top + 0.03 * r)], 12)
-    shaft = shapes.lathe(
-        [(0.13 * r, top), (0.13 * r, top + 0.52 * r), (0.09 * r, top + 0.6 * r), (0.0, top + 0.62 * r)], 10
-    )
-    seat = plan.tip_z + plan.arm_half_height
-    blades = [_propeller(plan, clockwise) for clockwise in (False, True)]
-    hub = shapes.cylinder(0.36 * r, top + 0.02 * r, top + 0.34 * r, 12, 0.06 * r)
-    for i, (x, y) in enumerate(plan.motors_xy.tolist()):
-        at = (x, y, seat)
-        out.add("motor", base, at=at)
-        out.add("winding", stator, at=at)
-        out.add("motor", wall, at=at)
-        out.add("motor", cap, at=at)
-        turn = float(np.radians(plan.p["propeller_angle_deg"][i]))
-        for k in range(6):
-            # The bell has the angle of the propeller: they are screwed together.
-            a = turn + k * math.pi / 3
-            offset = (x + 0.52 * r * math.cos(a), y + 0.52 * r * math.sin(a), seat + top - 0.08 * r)
-            out.add("motor", shapes.placed(spoke, shapes.turn_z(a), offset), smooth=False)
-        out.add("motor", shaft, at=at)
-        out.add("propeller", hub, at=at)
-        if _is_spinning(plan.p):
-            continue
-        for k in range(plan.p["blades"]):
-            a = turn + 2 * math.pi * k / plan.p["blades"]
-            out.add("propeller", shapes.placed(blades[i % 2], shapes.turn_z(a), (x, y, seat + top + 0.18 * r)))
 
 
-def _is_spinning(params: Params) -> bool:
-    return bool(params.get("propellers", "still") == "spinning")
-
-
-def _chord(t: FloatArray, params: Params) -> FloatArray:
-    """Return the width of a blade at fractions `t` of its radius, in radii: widest at a third, rounded at the tip."""
-    wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
-    wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
-    wide *= {2: 1.0, 3: 0.92}[params["blades"]] * (0.85 if params["body"] == "industrial" else 1.0)
-    return np.asarray(wide)
+def _propeller(params: Params, radius: float = 1.0) -> Propeller:
+    chord = 0.85 if params["body"] == "industrial" else 1.0
+    return Propeller(radius, params["blades"], chord, params.get("propellers") == "spinning")
 
 
 def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part of this drone, without discs if its propellers are still.
-
-    A ring's opacity is the share of its circle that the blades cover: blades * chord / (2 pi r).
-    """
-    if not _is_spinning(params):
-        return {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    roles = dict(PARTS)
-    for name, (inner, outer) in DISC_RINGS.items():
-        t = np.linspace(inner, outer, 21)
-        covered = float((params["blades"] * _chord(t, params)).sum() / (2 * math.pi * t).sum())
-        roles[name] = replace(PARTS[name], opacity=round(covered, 4))
-    return roles
-
-
-def _with_discs(mesh: Mesh, params: Params, plan: _Plan, centre: FloatArray, size: float) -> Mesh:
-    """Add a disc over each motor: a sheet of rings that share vertices, so that shading runs on across them."""
-    n, rings = 48, list(DISC_RINGS)
-    edges = np.array([DISC_RINGS[rings[0]][0], *(DISC_RINGS[name][1] for name in rings)])
-    turn = np.arange(n) * (2 * math.pi / n)
-    R, r = plan.propeller_radius, plan.motor_radius
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    flat = R * edges[:, None, None] * around
-    # Like the blades: above the hub and bent up slightly.
-    z = _motor_top(plan) + 0.18 * r + 0.03 * R * edges**2
-    i, j = (g.ravel() for g in np.meshgrid(np.arange(len(rings)), np.arange(n), indexing="ij"))
-    a, b = i * n + j, i * n + (j + 1) % n
-    sheet = np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)])
-    part = np.concatenate([i, i]) + len(mesh.part_names)
-    vertices, triangles = [mesh.vertices_m], [mesh.triangles]
-    for k, xy in enumerate(plan.motors_xy):
-        at = np.concatenate([flat + xy, np.broadcast_to(z[:, None, None], (*flat.shape[:2], 1))], axis=2)
-        vertices.append((at.reshape(-1, 3) - centre) * size)
-        triangles.append(sheet + len(mesh.vertices_m) + k * len(edges) * n)
-    count = len(plan.motors_xy)
-    return Mesh(
-        np.concatenate(vertices),
-        np.concatenate(triangles).astype(np.int32),
-        np.concatenate([mesh.part_of_triangle, np.tile(part, count)]).astype(np.int32),
-        (*mesh.part_names, *rings),
-        np.concatenate([mesh.smooth, np.ones(count * len(sheet), np.bool_)]),
-    )
-
-
-def _propeller(plan: _Plan, clockwise: bool) -> Solid:
-    """Return one blade: narrow at the hub, tapering to a rounded tip, with pitch that falls outwards."""
-    R = plan.propeller_radius
-    t = np.array([0.05, 0.12, 0.2, 0.3, 0.45, 0.65, 0.82, 0.92, 0.97, 1.0])
-    wide = _chord(t, plan.p)
-    lead = 0.5 * wide + 0.012 - 0.03 * t**2
-    pitch = np.arctan2(0.22, 2.4 * np.maximum(t, 0.16)) + np.radians(1.5)
-    thick = np.interp(t, [0.0, 0.2, 1.0], [0.035, 0.022, 0.006])
-    # Blades bend up slightly under load.
-    solid = shapes.blade(R * t, R * wide, R * lead, pitch, R * thick, camber=0.06, clockwise=clockwise)
-    solid.vertices[:, 2] += 0.03 * solid.vertices[:, 0] ** 2 / R
-    return solid
+    """Return the thermal role of every part of this drone, without discs if its propellers are still."""
+    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
+    propeller = _propeller(params)
+    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
 
 
 # --- arms ----------------------------------------------------------------------------------------------------
 
 
-def _add_arms(out: _Pieces, plan: _Plan) -> None:
+def _add_arms(out: Pieces, plan: _Plan) -> None:
     p, w, h = plan.p, plan.arm_half_width, plan.arm_half_height
     r = plan.motor_radius
     for (mx, my), (rx, ry) in zip(plan.motors_xy.tolist(), plan.roots_xy.tolist(), strict=True):
@@ -538,7 +401,7 @@ def _box_on_arm(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift:
 # --- bodies --------------------------------------------------------------------------------------------------
 
 
-def _add_shell_body(out: _Pieces, plan: _Plan) -> None:
+def _add_shell_body(out: Pieces, plan: _Plan) -> None:
     """Add a smooth moulded body with its battery set into the back, sensors at the nose and outlets at the sides."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     t = np.sin(np.linspace(-1, 1, 21) * math.pi / 2 * 0.955)
@@ -614,7 +477,7 @@ def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
     return np.stack([x, y], axis=1)
 
 
-def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
+def _add_plate_body(out: Pieces, plan: _Plan) -> None:
     """Add two carbon plates on spacers with boards between them and the battery strapped on top."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     thick = 0.009
@@ -680,7 +543,7 @@ def _add_plate_body(out: _Pieces, plan: _Plan) -> None:
     out.add("lens", barrel, at=(0.94 * L + 0.018, 0, (low + high) / 2))
 
 
-def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
+def _add_industrial_body(out: Pieces, plan: _Plan) -> None:
     """Add a faceted hull with hot-swap batteries at the back, a sensor block in front and cooling slots."""
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     x0 = 0.05 * L
@@ -740,7 +603,7 @@ def _add_industrial_body(out: _Pieces, plan: _Plan) -> None:
 # --- gimbal, landing gear, antennas -------------------------------------------------------------------------
 
 
-def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
+def _add_gimbal(out: Pieces, plan: _Plan) -> None:
     """Add a three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
     body = plan.p["body"]
     if body == "shell":
@@ -780,7 +643,7 @@ def _add_gimbal(out: _Pieces, plan: _Plan) -> None:
         out.add("lens", shapes.placed(glass, down, at))
 
 
-def _add_legs(out: _Pieces, plan: _Plan) -> None:
+def _add_legs(out: Pieces, plan: _Plan) -> None:
     kind, ground = plan.p["legs"], plan.ground_z
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     thin = 0.011 if plan.p["body"] == "industrial" else 0.0085
@@ -823,7 +686,7 @@ def _bow(x: float, ground: float, bend: float) -> FloatArray:
     return np.stack([x - bend + bend * np.cos(a), np.zeros(5), ground + bend - bend * np.sin(a)], axis=1)
 
 
-def _add_antennas(out: _Pieces, plan: _Plan) -> None:
+def _add_antennas(out: Pieces, plan: _Plan) -> None:
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     body = plan.p["body"]
     top = {"shell": 0.95 * H, "plate": 0.62 * H, "industrial": 0.9 * H}[body]
@@ -865,17 +728,17 @@ def build_drone(params: Params) -> Mesh:
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
     size = float(params["size_m"])
     mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
-    return _with_discs(mesh, params, _plan(params), centre, size) if _is_spinning(params) else mesh
+    return with_discs(mesh, [(d - centre) * size for d in _rotors(_plan(params)).discs()])
 
 
 def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
     """Return the closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
     plan = _plan(params)
-    out = _Pieces()
+    out = Pieces()
     add_body = {"shell": _add_shell_body, "plate": _add_plate_body, "industrial": _add_industrial_body}
     add_body[params["body"]](out, plan)
     _add_arms(out, plan)
-    _add_motors(out, plan)
+    _rotors(plan).add_to(out)
     _add_legs(out, plan)
     if params["camera"]:
         _add_gimbal(out, plan)

@@ -190,3 +190,23 @@ def test_propellers_are_an_option_that_changes_nothing_else() -> None:
     # A scene written before there was the choice.
     old = {k: v for k, v in NOMINAL.items() if k != "propellers"}
     assert MODEL.build(old).vertices_m.tobytes() == MODEL.build(NOMINAL).vertices_m.tobytes()
+
+
+def test_draws_and_meshes_of_the_paper_s_recipes_stay() -> None:
+    """The recipes of the paper must give the same pixels and labels with every version."""
+    found = []
+    for k in range(3):
+        params = MODEL.sample(stream(k, "guard"), {"propellers": ["still", "spinning"]})
+        mesh = MODEL.build(params)
+        shape = [params[n] for n in ("layout", "body", "arm", "propellers")]
+        found.append((*shape, params["size_m"], len(mesh.triangles), float((mesh.vertices_m**2).sum())))
+    assert [f[:4] for f in found] == [
+        ("h", "plate", "tube", "still"),
+        ("deadcat", "plate", "bar", "spinning"),
+        ("plus", "plate", "tube", "spinning"),
+    ]
+    assert [f[4] for f in found] == pytest.approx(
+        [0.5387719817693879, 0.658057893595442, 0.6024189955809626], rel=1e-12
+    )
+    assert [f[5] for f in found] == [11320, 9208, 10456]
+    assert [f[6] for f in found] == pytest.approx([497.1308858193878, 623.683277996057, 513.4431032237067], rel=1e-9)

@@ -1,0 +1,122 @@
+"""Mixed drone model: every object is one of the drones that people fly, from a folding quadrotor to a fixed wing.
+
+Each shape is another model with options of its own, so a drawn object is exactly one that this model would draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from infrablend.assets import drone, fixed_wing, hexacopter, racer
+from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.params import Checks
+from infrablend.assets.rotors import PROPELLERS
+from infrablend.core.mesh import Mesh
+
+_CHECKS = Checks("drones")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One kind of drone.
+
+    Attributes:
+        model: Model that draws and builds it.
+        odds: Share of the objects that are of this kind, by default.
+        options: Options of that model that make it this kind.
+    """
+
+    model: ObjectModel
+    odds: float
+    options: Params = field(default_factory=dict)
+
+
+# Folding camera drones are by far the most common; shares of the rest are estimates.
+SHAPES: Mapping[str, Shape] = {
+    "folding-quad": Shape(
+        drone.MODEL,
+        0.40,
+        {
+            "size_m": [0.21, 0.42], "body": "shell", "arm": "moulded", "layout": ["x", "deadcat"], "legs": "feet",
+            "batteries": 1, "antennas": 0, "mast": False, "camera": True,
+        },
+    ),
+    "quad": Shape(drone.MODEL, 0.20, {"size_m": [0.42, 0.75]}),
+    "large-quad": Shape(
+        drone.MODEL, 0.12, {"size_m": [0.85, 1.25], "body": "industrial", "layout": ["x", "deadcat"], "arm": "tube"}
+    ),
+    "hexacopter": Shape(hexacopter.MODEL, 0.10),
+    "racer": Shape(racer.MODEL, 0.08),
+    "fixed-wing": Shape(fixed_wing.MODEL, 0.10),
+}  # fmt: skip
+OPTIONS: Mapping[str, str] = {
+    "shape": "one of " + ", ".join(SHAPES) + ", or a list of several with equal odds; by default folding quads are "
+    "the most common",
+    "size_m": "motor diagonal or wingspan: a number or [low, high]; by default that of the shape",
+    "propellers": "still (default), spinning, or a list of both; spinning ones are discs that labels ignore",
+}
+
+
+def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+    """Draw the parameters of one drone of any shape, JSON values only.
+
+    Raises:
+        ModelError: An option is unknown or its value is invalid.
+    """
+    _CHECKS.known("option", options, tuple(OPTIONS))
+    odds = [shape.odds for shape in SHAPES.values()]
+    name = _CHECKS.choose("shape", options, tuple(SHAPES), odds, float(rng.random()))
+    shape = SHAPES[name]
+    own = {k: v for k, v in options.items() if k != "shape"}
+    if "propellers" in own:
+        _CHECKS.some_of("option propellers", own["propellers"], PROPELLERS)
+    return {"shape": name, **shape.model.sample(rng, {**shape.options, **own})}
+
+
+def build(params: Params) -> Mesh:
+    """Build the mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
+
+    Raises:
+        ModelError: A parameter is missing, unknown or out of range.
+    """
+    return _shape(params).model.build(_own(params))
+
+
+def parts_for(params: Params) -> Mapping[str, PartRange]:
+    """Return the thermal role of every part of this drone."""
+    return _shape(params).model.roles(_own(params))
+
+
+def _shape(params: Params) -> Shape:
+    _CHECKS.complete(params, ("shape",))
+    return SHAPES[_CHECKS.one_of("parameter shape", params["shape"], tuple(SHAPES))]
+
+
+def _own(params: Params) -> dict[str, Any]:
+    return {k: v for k, v in params.items() if k != "shape"}
+
+
+def _typical_parts() -> dict[str, PartRange]:
+    """Return every part of any shape; where shapes share a name, the more common shape decides."""
+    parts: dict[str, PartRange] = {}
+    for shape in SHAPES.values():
+        parts = {**shape.model.parts, **parts}
+    return parts
+
+
+MODEL = ObjectModel(
+    name="drones",
+    category="drone",
+    description="A drone of any shape: folding, medium or large quadrotor, hexacopter, FPV racer or fixed wing.",
+    origin="the centre of its bounding box without propellers and antennas",
+    stands=False,
+    parts=_typical_parts(),
+    sample=sample_params,
+    build=build,
+    options=OPTIONS,
+    parts_for=parts_for,
+)
