@@ -1,4 +1,4 @@
-"""Fixtures and rules for all tests: real data, optional tools, parallel runs, how hypothesis draws."""
+"""Fixtures and settings for all tests: real data, optional tools, parallel runs, hypothesis profiles."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List what was not tested because data or tools are missing."""
+    """List the tests that were skipped because data or tools are missing."""
     reasons: Counter[str] = Counter()
     for report in terminalreporter.stats.get("skipped", ()):
         reason = str(report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr)

@@ -1,4 +1,4 @@
-"""Breaking datasets in every way, and watching that reading them stays inside them; see test_readers_fuzz.py.
+"""Ways to damage datasets, and a watch for access to files outside them; see test_readers_fuzz.py.
 
 `scripts/fuzz_readers.py` uses the same for hours, outside CI.
 """
@@ -54,7 +54,7 @@ WEIRD_NAMES = (
 
 
 def mutate(root: Path, outside: Path, choose: Choice) -> str:
-    """Break one thing below `root`, links lead to files in `outside`; what was done, in words."""
+    """Break one thing below `root`, with links to files in `outside`; return a description."""
     kind = choose.choice(MUTATIONS)
     try:
         return f"{kind.__name__.strip('_')}: {kind(root, outside, choose)}"
@@ -337,7 +337,7 @@ def exercise(root: Path, name: str) -> None:
 
 
 def assert_sound(dataset: Dataset, root: Path) -> None:
-    """What every reader promises of what it gives out."""
+    """Check the properties that every reader guarantees."""
     real = os.path.realpath(root)
     names = {c.name for c in dataset.categories}
     assert len({i.id for i in dataset.images}) == len(dataset.images)

@@ -1,4 +1,4 @@
-"""Measures of meshes that several tests share."""
+"""Mesh measures shared by tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Polygon overlap from the product's exact clipping, for checks."""
+"""Polygon overlap by exact clipping, for checks."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""A tiny valid dataset of every format that is read: the fuzz suite breaks them, other tests read them.
+"""A tiny valid dataset of every readable format; the fuzz suite damages them, other tests read them.
 
 To add a format (or a further layout of one), write a function that fills an empty folder and returns it:
 
@@ -106,7 +106,7 @@ def _written(folder: Path, write: Callable[[tuple[ImageRecord, ...], tuple[Categ
 
 @sample("birdsai")
 def _birdsai(folder: Path) -> Path:
-    """Two sequences of different sizes in train, one in test; the things beside the tables that are none."""
+    """Two sequences of different sizes in train, one in test, and files beside the tables that are not tables."""
     rows = "0,1,3,4,17,13,0,1,0,0\n0,2,30,8,11,12,1,0,1,0\n"
     for k, (split, sequence, frame, text) in enumerate(
         (

@@ -1,4 +1,4 @@
-"""Formulas that rendered pictures and material tables are checked against."""
+"""Reference formulas for rendered pictures and material tables."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -1,4 +1,4 @@
-"""Same input, same recipe, same seed, same bytes: what could break that is banned from the source."""
+"""Calls that could make outputs differ between equal runs are banned from the source."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BANNED_CALLS = {
 # Allowed on the module np.random: types, and the generator that core.rng is made of.
 NUMPY_RANDOM_ALLOWED = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
 
-# Wall clock for people, never for outputs: a file listed here says so where it uses it.
+# These files show times to users but write none to outputs; each states so where it reads the clock.
 ALLOWED: dict[str, set[str]] = {
     "fetching/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
     # Ultralytics draws from the global generators: the trainer's own process seeds them, from seed and epoch.
@@ -51,7 +51,7 @@ def dotted(node: ast.AST) -> str:
 
 
 def offences(source: str) -> Iterator[tuple[int, str]]:
-    """(line, what) of everything banned in a source text."""
+    """Return (line, name) of every banned call in a source text."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, a.name) for a in node.names if a.name.partition(".")[0] in BANNED_MODULES)
@@ -100,7 +100,7 @@ def test_no_hidden_randomness_and_no_wall_clock(path: Path) -> None:
         "hash('a')",
     ],
 )
-def test_the_ban_finds_what_it_bans(source: str) -> None:
+def test_ban_detects_forbidden_calls(source: str) -> None:
     assert list(offences(source))
 
 

@@ -64,7 +64,7 @@ def test_every_page_is_reachable_from_the_index() -> None:
         for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text("utf-8")):
             if "://" not in link:
                 target = (page.parent / link).resolve()
-                # A link to a folder is a link to what lies in it.
+                # A link to a folder covers the files in it.
                 queue += sorted(target.glob("*.md")) if target.is_dir() else [target]
     assert [page_id(p) for p in PAGES if p not in seen and p.parent != ROOT] == []
 
@@ -150,7 +150,7 @@ def attributes_read() -> set[str]:
 
 
 def test_every_field_of_a_recipe_is_read() -> None:
-    """A field that nobody reads has no effect, whatever the documentation says of it."""
+    """A field that no code reads has no effect."""
     from pydantic import BaseModel
 
     from infrablend.config.recipe import Recipe

@@ -1,4 +1,4 @@
-"""Every error crosses process borders whole, and each is also the builtin a caller would expect."""
+"""Every error can be pickled without loss, and is also the builtin error that a caller would expect."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PROBLEMS = (Problem("a.json:3", "box-outside", "a box at -4", "boxes inside the 
 
 
 def all_error_classes() -> list[type[InfraBlendError]]:
-    """Every subclass that exists once the whole package, Blender's part aside, is imported."""
+    """Return all subclasses after importing the package, except its Blender part."""
     for found in pkgutil.walk_packages(infrablend.__path__, "infrablend."):
         if not found.name.startswith("infrablend.blender") and not found.name.endswith("__main__"):
             importlib.import_module(found.name)

@@ -1,4 +1,4 @@
-"""Who may import whom, and that all but infrablend.blender works without Blender."""
+"""Import rules: layers, and everything but infrablend.blender works without Blender."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_everything_but_the_blender_package_imports_without_bpy() -> None:
     assert imported == files
 
 
-def test_the_blocker_blocks() -> None:
+def test_import_blocker_works() -> None:
     blocker, _, _ = IMPORT_ALL.partition("import infrablend\n")
     done = run_python(blocker + "import bpy")
     assert done.returncode != 0

@@ -36,7 +36,7 @@ def tracked_files() -> list[Path]:
 
 
 def banned_in(text: str) -> list[str]:
-    """`line: what` for everything banned in a text."""
+    """Return `line: name` for everything banned in a text."""
     return [
         f"line {i}: {what}: {found.group()}"
         for i, line in enumerate(text.splitlines(), 1)
@@ -58,7 +58,7 @@ def test_no_committed_file_names_a_registry_or_a_machine() -> None:
     "text",
     ["https://pypi" + ".org/simple", "pip install --" + "index-url x", "see /" + "work/main/x", "/" + "home/ann/data"],
 )
-def test_the_ban_finds_what_it_bans(text: str) -> None:
+def test_ban_detects_forbidden_calls(text: str) -> None:
     assert banned_in(text)
 
 

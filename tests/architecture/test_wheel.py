@@ -1,4 +1,4 @@
-"""A built wheel, installed into a clean environment, is the whole program; the sdist builds the same wheel.
+"""The wheel works in a clean environment, and the sdist builds the same wheel.
 
 The environment is new and gets the locked dependencies of .venv by a path entry, so the tests need no network. They
 prove that the package needs no file of the checkout; they do not prove that the versions in `pyproject.toml` resolve.

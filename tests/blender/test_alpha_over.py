@@ -1,4 +1,4 @@
-"""Our alpha-over is Blender's own Alpha Over node, to rounding."""
+"""Our alpha-over equals Blender's Alpha Over node up to rounding."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""The whole way with Blender: real renders, small; repeatable for any number of workers and after an interruption."""
+"""Small real runs with Blender, which repeat for any number of workers and after an interruption."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ SETTINGS = {"output.image": "png", "objects.0.count": 2, "placement.size_px": [1
 
 @pytest.fixture(scope="module")
 def backgrounds(tmp_path_factory) -> Path:
-    """Three small grey pictures whose names say the pitch."""
+    """Three small grey pictures with the pitch in their names."""
     root = tmp_path_factory.mktemp("backgrounds")
     rng = np.random.default_rng(2)
     for n, pitch in enumerate((30, 60, 90)):

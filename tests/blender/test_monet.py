@@ -1,4 +1,4 @@
-"""MONET-deer as the paper made it, on a virtual dataset in MONET's layout: world, deer, MONET again."""
+"""MONET-deer as in the paper, on a virtual dataset in MONET's layout."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(world, tmp_path_factory) -> tuple[api.RunReport, Path]:
     return api.generate("monet-deer", world, out, execution=api.Execution(workers=2), settings=SETTINGS), out
 
 
-def test_the_world_is_laid_out_as_monet(world):
+def test_world_has_monets_layout(world):
     pictures = sorted(p.relative_to(world).as_posix() for p in world.rglob("*.png"))
     assert len(pictures) == FRAMES and pictures[0] == "test/dirtroad_03/lwir/image00000.png"
     for name in pictures:
@@ -43,7 +43,7 @@ def test_the_world_is_laid_out_as_monet(world):
     assert {c.name for c in dataset.categories} == {"person", "vehicle"}
     facts = {(f["split"], f["name"]): f for f in json.loads((world / "world.json").read_text())["frames"]}
     for image in dataset.images:
-        # What the JSON says after the sign was turned is the camera that took the picture.
+        # With the sign reversed, the pitch in the JSON is that of the camera.
         pitch = np.degrees(facts[image.split, image.name]["camera"]["pitch_rad"])
         assert image.pitch_deg is None or image.pitch_deg == pytest.approx(pitch)
         objects = facts[image.split, image.name]["objects"]

@@ -199,7 +199,7 @@ def test_worked_scene_of_a_night(blender):
 
 
 def test_the_group_has_a_temperature_texture_of_its_own(blender):
-    """By hand in the editor: Texture is the largest deviation in kelvin, Texture Size the patches' size; 0 is none."""
+    """As in Blender's editor: Texture is the largest deviation in kelvin (0: none), Texture Size that of patches."""
     import bpy
 
     from infrablend.blender.materials import object_material

@@ -19,7 +19,7 @@ def renderer(request):
 
 
 class TestContract:
-    """What holds for every renderer."""
+    """Properties of every renderer."""
 
     def test_shapes_and_ranges(self, renderer):
         r = renderer.render(place(scene([thing(), thing(0.8, 0.4)]), [box_mesh(), box_mesh((0.3, 0.3, 0.3))]))
@@ -40,8 +40,8 @@ class TestContract:
         inside = r.alpha > 0.999
         assert r.radiance[inside] == pytest.approx(0.6 * 25 / 30 + 0.4 * 6 / 30, abs=2e-3)
 
-    def test_a_body_of_its_surroundings_temperature_shows_that_alone(self, renderer):
-        """Isothermal cavity: what shines and mirrors the same temperature looks like it, whatever its emissivity."""
+    def test_body_at_ambient_temperature_has_ambient_radiance(self, renderer):
+        """Isothermal cavity: a body at the temperature of its surroundings looks like them at any emissivity."""
         for emissivity in (0.1, 0.9):
             spec = scene([thing(kelvin=290.0, emissivity=emissivity, ior=1.5)], surroundings_k=290.0)
             r = renderer.render(place(spec, [box_mesh()]))
@@ -87,7 +87,7 @@ def test_both_renderers_agree_on_geometry(blender):
         assert np.abs(a - b).mean() < 2e-4
 
 
-def test_a_crop_equals_the_same_part_of_the_full_frame(blender, monkeypatch):
+def test_crop_equals_that_part_of_the_full_frame(blender, monkeypatch):
     s, mesh = scene([thing(0.4, 0.3, kelvin=297, emissivity=0.9, ior=1.5)], samples=16, texture_k=2.0), box_mesh()
     cropped = paste(blender.render(place(s, [mesh])))
     monkeypatch.setattr("infrablend.blender.renderer.crop_of", lambda placed: (0, 0, *placed.spec.camera.size_wh))

@@ -36,7 +36,7 @@ def both(mode, blender, spec, meshes):
 
 @pytest.mark.parametrize("opacity", [0.08, 0.3, 0.8])
 def test_over_the_background_alpha_is_the_opacity(blender, opacity):
-    """Exactly, without noise; the light is its share of what an opaque sheet shows."""
+    """A translucent sheet emits exactly its opacity times the light of an opaque sheet, without noise."""
     spec = scene([thing(kelvin=300.0, label=False, parts=("disc",), opacity=opacity, emissivity=0.9)], **LEVEL)
     full = scene([thing(kelvin=300.0, label=False, parts=("disc",), emissivity=0.9)], **LEVEL)
     for mode in ("artistic", "physical"):
@@ -132,7 +132,7 @@ def test_a_drone_in_flight_has_the_labels_of_one_without_blades(blender, mode, p
     (a,), (b,) = (annotate(place(spec, [m]), r)[0] for m, r in ((mesh, flying), (bare, naked)))
     assert np.array_equal(a.box_xyxy, b.box_xyxy) and np.array_equal(a.corners_xy, b.corners_xy)
     assert a.mask == b.mask and a.visibility == b.visibility
-    # The blades themselves are counted while they stand still.
+    # The blades count for labels while they do not spin.
     still_spec, still_mesh = drone("still", np.radians(pitch_deg))
     (still,) = annotate(place(still_spec, [still_mesh]), both(mode, blender, still_spec, [still_mesh]))[0]
     assert still.mask.area_px > 1.05 * a.mask.area_px

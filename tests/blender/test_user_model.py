@@ -1,4 +1,4 @@
-"""A user's own model: every file type, parts by name, damaged files, scripts that must not run."""
+"""User models: every file type, parts by name, damaged files, scripts that must not run."""
 
 import json
 import struct
@@ -90,7 +90,7 @@ def test_scripts_in_a_blend_are_not_executed(files, tmp_path):
     assert not (files / "EVIL2").exists()
 
 
-def test_infrared_effect_materials_say_it_themselves(files, tmp_path):
+def test_infrared_effect_materials_need_no_parts(files, tmp_path):
     model = ready_model(describe(files, tmp_path, "blend", "air_temperature_c: 15"))
     assert model.parts["Warm"].delta_t_k == pytest.approx((20, 20))
     assert model.parts["Warm"].emissivity == pytest.approx((0.75, 0.75))
@@ -112,7 +112,7 @@ def test_heading_and_length(files, tmp_path):
 
 
 def test_an_obj_that_stands_on_z(files, tmp_path):
-    """The same shape saved with Z up stands upright once its YAML says so."""
+    """The same shape saved with Z up is upright if its YAML has `up: Z`."""
     text = (files / "thing.obj").read_text().splitlines()
     turned = tmp_path / "z_up.obj"
 
@@ -166,7 +166,7 @@ def z_up_glb(path):
 
 @pytest.mark.parametrize(("up", "size_m"), [("", (0.5, 2, 1)), ("up: y\n", (0.5, 2, 1)), ("up: z\n", (0.5, 1, 2))])
 def test_a_gltf_with_z_up(tmp_path, up, size_m):
-    """A GLB that another tool saved with Z up stands upright once its YAML gives the axis."""
+    """A GLB that another tool saved with Z up is upright if its YAML has `up: Z`."""
     z_up_glb(tmp_path / "z_up.glb")
     parts = "parts: {body: {match: [Body], delta_t_k: 1, emissivity: 0.9}}\n"
     model = ready_model(describe(None, tmp_path, "", parts + up, file=tmp_path / "z_up.glb"))
@@ -185,12 +185,12 @@ def test_a_gltf_with_z_up(tmp_path, up, size_m):
         ("parts: {body: {match: ['*'], delta_t_k: [8, 4], emissivity: 1.5}}", "delta_t_k"),
     ],
 )
-def test_descriptions_that_do_not_fit(files, tmp_path, extra, match):
+def test_invalid_model_descriptions(files, tmp_path, extra, match):
     with pytest.raises(ModelError, match=match):
         ready_model(describe(files, tmp_path, "obj", extra))
 
 
-def test_files_that_cannot_be_read(files, tmp_path):
+def test_unreadable_files(files, tmp_path):
     bad = tmp_path / "bad.glb"
     bad.write_bytes(b"this is no model")
     with pytest.raises(ModelError, match=r"bad\.glb"):

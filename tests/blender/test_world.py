@@ -115,7 +115,7 @@ def test_dataset_reads_back_and_repeats(tmp_path):
         render(tmp_path / "a", WorldRequest(1))
 
 
-def test_stopped_run_leaves_nothing(tmp_path):
+def test_stopped_command_leaves_nothing(tmp_path):
     def stop(done: int, count: int) -> None:
         raise KeyboardInterrupt
 

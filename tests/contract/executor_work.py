@@ -1,4 +1,4 @@
-"""Work for executors under test; imported in worker processes by its dotted name."""
+"""Work for executors under test, which worker processes import by its dotted name."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ def square(settings):
 
 
 def obey(settings):
-    """Does what the payload says: (verb, argument)."""
+    """Perform the action of the payload: (verb, argument)."""
     return Obedient()
 
 

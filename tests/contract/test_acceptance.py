@@ -1,4 +1,4 @@
-"""Supervision and Datumaro load what we write: every image, every object in its place. DOTA by its own grammar."""
+"""Supervision and Datumaro load our output with every image and every object; DOTA is checked by its grammar."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def load(tools_python: Path):
 
 
 def converted(run: Path, out: Path, to: str, **choice: Any) -> tuple[list[ImageRecord], Path]:
-    """The run's labels written in one format, and what of them that format is to hold."""
+    """Convert the run to a format; return the run's images and the output folder."""
     report = api.convert(run, out, to, **{"reading": api.Reading(format="coco"), **choice})
     assert report.ok
     return list(api.read_dataset(run, api.Reading(format="coco")).images), out
@@ -64,7 +64,7 @@ def expected_objects(image: ImageRecord, ignored: bool) -> list[Instance]:
 
 
 def compare(images: list[ImageRecord], loaded: dict, tool: str, *, ignored: bool, shift: float = 0.0) -> None:
-    """Every image is there, with its size and exactly its boxes and classes, in whatever order."""
+    """Check that every image was loaded with its size and exactly its boxes and classes, in any order."""
     assert len(loaded) == len(images)
     for image in images:
         stem = Path(image.name).stem
@@ -80,12 +80,12 @@ def compare(images: list[ImageRecord], loaded: dict, tool: str, *, ignored: bool
 
 
 @pytest.mark.parametrize("tool", ["supervision", "datumaro"])
-def test_yolo_is_taken_whole(load, run: Path, tool: str) -> None:
+def test_every_yolo_label_is_accepted(load, run: Path, tool: str) -> None:
     images = list(api.read_dataset(run, api.Reading(format="coco")).images)
     compare(images, load(tool, "yolo", run / "yolo"), tool, ignored=False)
 
 
-def test_oriented_boxes_and_polygons_of_yolo_are_taken_whole(load, run: Path) -> None:
+def test_every_yolo_oriented_box_and_polygon_is_accepted(load, run: Path) -> None:
     images = list(api.read_dataset(run, api.Reading(format="coco")).images)
     oriented, masks = (
         load("supervision", "yolo-obb", run / "yolo-obb"),
@@ -104,7 +104,7 @@ def test_oriented_boxes_and_polygons_of_yolo_are_taken_whole(load, run: Path) ->
 
 
 @pytest.mark.parametrize("tool", ["supervision", "datumaro"])
-def test_coco_is_taken_whole_with_masks(load, run: Path, tmp_path: Path, tool: str) -> None:
+def test_every_coco_label_is_accepted_with_its_mask(load, run: Path, tmp_path: Path, tool: str) -> None:
     images, out = converted(run, tmp_path / "out", "coco", writing=api.WriteSettings(category_ids="from_one"))
     loaded = load(tool, "coco", out)
     compare(images, loaded, tool, ignored=True)
@@ -124,14 +124,14 @@ def test_datumaro_takes_a_coco_category_0_for_background(load, run: Path, tmp_pa
 
 
 @pytest.mark.parametrize("tool", ["supervision", "datumaro"])
-def test_voc_is_taken_whole(load, run: Path, tmp_path: Path, tool: str) -> None:
+def test_every_voc_label_is_accepted(load, run: Path, tmp_path: Path, tool: str) -> None:
     images, out = converted(run, tmp_path / "out", "voc")
     # Supervision takes VOC's corners for one-based and moves the upper left one; ours are absolute edges.
     compare(images, load(tool, "voc", out), tool, ignored=True, shift=1.0 if tool == "supervision" else 0.0)
 
 
-def test_dota_is_taken_whole(load, run: Path, tmp_path: Path) -> None:
-    # Datumaro wants the same classes in every split, which DOTA's files do not say.
+def test_every_dota_label_is_accepted(load, run: Path, tmp_path: Path) -> None:
+    # Datumaro wants the same classes in every split, which DOTA's files do not contain.
     images, out = converted(run, tmp_path / "out", "dota", reading=api.Reading(format="coco", splits=["train"]))
     loaded = load("datumaro", "dota", out)
     train = [i for i in images if i.split == "train"]

@@ -1,4 +1,4 @@
-"""Ultralytics and pycocotools judge alike, and what we find with weights is what Ultralytics' own validation finds.
+"""Our figures agree with pycocotools, and our detections with those of Ultralytics' own validation.
 
 Whatever imports torch runs in a process of its own: its warnings and settings are not ours.
 """
@@ -67,7 +67,7 @@ def write_yolo(root: Path, number: int, size_wh: tuple[int, int], task: str, obj
 
 
 def jittered(data: Path, path: Path, classes: tuple[str, ...]) -> Path:
-    """Findings of a middling detector: near the labels, some missed, some twice, others of nothing."""
+    """Detections of a mediocre detector: near the labels, some missed, some duplicated, some false."""
     rng, found, sizes = stream(0, "jitter"), {}, {}
     for image in api.read_dataset(data, api.Reading(splits=["test"])).images:
         objects = [i for i in image.instances if i.category in classes and rng.random() < 0.85]
@@ -97,14 +97,14 @@ def assert_alike(record: dict, images: int) -> None:
     assert set(theirs) == {name for name, row in ours.items() if row["instances"]}
 
 
-def test_both_judge_made_up_findings_alike(tmp_path: Path) -> None:
+def test_both_evaluate_synthetic_detections_alike(tmp_path: Path) -> None:
     data = write_yolo(tmp_path / "data", 220, (320, 256), "detect", 8)
     record = evaluate(jittered(data, tmp_path / "p.json", CLASSES), data, tmp_path / "out")
     assert_alike(record, 220)
 
 
 @pytest.mark.parametrize("regions", ["--ignore-regions", "--no-ignore-regions"])
-def test_both_judge_findings_on_hit_uav_alike(real_data: Path, tmp_path: Path, regions: str) -> None:
+def test_both_evaluate_detections_on_hit_uav_alike(real_data: Path, tmp_path: Path, regions: str) -> None:
     data = real_data / "hit-uav"
     saved = jittered(data, tmp_path / "p.json", ("Person", "Car", "Bicycle", "OtherVehicle"))
     record = evaluate(saved, data, tmp_path / "out", regions)
@@ -131,7 +131,7 @@ with quiet_ultralytics():
     net.names = {0: "person", 1: "car", 2: "lorry"}
     net.args, net.task = {}, kind
     # Untrained. Without statistics for its normalisation such a network gives every place nearly the same score, and
-    # the last bit of a convolution decides which of a hundred equal findings stay. So the statistics come from noise.
+    # the last bit of a convolution decides which of a hundred equal detections stay. So the statistics come from noise.
     for layer in net.modules():
         if isinstance(layer, torch.nn.BatchNorm2d):
             layer.momentum = None
@@ -158,7 +158,7 @@ images = api.read_dataset(data, Reading(["test"])).images
 write_predictions(out, predict(load_detector(weights, "cpu", "float32"), images, image_size=160, batch=1))
 """
 
-# Ultralytics' own validation, whose pictures go one by one and whose findings are kept before they are scored.
+# Ultralytics' own validation, run on single pictures; its detections are recorded before they are scored.
 VALIDATE = """
 import json, sys
 from infrablend.training.environment import quiet_ultralytics
@@ -213,11 +213,11 @@ def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: st
         same = mine.classes[:, None] == np.array(classes)[None]
         same &= np.isclose(mine.scores[:, None], np.array(scores)[None], rtol=0, atol=2e-5)
         same &= np.isclose(mine_at[:, None], their_at[None], rtol=0, atol=0.05).all(axis=2)
-        # On one thread both compute the same bits. On several, sums are taken in another order, and a finding that is
+        # On one thread both compute the same bits. On several, sums are taken in another order, and a detection that is
         # within rounding of the overlap at which it is dropped, or of the 300th place, may be there or not.
         assert len(mine.scores) > 5
         assert same.any(axis=1).mean() >= 0.98
-        if task != "segment":  # findings whose mask is empty are none
+        if task != "segment":  # detections with an empty mask do not count
             assert same.any(axis=0).mean() >= 0.98
             assert abs(len(scores) - len(mine.scores)) <= 0.02 * len(scores)
 
@@ -233,7 +233,7 @@ def test_weights_find_what_ultralytics_validation_finds(tmp_path: Path, task: st
 
 
 @pytest.mark.slow
-def test_weights_that_cannot_be_used(tmp_path: Path) -> None:
+def test_unusable_weights(tmp_path: Path) -> None:
     data = write_yolo(tmp_path / "data", 2, (64, 64), "detect", 2)
     (tmp_path / "torn.pt").write_bytes(b"PK\x03\x04 no weights")
     for weights, says in (("torn.pt", "cannot be loaded"), ("yolov8n.pt", "no such file")):
@@ -260,7 +260,7 @@ def test_weights_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_pictures_that_cannot_be_read_are_told_first_and_an_earlier_evaluation_stays(tmp_path: Path) -> None:
+def test_unreadable_pictures_are_reported_first_and_an_earlier_evaluation_is_kept(tmp_path: Path) -> None:
     data, out, weights = tmp_path / "data", tmp_path / "out", tmp_path / "weights.pt"
     (data / "images" / "test").mkdir(parents=True)
     rng = stream(0, "broken pictures")

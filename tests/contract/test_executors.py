@@ -1,4 +1,4 @@
-"""What every executor must do, and what the process pool must survive."""
+"""The contract of every executor, and the failures that the process pool must survive."""
 
 import os
 import pickle
@@ -68,7 +68,7 @@ def test_no_tasks_no_results(make):
     assert list(make(OBEY).run([])) == []
 
 
-def test_a_failing_task_is_a_result_and_the_rest_goes_on(make):
+def test_failed_task_is_a_result_and_other_tasks_continue(make):
     tasks = orders(
         ("fail", "by zero"),
         ("give", 1),
@@ -132,7 +132,7 @@ def test_tasks_are_read_as_needed(make):
     assert_no_children()
 
 
-def test_trouble_in_the_source_of_tasks_ends_the_run(make):
+def test_error_in_the_source_of_tasks_ends_the_run(make):
     def tasks():
         yield Task("a", ("give", 1))
         raise OSError("the list broke off")
@@ -142,7 +142,7 @@ def test_trouble_in_the_source_of_tasks_ends_the_run(make):
     assert_no_children()
 
 
-def test_prints_of_c_code_stay_off_our_stdout(make, capfd):
+def test_output_of_c_code_does_not_reach_stdout(make, capfd):
     results = list(make(OBEY).run(orders(("shout", "Fra:1 Mem:12M"))))
     assert results[0].ok
     assert capfd.readouterr().out == ""
@@ -156,7 +156,7 @@ def test_works_on_both_workers_at_once():
     assert {r.worker for r in results} == {0, 1}
 
 
-def test_crashed_worker_is_replaced_and_its_task_tried_again(tmp_path):
+def test_crashed_worker_is_replaced_and_its_task_retried(tmp_path):
     flag = str(tmp_path / "flag")
     results = list(pool(retries=1).run(orders(("die_once", flag), ("give", 1), ("give", 2))))
     assert {r.key: (r.value, r.attempts) for r in results} == {
@@ -173,7 +173,7 @@ def test_crashed_worker_is_replaced_and_its_task_tried_again(tmp_path):
         (("killed", None), r"ended by signal 9 SIGKILL \(often: out of memory\)"),
     ],
 )
-def test_task_that_always_crashes_fails_after_its_retries(order, words):
+def test_always_crashing_task_fails_after_its_retries(order, words):
     results = {r.key: r for r in pool(workers=2, retries=1).run(orders(("give", 0), order, ("give", 2)))}
     assert results["t0"].value == 0
     assert results["t2"].value == 2
@@ -184,7 +184,7 @@ def test_task_that_always_crashes_fails_after_its_retries(order, words):
         raise failure.to_exception()
 
 
-def test_failure_quotes_the_last_words_and_the_log_has_them(tmp_path):
+def test_failure_quotes_the_last_output_which_is_also_logged(tmp_path):
     log = tmp_path / "run.log"
     log.write_text("before\n")
     tasks = orders(("shout", "Saved: x.exr"), ("last_words", "Segfault in cycles"))
@@ -197,7 +197,7 @@ def test_failure_quotes_the_last_words_and_the_log_has_them(tmp_path):
     ]
 
 
-def test_hung_worker_is_ended_and_its_task_tried_again(tmp_path):
+def test_hung_worker_is_killed_and_its_task_retried(tmp_path):
     tasks = orders(("hang_once", str(tmp_path / "flag")), ("give", 1))
     results = {r.key: r for r in pool(task_timeout_s=0.5).run(tasks)}
     assert results["t0"].value == "second try"
@@ -213,7 +213,7 @@ def test_task_that_always_hangs_fails():
 
 
 def test_slow_consumer_is_no_hang():
-    """While the consumer thinks about one worker's result, the other's lies unread for longer than the limit."""
+    """While the consumer is busy with one result, another stays unread for longer than the time limit."""
     tasks = orders(*[("sleep", 0.05)] * 8)
     results = []
     for r in pool(workers=2, task_timeout_s=0.3, retries=0).run(tasks):
@@ -238,7 +238,7 @@ def test_workers_are_recycled_by_memory():
     assert len({r.value for r in results}) == 2
 
 
-def test_start_that_crashes_is_one_clear_error(tmp_path):
+def test_crash_at_the_start_is_one_clear_error(tmp_path):
     counter = tmp_path / "starts"
     with pytest.raises(WorkerDiedError, match=r"3 in a row .* exit code 11"):
         list(pool(WorkerSpec("executor_work:dies", str(counter)), retries=2).run(orders(("give", 1))))
@@ -336,7 +336,7 @@ def wait_for(condition):
 
 @pytest.fixture
 def program(tmp_path):
-    """Starts PROGRAM and waits until all its workers are at a task that lasts until `release`; kills what is left."""
+    """Start PROGRAM and wait until all its workers run a task that lasts until `release`; kill leftovers."""
     running = []
 
     def start(kind, grace_s):

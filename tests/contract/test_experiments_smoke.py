@@ -1,4 +1,4 @@
-"""Every shipped experiment at the smoke scale, with the real trainer and judge, on virtual worlds; one work folder."""
+"""Every shipped experiment at the smoke scale, with real training and evaluation, on virtual worlds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every format obeys one contract: detect, read what is known, write and read equal, same bytes, input unchanged."""
+"""The contract of every format: detection, reading, equal round trips, same bytes, input unchanged."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def golden_images(folder: Path) -> tuple[ImageRecord, ...]:
 
 @dataclass(frozen=True)
 class Case:
-    """One way of writing, the way back, and what of an instance survives it."""
+    """A writer, its reader, and the fields of an instance that survive the round trip."""
 
     name: str
     write: Callable[[Path, tuple[ImageRecord, ...]], Written]
@@ -189,7 +189,7 @@ def tree(folder: Path) -> dict[str, str]:
 
 
 @all_cases
-def test_what_is_written_is_detected(case: Case, tmp_path: Path) -> None:
+def test_written_dataset_is_detected(case: Case, tmp_path: Path) -> None:
     case.write(tmp_path / "out", golden_images(tmp_path / "in"))
     found = detection.detect(tmp_path / "out")
     assert found.format == case.format
@@ -198,7 +198,7 @@ def test_what_is_written_is_detected(case: Case, tmp_path: Path) -> None:
 
 
 @all_cases
-def test_what_is_written_reads_back_equal(case: Case, tmp_path: Path) -> None:
+def test_written_dataset_reads_back_equal(case: Case, tmp_path: Path) -> None:
     images = golden_images(tmp_path / "in")
     case.write(tmp_path / "out", images)
     again = case.read(tmp_path / "out")
@@ -296,7 +296,7 @@ def test_coco_loads_in_pycocotools(tmp_path: Path, capsys: pytest.CaptureFixture
     capsys.readouterr()
 
 
-def test_a_folder_nothing_fits_says_why(tmp_path: Path) -> None:
+def test_unknown_format_lists_reasons(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(detection.UnknownFormatError) as caught:
         detection.read(tmp_path)

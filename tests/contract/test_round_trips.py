@@ -1,4 +1,4 @@
-"""Every format of the table, written and read again: equal to 1e-6 px in what it holds, a counted loss for the rest."""
+"""Round trips of every writer: equal to 1e-6 px in what the format holds, and a counted loss for the rest."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def round_trip(
     settings = WriteSettings(**choice)  # type: ignore[arg-type]
     written = writing.write(writer.name, out, images, categories, settings=settings)
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
-    # What looks like MONET is told by its telemetry, which is not always there, and needed unless it is waived.
+    # MONET is recognised by its telemetry, which some samples lack, and which is required unless waived.
     options = {"empty": "keep", "pitch_sign": "-1"} if writer.name == "monet" else {}
     again = detection.read(out, Reading(format="monet" if options else None, options=options))
     if writer.name == "yolo-seg":
@@ -81,7 +81,7 @@ def round_trip(
     forms = len(writer.fixed.get("forms", (1,)))
     for kind in {key.rpartition(".")[2] for key in written.losses}:
         counts = [n for key, n in written.losses.items() if key.rpartition(".")[2] == kind]
-        # HIT-UAV's two forms hold together what one of them does not.
+        # HIT-UAV's two forms complement each other.
         if kind in written.losses or len(counts) == forms or kind == "fraction_truncated":
             losses[kind] = max(counts)
     assert set(losses) <= set(LOSSES)
@@ -89,7 +89,7 @@ def round_trip(
 
 
 def held(field: str, given: ImageRecord, found: ImageRecord) -> bool:
-    """Whether what `WITH[field]` adds came back."""
+    """Return whether the field that `WITH[field]` adds was read back."""
     if field == "telemetry":
         facts = (found.pitch_deg, found.altitude_m, found.time_of_day)
         return facts == (given.pitch_deg, given.altitude_m, given.time_of_day)
@@ -120,7 +120,7 @@ def same_rectangle(a: object, b: object) -> float:
 
 @every_writer
 @pytest.mark.parametrize("field", sorted(WITH))
-def test_what_is_declared_is_what_happens(writer: Writer, field: str, tmp_path: Path) -> None:
+def test_declared_losses_occur(writer: Writer, field: str, tmp_path: Path) -> None:
     extra = WITH[field]
     image = image_with(tmp_path, extra) if isinstance(extra, Instance) else image_with(tmp_path, PLAIN, **extra)
     # Objects without a mask are left out of yolo-seg unless their box is asked for.
@@ -180,7 +180,7 @@ def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_p
 
 
 def apart_px(writer: Writer, a: Instance, b: Instance, size_wh: tuple[int, int]) -> float:
-    """How far the geometry that the format holds came back from where it was."""
+    """Return the largest deviation of the geometry after a round trip, px."""
     frame = np.array([*size_wh, *size_wh], np.float64)
     turned = a.corners_xy if a.corners_xy is not None else corners_of_box(a.box_xyxy)
     apart = 0.0
@@ -230,7 +230,7 @@ def test_every_row_of_the_table_has_its_module_and_its_page() -> None:
 
 
 @every_writer
-def test_what_a_writer_declares_is_known(writer: Writer) -> None:
+def test_losses_declared_by_writers_are_known(writer: Writer) -> None:
     assert writer.lacks <= set(FIELDS)
     assert {kind for _, kind in FIELDS.values()} <= set(LOSSES)
     assert callable(load_writer(writer))

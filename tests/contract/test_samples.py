@@ -1,4 +1,4 @@
-"""The samples are what they say: one or more of every format, found, read without an error, the same each time."""
+"""Every format has a sample, which is detected, read without errors, and the same each time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_no_format_takes_what_another_one_wrote(writer: Writer, tmp_path: Path) 
         source = detection.read(SAMPLES[name](tmp_path / name))
         images = [i if i.size_wh else replace(i, size_wh=read_size(i.path, i.id)[0]) for i in source.images]
         if not source.categories or (writer.name == "monet" and not any(i.pitch_deg is not None for i in images)):
-            continue  # MONET is told by its telemetry
+            continue  # MONET is recognised by its telemetry
         out = tmp_path / f"{name}-out"
         writing.write(writer.name, out, images, source.categories)
         found = detection.detect(out).format

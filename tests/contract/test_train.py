@@ -1,4 +1,4 @@
-"""Training, end to end with Ultralytics: every label used, stopped and gone on with, and what is refused."""
+"""Training end to end with Ultralytics: every label is used, training resumes, and bad input is refused."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
 
 
 @pytest.mark.slow
-def test_a_stopped_training_goes_on_from_its_last_epoch(ultralytics, tmp_path):
+def test_stopped_training_resumes_from_its_last_epoch(ultralytics, tmp_path):
     data = yolo(tmp_path / "data", {"train": 12})
     command = [sys.executable, "-m", "infrablend", "train", str(data), "--preset", "smoke", "--weights", "scratch",
                "--device", "cpu", "--set", "epochs=3", "--set", "tiles=0", "--out", str(tmp_path / "out")]  # fmt: skip
@@ -158,7 +158,7 @@ def test_the_gate_stops_where_ultralytics_would_drop_a_label(ultralytics, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_gate_looks_at_val_where_val_decides(ultralytics, tmp_path):
+def test_gate_checks_val_if_training_depends_on_it(ultralytics, tmp_path):
     data = yolo(tmp_path / "data", {"train": 4, "val": 2})
     doubled = data / "labels" / "val" / "0.txt"
     doubled.write_text(doubled.read_text() * 2)
@@ -166,7 +166,7 @@ def test_the_gate_looks_at_val_where_val_decides(ultralytics, tmp_path):
         train(data, tmp_path / "out", settings={"tile": 0, "patience": 3}, **SMOKE)
 
 
-def test_everything_wrong_with_a_dataset_is_said_at_once_before_anything_is_made(tmp_path, monkeypatch):
+def test_all_dataset_problems_are_reported_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
     data = yolo(tmp_path / "data", {"val": 2, "test": 1}, names=("car", "drone", "deer"))
     with pytest.raises(DatasetError) as caught:
@@ -188,7 +188,7 @@ def test_everything_wrong_with_a_dataset_is_said_at_once_before_anything_is_made
     assert not (tmp_path / "out").exists()
 
 
-def test_what_does_not_stop_a_training_is_said_too(tmp_path, caplog):
+def test_warnings_that_do_not_stop_a_training_are_reported(tmp_path, caplog):
     data = yolo(tmp_path / "data", {"train": 2}, names=("car", "drone", "deer"))
     plan_train(data, preset="smoke", device="cpu")
     assert "class deer: no object in split train" in caplog.text
@@ -215,7 +215,7 @@ def test_a_plan_refuses_what_the_training_would(ultralytics, tmp_path):
         plan_train(data, device="cpu", out=out, existing="overwrite")
 
 
-def test_settings_that_cannot_be():
+def test_impossible_settings():
     with pytest.raises(OutputError, match="no such preset"):
         choose_preset("big", {})
     with pytest.raises(OutputError) as caught:
@@ -224,7 +224,7 @@ def test_settings_that_cannot_be():
     assert choose_preset("small", {"lr0": 0.1}).arguments["lr0"] == 0.1
     chosen = choose_preset("small", {"epochs": 3})
     assert chosen.epochs_for(1000) == (3, 1000)
-    # However many images: as many epochs, as many shown in each, and all of them at least once.
+    # Any number of images: the same epochs with the same number shown, and every image at least once.
     assert PRESETS["small"].epochs_for(700) == PRESETS["small"].epochs_for(15_000) == (20, 800)
     assert PRESETS["small"].epochs_for(100_000) == (20, 5008)
     for name, settings, where in (
@@ -258,7 +258,7 @@ def test_numbers_on_the_command_line_are_numbers():
         _value("lr0", "[1")
 
 
-def test_labels_that_could_not_be_read_are_not_left_out_in_silence(tmp_path, monkeypatch):
+def test_unreadable_labels_are_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
     bad = "0 0.5 0.5 0.1 0.1\n1 0.5 0.5 0.1 0.2\n0 nan 0.5 0.1 0.1\n"
     data = yolo(tmp_path / "data", {"train": 25}, rows=bad)
@@ -274,7 +274,7 @@ def test_labels_that_could_not_be_read_are_not_left_out_in_silence(tmp_path, mon
     assert (plan.images, plan.labels) == (25, 50)
 
 
-def test_a_plan_says_what_is_shown_and_where(ultralytics, tmp_path, monkeypatch):
+def test_plan_lists_shown_images_and_output(ultralytics, tmp_path, monkeypatch):
     import torch
 
     data = yolo(tmp_path / "data", {"train": 4})
@@ -313,7 +313,7 @@ def test_devices(ultralytics, tmp_path, monkeypatch):
 
 
 def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
-    """The trainer's process replaced by what it says."""
+    """Replace the trainer's process by its events."""
 
     def watch(command, log, take):
         for event in said:
@@ -332,7 +332,7 @@ END = {"event": "end", "epochs": 1, "precision": "float32", "batch": 3, "short_o
        "versions": {}}  # fmt: skip
 
 
-def test_a_stop_when_all_is_done_stops_nothing(tmp_path, monkeypatch):
+def test_interruption_after_the_last_task_has_no_effect(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2})
     events(monkeypatch, END, code=-15, stopped=True)
     report = train(data, tmp_path / "out", **SMOKE)
@@ -343,7 +343,7 @@ def test_a_stop_when_all_is_done_stops_nothing(tmp_path, monkeypatch):
     assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "weights.pt"]
 
 
-def test_a_stop_says_how_far_it_came(tmp_path, monkeypatch):
+def test_interruption_reports_the_progress(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2})
     call = {"settings": {"epochs": 9}, **SMOKE}
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
@@ -382,7 +382,7 @@ def test_a_record_that_cannot_be_read_starts_again_when_asked(tmp_path, monkeypa
         train(data, tmp_path / "mine", existing="overwrite", **SMOKE)
 
 
-def test_going_on_asks_for_the_same_data_and_not_the_same_place(tmp_path, monkeypatch):
+def test_resuming_needs_the_same_data_but_not_the_same_path(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2, "test": 1})
     out = tmp_path / "out"
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
@@ -409,7 +409,7 @@ def test_going_on_asks_for_the_same_data_and_not_the_same_place(tmp_path, monkey
         train(data, out, existing="resume", **SMOKE)
 
 
-def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
+def test_damaged_checkpoint_is_moved_away(ultralytics, tmp_path):
     import torch
 
     said = []
@@ -428,7 +428,7 @@ def test_a_damaged_checkpoint_is_put_aside(ultralytics, tmp_path):
         assert (tmp_path / trainer.DAMAGED).read_bytes() == broken
         assert not checkpoint.exists()
         assert said.pop()[0] == "damaged"
-    assert not (tmp_path / "run").exists()  # nothing of what cannot be gone on with
+    assert not (tmp_path / "run").exists()  # nothing is left that cannot be resumed
 
 
 @pytest.mark.parametrize("workers", [0, 2])
@@ -459,7 +459,7 @@ def test_turns_stay_with_their_epoch_when_the_loader_starts_again(ultralytics, t
     assert trainer.trainer_with_passes(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
 
 
-def test_turns_walk_through_all_images_again_and_again():
+def test_shuffled_passes_cover_all_images_repeatedly():
     shown = [list(ShuffledPasses(7, 5, seed=3, epoch=e)) for e in range(7)]
     assert all(len(s) == 5 for s in shown)
     walks = [i for s in shown for i in s]
@@ -480,7 +480,7 @@ def test_no_gpu_when_one_was_asked_for(ultralytics, tmp_path):
         train(yolo(tmp_path / "d", {"train": 1}), tmp_path / "out", device="cuda")
 
 
-def test_without_ultralytics_it_is_said_what_to_install(tmp_path):
+def test_missing_ultralytics_error_names_the_install_command(tmp_path):
     code = (
         "import sys; sys.modules['ultralytics'] = None\n"
         "from infrablend.training.weights import require_ultralytics\n"
@@ -491,7 +491,7 @@ def test_without_ultralytics_it_is_said_what_to_install(tmp_path):
     assert 'pip install "infrablend[train]"' in done.stdout
 
 
-def test_an_ultralytics_that_is_too_old_is_said(ultralytics, tmp_path, monkeypatch):
+def test_outdated_ultralytics_is_reported(ultralytics, tmp_path, monkeypatch):
     data = yolo(tmp_path / "d", {"train": 1})
     for version in ("8.3.0", "8.4.189"):
         monkeypatch.setattr(metadata, "version", lambda name, v=version: v)
@@ -503,7 +503,7 @@ def test_an_ultralytics_that_is_too_old_is_said(ultralytics, tmp_path, monkeypat
         weights.require_ultralytics()
 
 
-def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
+def test_weights_are_found_in_known_places(tmp_path, monkeypatch):
     small = PRESETS["small"]
     assert weights.find_start("scratch", small, "obb").model == "yolov8n-obb.yaml"
     own = tmp_path / "mine.pt"
@@ -540,7 +540,7 @@ def test_weights_from_where_there_are_some(tmp_path, monkeypatch):
     ("length", "body", "said"),
     [(1000, b"half", "run the command again"), (19, b"<html>hello</html>\n", "19 bytes that begin '<html>")],
 )
-def test_a_download_that_is_no_weights_leaves_nothing_behind(tmp_path, monkeypatch, length, body, said):
+def test_download_that_is_not_weights_leaves_nothing_behind(tmp_path, monkeypatch, length, body, said):
     import http.server
     import threading
 
@@ -567,7 +567,7 @@ def test_a_download_that_is_no_weights_leaves_nothing_behind(tmp_path, monkeypat
     assert not list((tmp_path / "cache").glob("*.pt*"))
 
 
-def test_what_failed_is_told_with_the_log(tmp_path):
+def test_failures_name_the_log(tmp_path):
     error = process._failure(tmp_path, -9, None, PRESETS["small"])
     assert isinstance(error, RenderError)
     assert "batch=8" in str(error)
@@ -576,7 +576,7 @@ def test_what_failed_is_told_with_the_log(tmp_path):
 
 
 def test_the_stand_in_for_torchvision_can_be_asked_for(ultralytics, monkeypatch):
-    """Others look whether torchvision is there, too; Python raises for a module that does not say what it is."""
+    """Other packages also look for torchvision, and Python raises for a module without `__spec__`."""
     for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torchvision", None)  # an import of it fails

@@ -1,4 +1,4 @@
-"""Ultralytics' own dataset check, run in a process of its own, accepts what we write and drops nothing."""
+"""Ultralytics' own dataset check, in a separate process, accepts our output and drops nothing."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ GOOD_ROWS = {
 
 
 def test_a_split_that_stands_in_is_accepted(ultralytics_check, tmp_path: Path) -> None:
-    """The key `stand_ins`, which Ultralytics does not know, does no harm; the check counts each folder once."""
+    """Ultralytics ignores the key `stand_ins`; the check counts each folder once."""
     data_yaml = write_dataset(tmp_path, {"train/x": GOOD_ROWS["detect"], "train/y": ""})
     text, _ = yolo.data_yaml({"car": 0, "drone": 1}, ["train"])
     assert "stand_ins: [val]" in text
@@ -109,7 +109,7 @@ EXPECTED_CLASSES = {"Person": 2, "Car": 2, "Bicycle": 2, "OtherVehicle": 2, "dro
 
 
 @pytest.mark.parametrize("folder", ["yolo", "yolo-obb", "yolo-seg"])
-def test_ultralytics_takes_all_of_a_run(ultralytics_check, finished_run: Path, folder: str) -> None:
+def test_ultralytics_accepts_every_label_of_a_run(ultralytics_check, finished_run: Path, folder: str) -> None:
     task = {"yolo": "detect", "yolo-obb": "obb", "yolo-seg": "segment"}[folder]
     code, answer = ultralytics_check(finished_run / folder / "data.yaml", task)
     assert code == 0, answer

@@ -1,4 +1,4 @@
-"""What holds for the rectangles around any points."""
+"""Properties of the rectangles around any points."""
 
 from __future__ import annotations
 

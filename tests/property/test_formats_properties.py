@@ -1,4 +1,4 @@
-"""Numbers survive writing and reading, whatever they are."""
+"""Any numbers survive writing and reading."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_oriented_numbers_and_corners_are_inverse(cx: float, cy: float, w: float
 
 
 @given(st.lists(st.floats(), min_size=4, max_size=4))
-def test_a_box_is_kept_inside_or_named(values: list[float]) -> None:
+def test_box_outside_the_frame_is_clipped_or_reported(values: list[float]) -> None:
     box, problem = check_box(values, (640, 512), "here")
     if box is None:
         assert problem is not None and problem.severity == "error"
@@ -97,7 +97,7 @@ def test_every_mask_is_under_its_polygon(h: int, w: int, data: st.DataObject) ->
 
 
 @given(st.text(max_size=30))
-def test_a_name_that_passes_stays_inside(name: str) -> None:
+def test_accepted_name_stays_inside_the_folder(name: str) -> None:
     if check_name(name, "here") is None:
         root = Path("/data/pictures")
         assert (root / name).resolve().is_relative_to(root)

@@ -1,4 +1,4 @@
-"""What holds for the labels of any scene."""
+"""Properties of the labels of any scene."""
 
 from __future__ import annotations
 

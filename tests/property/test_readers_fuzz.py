@@ -1,6 +1,6 @@
-"""No broken or hostile dataset brings anything out of a reader but a dataset or one of our errors.
+"""From any broken or hostile dataset, a reader returns a dataset or raises one of our errors.
 
-What is broken, and what is watched, is in tests/fuzzing.py; what is broken is every sample in tests/samples.py.
+The damage and the watch for file access are in tests/fuzzing.py; the damaged datasets are those of tests/samples.py.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ GROWTH_KIB = 700 * 1024
 @pytest.mark.parametrize("name", sorted(SAMPLES))
 @settings(max_examples=40)
 @given(st.integers(0, 2**32), st.integers(1, 4))
-def test_broken_samples_end_in_a_dataset_or_an_error_of_ours(name: str, seed: int, times: int) -> None:
+def test_broken_samples_give_a_dataset_or_our_own_error(name: str, seed: int, times: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = SAMPLES[name](Path(folder) / "data")
         outside = make_outside(Path(folder) / "outside")
@@ -44,7 +44,7 @@ def test_broken_samples_end_in_a_dataset_or_an_error_of_ours(name: str, seed: in
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < GROWTH_KIB, done
 
 
-def test_the_watch_sees(tmp_path: Path) -> None:
+def test_file_watch_detects_access(tmp_path: Path) -> None:
     outside = make_outside(tmp_path / "outside")
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "a.txt").symlink_to(outside / "secret.txt")
@@ -73,7 +73,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def measure(root: Path, format: str) -> tuple[str, int]:
-    """What `check` says, and by how many KiB the process grew."""
+    """Return the output of `check`, and the growth of the process in KiB."""
     command = [sys.executable, "-c", MEASURE, str(root), format]
     out = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert out.returncode == 0, out.stderr
@@ -146,7 +146,7 @@ def test_entities_in_xml_are_refused(tmp_path: Path) -> None:
     assert "EntitiesForbidden" in str(caught.value) or "DTDForbidden" in str(caught.value)
 
 
-def test_a_link_to_a_file_outside_is_an_error_that_says_so(tmp_path: Path) -> None:
+def test_link_to_a_file_outside_is_a_clear_error(tmp_path: Path) -> None:
     for name in ("yolo:detect", "folder:yolo", "hit-uav:json", "coco"):
         root = SAMPLES[name](tmp_path / name.replace(":", "-"))
         outside = make_outside(tmp_path / "outside")

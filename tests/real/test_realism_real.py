@@ -1,4 +1,4 @@
-"""The realism measures on HIT-UAV's own objects: published contrasts and features, controls where they must lie."""
+"""The realism measures on HIT-UAV's own objects: published contrasts and features, controls within their bounds."""
 
 from pathlib import Path
 
@@ -58,7 +58,7 @@ def test_contrasts_and_features_are_the_published_ones(real_data, night):
 
 
 @pytest.mark.slow
-def test_the_controls_lie_where_they_must(real_data, night):
+def test_controls_have_their_expected_values(real_data, night):
     real, floor, hard = [], [], []
     for image, background, picture, labels, objects in survey(night, "Person", 150):
         chosen = [(n, o) for n, o, m in objects if not m.flaw]

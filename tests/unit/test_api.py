@@ -1,4 +1,4 @@
-"""The Python interface: its examples run, and the package root offers what it says."""
+"""The Python interface: its examples run, and the package root exports what it lists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark's own arithmetic: what it counts must be what it says."""
+"""The arithmetic of the benchmark."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_memory_slope_is_per_100_frames_after_settling() -> None:
     assert Memory(climbing, 0).slope_mb_per_100_frames == pytest.approx(5.0)
 
 
-def test_bars_refuse_what_is_missed_and_what_is_no_number() -> None:
+def test_bars_fail_on_missed_targets_and_non_numbers() -> None:
     from bench import BARS  # type: ignore[attr-defined]  # the module beside this one, not the folder
 
     bars = {bar.key: bar for bar in BARS}

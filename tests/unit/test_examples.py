@@ -1,4 +1,4 @@
-"""The examples work as they stand."""
+"""The examples run unchanged."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What a careless or hostile user gives: a clear error, nothing half-written, nothing of theirs lost."""
+"""Careless or hostile input gives a clear error, no partial output, and no loss of the user's files."""
 
 import fcntl
 import hashlib
@@ -65,7 +65,7 @@ def test_yaml_that_is_not_plain_values_is_refused(text, match):
         read_yaml(text)
 
 
-def test_yaml_numbers_dates_and_plain_aliases_mean_what_people_mean():
+def test_yaml_numbers_dates_and_aliases_have_their_plain_meaning():
     assert read_yaml("a: 1e3\nb: 2020-01-01\nc: &c [1, 2]\nd: *c") == {
         "a": 1000.0,
         "b": "2020-01-01",
@@ -133,7 +133,7 @@ def test_a_models_description_is_read_as_strictly(tmp_path):
 # ---- output folder
 
 
-def test_output_and_data_stay_apart(data, tmp_path):
+def test_output_and_data_must_be_apart(data, tmp_path):
     (tmp_path / "link").symlink_to(data)
     for out in (data, data / "run", tmp_path, tmp_path / "link", tmp_path / "link" / "run"):
         with pytest.raises(OutputError):
@@ -155,7 +155,7 @@ def test_two_runs_in_one_folder_are_refused(data, tmp_path):
     assert generate(data, out).ok
 
 
-def test_overwrite_keeps_its_hands_off_another_programs_folder(tmp_path):
+def test_overwrite_refuses_folders_of_other_programs(tmp_path):
     (tmp_path / "run.json").write_text('{"mine": 1}')
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "precious.jpg").write_bytes(b"1")
@@ -164,7 +164,7 @@ def test_overwrite_keeps_its_hands_off_another_programs_folder(tmp_path):
     assert (tmp_path / "images" / "precious.jpg").is_file()
 
 
-def test_a_full_disk_in_a_worker_is_the_environments_fault():
+def test_full_disk_in_a_worker_is_an_environment_error():
     full = OutputError("cannot write x", [Problem("x", "disk-full", "No space left on device")])
     assert exit_code(full) == ENVIRONMENT
 
@@ -172,7 +172,7 @@ def test_a_full_disk_in_a_worker_is_the_environments_fault():
 # ---- data that change
 
 
-def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
+def test_frames_of_a_changed_background_are_rendered_again(data, tmp_path, caplog):
     out, fresh = tmp_path / "run", tmp_path / "fresh"
     generate(data, out)
     before = digests(out)
@@ -186,7 +186,7 @@ def test_a_background_that_changed_is_made_again(data, tmp_path, caplog):
     assert digests(out) == digests(fresh) != before
 
 
-def test_a_stop_while_labels_are_written_says_how_to_go_on(data, tmp_path, monkeypatch):
+def test_interruption_while_writing_labels_explains_resuming(data, tmp_path, monkeypatch):
     out, fresh = tmp_path / "run", tmp_path / "fresh"
 
     def stop(*_):

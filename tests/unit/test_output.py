@@ -1,4 +1,4 @@
-"""Output folders: one set of rules for every command that writes."""
+"""Output folders: the same rules for every command that writes."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
         pass
 
 
-def test_data_and_output_stay_apart(tmp_path: Path) -> None:
+def test_data_and_output_must_be_apart(tmp_path: Path) -> None:
     for data, out in (("a", "a"), ("a/b", "a"), ("a", "a/b")):
         with pytest.raises(OutputError, match="data folder"):
             require_apart(tmp_path / data, tmp_path / out)
     require_apart(tmp_path / "a", tmp_path / "ab")
 
 
-def test_a_file_of_somebody_else_is_not_replaced(tmp_path: Path) -> None:
+def test_foreign_file_is_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / "sheet.png"
     require_replaceable(file, "contact sheet", ours=False)
     file.write_text("mine")

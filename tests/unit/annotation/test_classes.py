@@ -1,4 +1,4 @@
-"""Classes renamed, joined, dropped."""
+"""Renaming, joining and dropping classes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_two_can_change_places() -> None:
     assert names(data) == ["Person", "Van", "Car", "DontCare"]
 
 
-def test_what_is_to_be_ignored_stays_so_only_alone() -> None:
+def test_ignored_class_stays_ignored_only_if_not_merged() -> None:
     assert rename_classes(dataset(), {"DontCare": "crowd"}).category("crowd").ignore
     assert not rename_classes(dataset(), {"DontCare": "crowd", "Person": "crowd"}).category("crowd").ignore
 
@@ -59,6 +59,6 @@ def test_dropped_classes_go_with_their_objects() -> None:
 
 
 @pytest.mark.parametrize("change", [lambda d: rename_classes(d, {"car": "x"}), lambda d: drop_classes(d, ["car"])])
-def test_a_class_that_is_not_there_is_refused(change) -> None:
+def test_unknown_class_is_refused(change) -> None:
     with pytest.raises(ValueError, match="no such class: car"):
         change(dataset())

@@ -1,4 +1,4 @@
-"""Labels of scenes whose picture can be worked out on paper."""
+"""Labels of scenes that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -224,14 +224,14 @@ def test_a_hole_in_the_middle_leaves_the_box_exact() -> None:
     assert report.boxes_from_samples == ()
 
 
-def test_wholly_hidden_gets_no_label() -> None:
+def test_completely_hidden_object_gets_no_label() -> None:
     view = camera(10)
     found, report = annotate(place(scene(view, thing(), thing((0, -5, 0))), [plate(20, 20, view), plate(40, 40, view)]))
     assert len(found) == 1
     assert [(d.index, d.reason) for d in report.drops] == [(0, "hidden")]
 
 
-def test_what_is_farther_hides_nothing() -> None:
+def test_farther_objects_hide_nothing() -> None:
     view = camera(10)
     (a, _), _ = annotate(place(scene(view, thing(), thing((0, 5, 0))), [plate(40, 40, view), brick_mesh((3, 1, 3))]))
     assert a.visibility == 1.0
@@ -314,7 +314,7 @@ def test_an_empty_mask_becomes_the_pixel_of_largest_coverage() -> None:
     assert report.mask_fallbacks == (0,)
 
 
-def test_an_object_the_renderer_shows_nowhere_gets_no_label() -> None:
+def test_invisible_object_gets_no_label() -> None:
     view = camera(10)
     found, report = annotate(
         place(scene(view, thing()), [plate(4, 2, view)]), rendered(np.zeros((1, 3, 3)), (319, 255))

@@ -1,4 +1,4 @@
-"""Original and new labels together."""
+"""Merging original and new labels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_originals_come_first_and_are_the_same_objects() -> None:
     assert removed == ()
 
 
-def test_wholly_covered_is_removed_and_recorded() -> None:
+def test_completely_covered_object_is_removed_and_recorded() -> None:
     car = original((10, 10, 20, 20), source_id=17)
     kept, removed = merge([car], [drone(8, 8, 22, 22)])
     assert [i.category for i in kept] == ["drone"]
@@ -54,7 +54,7 @@ def test_wholly_covered_is_removed_and_recorded() -> None:
 
 
 @pytest.mark.parametrize(("missing", "gone"), [(1, True), (2, False)])
-def test_99_of_100_pixels_is_complete(missing: int, gone: bool) -> None:
+def test_covering_99_percent_of_pixels_counts_as_complete(missing: int, gone: bool) -> None:
     cover = np.zeros(HW, np.bool_)
     cover[10:20, 10:20] = True
     cover[10, 10 : 10 + missing] = False
@@ -92,7 +92,7 @@ def test_pixels_belong_to_a_box_by_their_centre() -> None:
 
 
 @pytest.mark.parametrize("box", [(10.1, 10.1, 10.3, 10.4), (10.2, 10.0, 10.2, 11.0), (10, 10, 10, 10)])
-def test_a_box_smaller_than_a_pixel_has_the_pixel_around_it(box: tuple[float, float, float, float]) -> None:
+def test_box_smaller_than_a_pixel_grows_to_its_pixel(box: tuple[float, float, float, float]) -> None:
     cover = np.zeros(HW, np.bool_)
     assert covered_share(original(box), cover) == 0.0
     cover[10, 10] = True
@@ -121,7 +121,7 @@ def test_categories_to_keep_bind_originals_only() -> None:
 @pytest.mark.parametrize(
     ("labels", "expected"), [("merged", ["Car", "drone"]), ("new", ["drone"]), ("original", ["Car"])]
 )
-def test_choice_of_labels_accounts_for_every_one(labels: str, expected: list[str]) -> None:
+def test_label_selection_accounts_for_every_label(labels: str, expected: list[str]) -> None:
     cars, new = [original((1, 1, 5, 5)), original((11, 11, 15, 15))], [drone(10, 10, 20, 20)]
     kept, removed = merge(cars, new, MergeSettings(labels=labels))  # type: ignore[arg-type]
     assert [i.category for i in kept] == expected

@@ -1,4 +1,4 @@
-"""The car: its mesh is sound, stands on its tyres, has the length asked for; its temperatures follow its state."""
+"""The car: a valid mesh on its tyres with the requested length; temperatures follow its state."""
 
 import itertools
 import sys
@@ -45,7 +45,7 @@ def test_car_is_sound(params: dict[str, object]) -> None:
     assert mesh.size_m[0] == pytest.approx(params["length_m"], rel=0.01)
     low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
     assert low[:2] + high[:2] == pytest.approx([0, 0], abs=1e-9)
-    # It stands on its tyres and on nothing else.
+    # Only its tyres touch the ground.
     assert low[2] == pytest.approx(0.0, abs=1e-9)
     assert extent(mesh, "tyre")[0][2] == pytest.approx(0.0, abs=1e-9)
     assert extent(mesh, *(set(mesh.part_names) - {"tyre"}))[0][2] > 0.08
@@ -88,7 +88,7 @@ def test_left_and_right_are_alike(body: str) -> None:
     assert a == pytest.approx(b, abs=2e-6)
 
 
-def test_options_that_show() -> None:
+def test_visible_options() -> None:
     bare = MODEL.build({**NOMINAL, "body": "van", "exhausts": 0})
     full = MODEL.build({**NOMINAL, "body": "van", "exhausts": 2, "sunroof": True, "rails": True})
     panel = MODEL.build({**NOMINAL, "body": "van", "panelled": True})

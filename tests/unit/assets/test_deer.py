@@ -83,7 +83,7 @@ def test_origin_lies_between_the_feet_and_all_hooves_are_found(pose: str, varian
     assert np.abs(centre).max() < 0.06
 
 
-def test_it_is_built_like_a_deer() -> None:
+def test_deer_proportions() -> None:
     mesh = deer.build({"pose": "standing", "variant": "alert", "shoulder_height_m": 1.0})
     trunk = vertices_of(mesh, "back", "upper_flank", "flank", "belly")
     # Legs take about half the height below the chest; the trunk is about as long as the animal is high and slim.
@@ -140,7 +140,7 @@ def test_options_fix_what_they_name_and_nothing_else() -> None:
     assert 0.67 < max(heights) <= 0.7
 
 
-def test_thermal_roles_follow_the_issue() -> None:
+def test_thermal_roles_have_specified_values() -> None:
     mean = {name: sum(role.delta_t_k) / 2 for name, role in deer.PARTS.items()}
     trunk = [mean[n] for n in ("back", "upper_flank", "flank", "belly", "neck_base", "neck")]
     assert max(trunk) - min(trunk) < 2.5  # nearly uniform

@@ -1,4 +1,4 @@
-"""The quadrotor: its mesh is sound, its parameters mean what they say, its options are honoured or refused."""
+"""The quadrotor: a valid mesh, parameters with their documented meaning, options honoured or refused."""
 
 import itertools
 
@@ -15,7 +15,7 @@ DRAWS = [MODEL.sample(stream(7, "drone", k), {}) for k in range(24)]
 
 
 def measured_motors_m(mesh: Mesh) -> np.ndarray:
-    """(4, 2) centres of the stators as they stand in the mesh."""
+    """Return the (4, 2) centres of the stators in the mesh."""
     rows = mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("winding")]
     xy = mesh.vertices_m[np.unique(rows)][:, :2]
     return np.array([(c.min(axis=0) + c.max(axis=0)) / 2 for c in np.split(xy, 4)])

@@ -1,4 +1,4 @@
-"""The materials table, what parts take from it, and what is refused."""
+"""The materials table: values that parts take from it, and invalid ones."""
 
 import dataclasses
 import re
@@ -79,7 +79,7 @@ def test_parts_take_what_they_are_not_given() -> None:
         ({"delta_t_k": (float("nan"), 1.0)}, "delta_t_k"),
     ],
 )
-def test_nonsense_roles_are_refused(change: dict[str, object], expected: str) -> None:
+def test_invalid_roles_are_refused(change: dict[str, object], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         dataclasses.replace(PartRange((0.0, 1.0), (0.9, 0.95)), **change)
 
@@ -95,12 +95,12 @@ def test_nonsense_roles_are_refused(change: dict[str, object], expected: str) ->
         ({"opacity": 0.5}, "only without label"),
     ],
 )
-def test_nonsense_states_are_refused(change: dict[str, object], expected: str) -> None:
+def test_invalid_states_are_refused(change: dict[str, object], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         dataclasses.replace(PartState(300.0, 0.9), **change)
 
 
-def test_every_shipped_part_is_made_of_something() -> None:
+def test_every_shipped_part_has_a_material() -> None:
     for name in list_models():
         model = load_model(name)
         for k in range(3):
@@ -121,7 +121,7 @@ def recipe(model: str, *overrides: str, look: str = "physical"):
 
 
 @pytest.mark.parametrize("model", ["car", "person", "deer"])
-def test_models_hear_the_time_of_day_of_their_frame(model: str) -> None:
+def test_models_receive_the_time_of_day_of_their_frame(model: str) -> None:
     models = {model: load_model(model)}
 
     def spec(when: str | None, *overrides: str, look: str = "physical") -> SceneSpec:
@@ -133,7 +133,7 @@ def test_models_hear_the_time_of_day_of_their_frame(model: str) -> None:
         assert night.params["state"] in ("parked_cold", "driven") and day.params["state"].startswith("day_")
     else:
         assert (night.params["time_of_day"], day.params["time_of_day"]) == ("night", "day")
-        # The same individual: what is not in the sun is as warm as by night, the rest is warmer.
+        # The same individual: parts in the shade are as warm as at night, the others are warmer.
         assert {**night.params, "time_of_day": 0} == {**day.params, "time_of_day": 0}
         warmer = {n: day.parts[n].temperature_k - night.parts[n].temperature_k for n in night.parts}
         assert min(warmer.values()) >= 0 and max(warmer.values()) >= {"person": 3, "deer": 5}[model]
@@ -236,7 +236,7 @@ def test_a_material_made_by_hand_keeps_its_surface(tmp_path) -> None:
         ("delta_t_k: 3, kind: fur, opacity: 0.5", "opacity", "label: false"),
     ],
 )
-def test_a_users_nonsense_is_named(tmp_path, parts: str, field: str, expected: str) -> None:
+def test_invalid_user_model_is_reported(tmp_path, parts: str, field: str, expected: str) -> None:
     with pytest.raises(ModelError, match=expected) as caught:
         described(tmp_path, parts)
     assert {p.where for p in caught.value.problems} <= {f"parts.body.{field}", f"parts.body.{field}.0"}
@@ -253,7 +253,7 @@ def test_a_users_nonsense_is_named(tmp_path, parts: str, field: str, expected: s
         ("{emissivity: [0.9, 0.1]}", "low end is not above"),
     ],
 )
-def test_a_recipes_nonsense_is_named(override: str, expected: str) -> None:
+def test_invalid_recipe_is_reported(override: str, expected: str) -> None:
     with pytest.raises(RecipeError, match=expected) as caught:
         load_recipe("hit-uav-drone", [f"objects.0.parts={{motor: {override}}}"])
     assert any("objects.0.parts.motor" in p.where for p in caught.value.problems)

@@ -99,7 +99,7 @@ def test_walking_is_a_little_and_sitting_much_lower() -> None:
     assert all(0.5 < heights["sitting", v] < 0.58 for v in ("cross-legged", "knees-up"))
 
 
-def test_it_is_built_like_a_person() -> None:
+def test_person_proportions() -> None:
     mesh = person.build({"height_m": 1.75})
     assert 0.42 < np.ptp(vertices_of(mesh, "jacket", "sleeve")[:, 1]) < 0.68  # shoulders and arms in a winter jacket
     assert 0.22 < np.ptp(vertices_of(mesh, "jacket")[:, 0]) < 0.36

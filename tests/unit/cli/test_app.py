@@ -1,4 +1,4 @@
-"""The command line: what it passes to the API, what it says, how it ends. The API is a stand-in here."""
+"""The command line: arguments passed to the API (a stand-in here), messages, exit codes."""
 
 import dataclasses
 import importlib.util
@@ -162,7 +162,7 @@ def test_wrong_usage_is_code_2_and_calls_nothing(api, capsys, extra, words):
     assert api.calls == {}
 
 
-def test_plan_makes_nothing(api, capsys):
+def test_plan_writes_nothing(api, capsys):
     assert main([*GENERATE, "--plan"]) == 0
     assert list(api.calls) == ["plan"]
     assert (
@@ -173,7 +173,7 @@ def test_plan_makes_nothing(api, capsys):
     assert json.loads(capsys.readouterr().out)["frames"] == 3738
 
 
-def test_something_skipped_is_code_1_and_named(api, capsys):
+def test_skipped_items_are_named_and_give_exit_code_1(api, capsys):
     problems = [Problem(f"bg{i}.jpg", "image-truncated", "only 9 bytes") for i in range(23)]
     problems.append(Problem("bg99.jpg", "size", "a warning", severity="warning"))
     api.answers["generate"] = Report(Path("runs/a"), {"inserted": 1, "skipped": 23}, tuple(problems), ok=False)
@@ -221,7 +221,7 @@ def test_every_error_of_ours_has_a_code():
             assert exit_code(kind("x")) in {2, 3, 130}
 
 
-def test_all_problems_are_told_20_on_screen_the_rest_in_the_log(api, capsys, log_path):
+def test_first_20_problems_are_shown_and_all_are_logged(api, capsys, log_path):
     problems = [Problem(f"recipe: field{i:02}", "range", f"{i + 2} is too big", "at most 1") for i in range(27)]
     api.answers["generate"] = errors.RecipeError("The recipe has 27 bad fields.", problems)
     assert main(GENERATE) == 2
@@ -254,7 +254,7 @@ def test_errors_as_json(api, capsys):
     assert told["problems"][0]["code"] == "c"
 
 
-def test_a_bug_is_short_on_screen_and_long_in_the_log(api, capsys, log_path):
+def test_internal_error_shows_one_line_and_logs_the_traceback(api, capsys, log_path):
     api.answers["generate"] = lambda *a, **k: 1 // 0
     assert main(GENERATE) == 70
     err = capsys.readouterr().err
@@ -371,7 +371,7 @@ def test_calls_fit_the_real_api(monkeypatch, capsys, argv):
     inspect.signature(getattr(real, name)).bind(*args, **kwargs)
 
 
-def test_starting_is_light():
+def test_help_imports_no_heavy_package():
     """`--version` and `--help` must not wait for numpy or Blender."""
     code = (
         "import sys; from infrablend.cli import main; main(['--help']); "
@@ -414,7 +414,7 @@ def test_log_option_and_unusable_log(api, capsys, tmp_path, monkeypatch):
     assert list(tmp_path.glob("infrablend-*.log"))
 
 
-def test_long_log_is_put_aside(api, log_path):
+def test_long_log_is_rotated(api, log_path):
     log_path.parent.mkdir()
     log_path.write_bytes(b"x" * (LOG_SIZE_BYTES + 1))
     main(GENERATE)
@@ -460,7 +460,7 @@ def test_quiet_shows_nothing(api):
 # ---- texts
 
 
-def test_units_for_people():
+def test_readable_units():
     assert [human_bytes(n) for n in (0, 1023, 1536, 5 * 2**40)] == ["0 B", "1023 B", "1.5 KiB", "5.0 TiB"]
     assert [human_seconds(s) for s in (0.04, 59.94, 185, 7800)] == ["0.0 s", "59.9 s", "3 min 05 s", "2 h 10 min"]
 

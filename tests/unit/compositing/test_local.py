@@ -1,4 +1,4 @@
-"""Grey levels by physics: the ground is met exactly, the gain is learnt from anchors, clipped ones are bounds."""
+"""Physical grey levels: exact ground level, gain from anchors, clipped anchors as bounds."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_without_anchors_the_prior_is_drawn_from():
     assert made[0][1]["anchors"] == {"clothing": 0, "car_roof": 0, "face_clipped": 0, "clothing_clipped": 0}
 
 
-def test_a_clipped_face_is_a_lower_bound_and_no_reading():
+def test_clipped_face_is_a_lower_bound():
     """Ground at 150 and faces clipped at 235: at least 85 levels over 16 K. Clipping is never fitted through."""
     picture, labels = scene(9, people=5, ground=150.0)
     free = np.ones(picture.shape, bool)
@@ -128,7 +128,7 @@ def test_levels_are_measured():
     assert measure_levels([np.full((64, 64), 7, np.uint8)]) == (7, 8)
 
 
-def test_an_annotated_object_beside_the_insert_is_no_ground():
+def test_annotated_object_beside_the_insert_is_not_ground():
     picture = np.full((200, 200), 100, np.float32)
     free = np.ones(picture.shape, bool)
     picture[:, 110:] = 220
@@ -138,7 +138,7 @@ def test_an_annotated_object_beside_the_insert_is_no_ground():
 
 
 def test_the_gain_of_warm_objects_comes_from_warm_anchors():
-    """People say 9 levels per kelvin, cars 4: what is warm follows the people, what is cold the cars."""
+    """With anchors of 9 (people) and 4 levels per kelvin (cars), warm inserts use the first, cold ones the second."""
     picture, labels = scene(9, people=8)
     cold, cars = scene(4, cars=6)
     picture[390:430] = cold[390:430]
@@ -163,7 +163,7 @@ def test_each_insert_is_set_against_its_own_ground():
     grey = mapping.apply(ground, np.ones_like(ground))
     assert grey[220, 110] == pytest.approx(80, abs=0.1)
     assert grey[220, 510] == pytest.approx(160, abs=0.1)
-    # A crop knows where it lies.
+    # A crop has its own offset.
     assert mapping.apply(ground[:5, :5], np.ones((5, 5), np.float32), (500, 200)) == pytest.approx(160, abs=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Defocus, motion tails, profile files, and the whole chain at once with every step on."""
+"""Defocus, motion tails, profile files, and the complete sensor chain."""
 
 import io
 import json
@@ -166,8 +166,8 @@ def test_the_range_is_that_of_the_nearest_object_and_of_the_real_camera_only():
     assert nearest_range_m(without_geometry(replace(metric, objects=()))) is None
 
 
-def test_a_disc_and_the_gaussian_for_it_differ_little():
-    """An edge through both, each with the rest of the optics: 1 % of the step at 15 m, as `fit_sensor` says."""
+def test_disc_blur_is_close_to_its_gaussian():
+    """An edge through the disc and the Gaussian, each with the other optics: within 1 % of the step at 15 m."""
     result = half_plane(128)[1]
     disc_px = PROFILES["hit-uav"].lens.blur_disc_px(15.0)
     fine = 8
@@ -237,7 +237,7 @@ def test_the_grain_through_the_whole_chain():
     assert flat_noise(picture[80:240, 80:240].astype(np.uint8), LEVELS)[0] == pytest.approx(noise, rel=0.15)
 
 
-def test_a_grains_reading_is_traced_back_to_the_grain():
+def test_true_grain_inverts_the_measurement():
     for sigma, size in ((1.7, 1.05), (1.2, 1.15), (2.5, 0.8)):
         read = []
         for seed in range(6):
@@ -262,7 +262,7 @@ def test_levels_before_the_codec(level):
 @pytest.mark.parametrize("at", [(100, 90), (0, 0), (236, 220)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_every_step_on_and_pixels_out_of_reach_keep_their_bits(at, dtype, tmp_path):
-    """With defocus and a long tail: what the layer and the halo do not reach is the background's, PNG included."""
+    """With defocus and a long tail: pixels beyond the layer and the halo equal the background, also in the PNG."""
     rng = np.random.default_rng(3)
     scale = 1 if dtype == np.uint8 else 100
     ground = (rng.integers(20, 250, (240, 260)) * scale).astype(dtype)
@@ -341,7 +341,7 @@ def test_a_recipe_may_name_a_profile_file(tmp_path):
     assert deep.limits == (800.0, 11750.0)
 
 
-def test_wrong_profiles_are_named(tmp_path):
+def test_wrong_profiles_are_reported(tmp_path):
     with pytest.raises(RecipeError, match=r"expected one of off, hit-uav, monet, generic-640x512, or the path of"):
         load_recipe("hit-uav-drone", ["sensor.profile=hit_uav"])
     with pytest.raises(RecipeError, match=r"none\.json: cannot be read.*one of the names hit-uav, monet"):

@@ -1,4 +1,4 @@
-"""The sensor chain: figures of slanted edges and grain, nothing outside the insert, the same bytes again."""
+"""The sensor chain: slanted edges, grain, no change outside the insert, same bytes."""
 
 import math
 from typing import get_args
@@ -122,7 +122,7 @@ def test_a_textured_background_does_not_shine_through_an_insert():
 
 
 def test_an_insert_gets_the_sharpness_of_its_background():
-    """Soft pictures get soft inserts: blurred and sharpened, an insert measures what its background does."""
+    """Soft pictures get soft inserts: after blur and sharpening, an insert is as sharp as its background."""
     found = []
     for sigma in (0.6, 0.75):
         ground, layer = slanted(sigma)
@@ -155,7 +155,7 @@ def test_grain_has_the_measured_strength_and_correlation():
     assert grain_of(math.exp(-1 / (4 * 1.05**2))) == pytest.approx(1.05)
 
 
-def test_grain_is_found_again_and_clipped_places_are_left_out():
+def test_grain_is_recovered_without_clipped_areas():
     picture = background(noise=2.0, size=(320, 320))
     picture[:64, :64] = 235
     noise, correlation, blocks = flat_noise(picture, LEVELS)

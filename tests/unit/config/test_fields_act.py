@@ -1,4 +1,4 @@
-"""Recipe fields that no shipped recipe sets: each changes what it says."""
+"""Recipe fields that no shipped recipe sets have their documented effect."""
 
 import numpy as np
 import pytest

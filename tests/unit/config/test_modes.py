@@ -1,4 +1,4 @@
-"""Every mode has its own fields: fields of other modes are errors, and a change of mode drops and lists them."""
+"""Each mode has its own fields: fields of other modes are errors, and a change of mode drops and lists them."""
 
 import json
 
@@ -190,7 +190,7 @@ def test_misspelt_fields_are_not_dropped():
         ("matching: {mode: percentile}", r"matching\.mode: .*It follows from appearance\.mode"),
     ],
 )
-def test_fields_of_older_recipes_are_errors_that_say_what_became_of_them(old, todo):
+def test_fields_of_older_recipes_are_errors_that_name_the_replacement(old, todo):
     with pytest.raises(RecipeError, match=todo):
         parse_recipe(DRONE + old, "d")
 
@@ -215,7 +215,7 @@ def test_recipes_keep_their_modes_through_json(name):
     recipe = load_recipe(name)
     text = recipe.model_dump_json()
     assert recipe_from_json(text) == recipe
-    # What a card and a stage's key hold.
+    # The fields in a card and in a stage's key.
     short = json.loads(recipe.model_dump_json(exclude_defaults=True))
     assert modes_of(short) == modes_of(json.loads(text))
     assert recipe_class(modes_of(short)).model_validate_json(json.dumps(short)) == recipe

@@ -1,4 +1,4 @@
-"""Recipes: the paper's values are in them, and every mistake is named, all at once."""
+"""Recipes: they contain the paper's values, and all mistakes are reported at once."""
 
 import pytest
 
@@ -121,6 +121,6 @@ def test_an_unquoted_off_is_the_sensors_off():
         ),
     ],
 )
-def test_what_does_not_go_together_is_said(settings, match):
+def test_incompatible_options_are_reported(settings, match):
     with pytest.raises(RecipeError, match=match):
         load_recipe("hit-uav-person", settings)

@@ -1,4 +1,4 @@
-"""Boxes and rectangles on shapes whose answer is known."""
+"""Boxes and rectangles of shapes with known results."""
 
 from __future__ import annotations
 

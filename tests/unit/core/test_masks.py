@@ -1,4 +1,4 @@
-"""Masks from foreign files: what pycocotools would follow out of its memory is refused."""
+"""Masks from foreign files: run lengths that would make pycocotools read out of bounds are refused."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_long_runs() -> None:
         ("0", "neither"),
     ],
 )
-def test_run_lengths_that_lie(value: object, match: str) -> None:
+def test_invalid_run_lengths(value: object, match: str) -> None:
     with pytest.raises(ValueError, match=match):
         Mask.from_coco(value, (4, 4))
 

@@ -1,4 +1,4 @@
-"""Sampled silhouettes and depth against areas that are known exactly."""
+"""Sampled silhouettes and depth, compared with exact areas."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def test_only_points_behind_a_triangle_are_hidden() -> None:
     )
     points = np.array([[2.0, 2], [2, 2], [9, 9], [1, 8], [5, 0]])
     inverse = np.array([0.1, 0.45, 0.1, 0.2, 0.5])
-    # At (2, 2) the triangle is at 0.42, at (1, 8) at 0.18; (5, 0) lies on it, which hides nothing.
+    # At (2, 2) the triangle is at 0.42, at (1, 8) at 0.18; (5, 0) is on it and therefore not hidden.
     assert_array_equal(raster.hidden_points(points, inverse, occluder), [True, False, False, False, False])
 
 
@@ -200,7 +200,7 @@ def test_share_of_a_cube_at_the_frames_corner_is_that_of_its_outline() -> None:
     assert raster.inside_fraction(view, vertices, triangles)[0] == pytest.approx(exact, abs=0.004)
 
 
-def test_what_is_behind_the_camera_is_not_inside() -> None:
+def test_points_behind_the_camera_are_not_inside() -> None:
     vertices, triangles = cube()
     share, depth = raster.inside_fraction(camera(-5.0), vertices, triangles)
     assert share == 0
@@ -211,6 +211,6 @@ def test_what_is_behind_the_camera_is_not_inside() -> None:
     assert depth == pytest.approx(-0.1)
 
 
-def test_a_hair_without_samples_is_judged_by_its_middle() -> None:
+def test_triangle_without_samples_is_tested_at_its_centre() -> None:
     vertices = np.array([[-30.0, 0, 0], [0.5, 0, 0], [0.5, 0, 1e-7]])
     assert raster.inside_fraction(camera(10), vertices, np.array([[0, 1, 2]], np.int32))[0] == 0.0

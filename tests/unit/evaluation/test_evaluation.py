@@ -1,4 +1,4 @@
-"""Matching, average precision, intervals: by hand where it can be, against pycocotools where it is large."""
+"""Matching, average precision and intervals, by hand for small cases and against pycocotools for large ones."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def matched(labels, found, classes=1, task="detect", bins=ALL):
     return match_all(labels, found, np.arange(classes), classes, task, bins)
 
 
-# Two people; one found exactly and surely, one found with IoU 0.625 less surely; between them a finding of nothing.
+# Two people; one found exactly with high confidence, one with IoU 0.625 and lower confidence, and a false detection.
 TWO = image("a", ("Person", [10, 10, 30, 50]), ("Person", [100, 20, 120, 60]))
 FOUND = detections(
     [[10, 10, 30, 50], [150, 10, 170, 50], [100, 35, 120, 60]], [0.9, 0.8, 0.7], [0, 0, 0]
@@ -68,7 +68,7 @@ def test_precision_and_recall_are_those_of_the_best_confidence() -> None:
     assert points[0] == pytest.approx((2 / 3, 1.0))
 
 
-def test_no_findings_are_zero_and_no_objects_are_nothing() -> None:
+def test_no_detections_give_zero_and_no_objects_give_none() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person", "Car"], "detect")
     person, car = matched(labels, {}, 2)
     assert average_precisions(person).tolist() == [[0.0] * 10]
@@ -78,7 +78,7 @@ def test_no_findings_are_zero_and_no_objects_are_nothing() -> None:
     assert figures[0, 0].tolist() == [0.0, 0.0]  # the mean leaves the car out
 
 
-def test_a_label_is_taken_once_and_by_the_surer() -> None:
+def test_label_matches_only_the_most_confident_detection() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
     twice = detections([[10, 10, 30, 50], [10, 12, 30, 50]], [0.6, 0.9], [0, 0])
     (m,) = matched(labels, {"test/a.png": twice})
@@ -88,7 +88,7 @@ def test_a_label_is_taken_once_and_by_the_surer() -> None:
     assert not m.neutral.any()
 
 
-def test_what_lies_in_a_region_to_ignore_counts_neither_way() -> None:
+def test_detections_in_regions_to_ignore_count_neither_way() -> None:
     both = image("a", ("Person", [10, 10, 30, 50]), ("DontCare", [100, 0, 200, 100]))
     found = {
         "test/a.png": detections([[10, 10, 30, 50], [120, 10, 140, 50], [150, 10, 170, 50]], [0.5, 0.9, 0.8], [0, 0, 0])
@@ -105,7 +105,7 @@ def test_what_lies_in_a_region_to_ignore_counts_neither_way() -> None:
 
 
 @pytest.mark.parametrize("task", ["detect", "obb", "segment"])
-def test_a_crowd_is_a_region_of_its_class_alone(task: str) -> None:
+def test_crowd_is_a_region_for_its_own_class_only(task: str) -> None:
     crowd = Instance("Person", np.array([100.0, 10, 180, 90]), extra={"iscrowd": 1})
     own = Instance("Person", np.array([10.0, 10, 30, 50]), mask=filled([10, 10, 30, 50]))
     record = replace(image("a"), instances=(crowd, own))
@@ -141,7 +141,7 @@ def test_sizes_are_of_the_longer_side_and_others_are_ignored() -> None:
 
 
 def made_up(number: int, task: str, classes: int = 3) -> tuple[list[Truth], dict]:
-    """Labels on small images and findings of them: jittered, missed, twice, of nothing, in regions to ignore."""
+    """Labels on small images, and detections: jittered, missing, duplicated, false, in regions to ignore."""
     rng = stream(0, "made up", task)
     labels, found = [], {}
     for k in range(number):
@@ -193,7 +193,7 @@ def test_our_matching_is_that_of_pycocotools_at_every_size_and_threshold(task: s
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
-def test_an_image_that_counts_twice_is_the_same_as_two_of_it() -> None:
+def test_image_with_weight_two_equals_two_copies() -> None:
     labels, found = made_up(40, "detect")
     # Scores without ties, as equal ones may come in another order.
     found = {
@@ -211,7 +211,7 @@ def test_an_image_that_counts_twice_is_the_same_as_two_of_it() -> None:
         np.testing.assert_allclose(average_precisions(once, counts), average_precisions(many), rtol=0, atol=1e-9)
 
 
-def test_draws_depend_on_the_seed_alone_and_keep_groups_together() -> None:
+def test_draws_depend_only_on_the_seed_and_keep_groups_together() -> None:
     groups = ["a", "a", "b", "c", "c", "c"]
     drawn = draw_images(groups, 200, 3)
     assert (drawn == draw_images(groups, 200, 3)).all()
@@ -290,7 +290,7 @@ def test_one_group_has_no_interval() -> None:
 
 
 def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
-    """The interval of means holds the spread of the detectors; detectors that are alike add none."""
+    """The interval of means includes the spread between detectors; equal detectors add nothing to it."""
     labels, found = made_up(80, "detect")
 
     def seen(share: float) -> Any:
@@ -344,7 +344,7 @@ def test_confusion_by_hand() -> None:
         [0.9, 0.8, 0.7, 0.9, 0.1], [1, 1, 0, 0, 1],
     )  # fmt: skip
     matrix = confusion_matrix(labels, {"test/a.png": found}, np.arange(2), 2, "detect", 0.5)
-    # Found as person, car, nothing (rows) what is person, car, nothing (columns).
+    # Rows: detected as person, car, nothing; columns: labelled person, car, nothing.
     assert matrix.tolist() == [[0, 0, 1], [1, 1, 0], [0, 1, 0]]
 
 
@@ -395,7 +395,7 @@ def test_labels_decide_the_fingerprint() -> None:
 
 
 @pytest.mark.parametrize("task", ["detect", "obb", "segment"])
-def test_a_file_of_findings_gives_what_was_written(task: str, tmp_path: Path) -> None:
+def test_saved_detections_read_back_equal(task: str, tmp_path: Path) -> None:
     labels, found = made_up(5, task)
     before = Predictions(task, ("a", "b", "c"), found, {t.key: t.size_wh for t in labels}, {"weights": "x.pt"})
     write_predictions(tmp_path / "one.json", before)
@@ -431,7 +431,7 @@ GOOD = {
         ({"task": "obb"}, "corners None"),
     ],
 )
-def test_files_that_hold_no_findings_are_refused(tmp_path: Path, change: dict, says: str) -> None:
+def test_files_without_detections_are_refused(tmp_path: Path, change: dict, says: str) -> None:
     path = tmp_path / "p.json"
     path.write_text(json.dumps(GOOD))
     assert len(read_predictions(path).images["test/a.png"]) == 1
@@ -441,7 +441,7 @@ def test_files_that_hold_no_findings_are_refused(tmp_path: Path, change: dict, s
 
 
 @pytest.mark.parametrize("content", [b"", b"[1, 2]", b"\xff\xfe", b'{"annotations": '])
-def test_files_that_are_no_json_are_refused(tmp_path: Path, content: bytes) -> None:
+def test_non_json_files_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "p.json").write_bytes(content)
     with pytest.raises(DatasetError, match=r"p\.json"):
         read_predictions(tmp_path / "p.json")

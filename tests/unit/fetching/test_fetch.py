@@ -1,4 +1,4 @@
-"""`fetch` against a server on this machine that breaks, lies and serves hostile archives. No network."""
+"""`fetch` from a local server that breaks connections, sends false sizes and serves hostile archives."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ BODY = random.Random(4).randbytes(300_000)
 
 @dataclass
 class Server:
-    """A server and what it does: `acts` are used up one by one, then it serves as it should.
+    """A server with scripted faults: each request uses one of `acts`; afterwards it serves correctly.
 
     An act: `("cut", n)` closes after n bytes of the body, `("status", code, headers)`, `("ignore-range",)`,
     `("length", n)` lies about the length, `("redirect", url)`, `("encoding", name)`, `("stall",)`.
@@ -176,7 +176,7 @@ def test_a_file_is_fetched_with_progress(server, tmp_path, patience):
     assert [n for n, _ in seen] == sorted(n for n, _ in seen)
 
 
-def test_broken_connections_go_on_where_they_broke_and_send_nothing_twice(server, tmp_path, patience, waits):
+def test_broken_connections_resume_without_sending_bytes_twice(server, tmp_path, patience, waits):
     server.acts = [("cut", 100_000), ("cut", 1), ("cut", 50_000)]
     get(server, tmp_path / "a.part", patience)
     assert (tmp_path / "a.part").read_bytes() == BODY
@@ -199,7 +199,7 @@ def test_a_second_call_reads_only_the_missing_bytes(server, tmp_path, patience):
 
 
 @pytest.mark.parametrize("how", ["server", "once"])
-def test_a_server_that_ignores_ranges_begins_anew(server, tmp_path, patience, how):
+def test_server_without_ranges_restarts_the_download(server, tmp_path, patience, how):
     server.acts = [("cut", 100_000)] + ([("ignore-range",)] if how == "once" else [])
     server.ranges = how == "once"
     get(server, tmp_path / "a.part", patience)
@@ -207,7 +207,7 @@ def test_a_server_that_ignores_ranges_begins_anew(server, tmp_path, patience, ho
     assert server.sent == [100_000, len(BODY)]
 
 
-def test_a_server_that_begins_anew_and_always_breaks_is_given_up(server, tmp_path, patience, waits):
+def test_server_that_restarts_and_breaks_every_time_is_given_up(server, tmp_path, patience, waits):
     server.ranges, server.always = False, ("cut", 100_000)
     with pytest.raises(FetchError, match="given up after 3 attempts without new data"):
         get(server, tmp_path / "a.part", patience)
@@ -216,7 +216,7 @@ def test_a_server_that_begins_anew_and_always_breaks_is_given_up(server, tmp_pat
 
 
 @pytest.mark.parametrize("mark", ["etag", "date", "length"])
-def test_a_file_that_changed_meanwhile_is_fetched_anew(server, tmp_path, patience, mark):
+def test_changed_file_is_fetched_again(server, tmp_path, patience, mark):
     server.etag = '"v1"' if mark == "etag" else None
     server.modified = "Mon, 01 Jan 2024 00:00:00 GMT" if mark == "date" else None
     server.acts = [("cut", 100_000), *[("status", 503)] * 3]
@@ -229,7 +229,7 @@ def test_a_file_that_changed_meanwhile_is_fetched_anew(server, tmp_path, patienc
     assert (tmp_path / "a.part").read_bytes() == other
 
 
-def test_a_file_that_became_shorter_is_fetched_anew(server, tmp_path, patience):
+def test_shortened_file_is_fetched_again(server, tmp_path, patience):
     server.etag = None
     server.acts = [("cut", 200_000)]
     original = server.files["/a.zip"]
@@ -244,7 +244,7 @@ def test_a_file_that_became_shorter_is_fetched_anew(server, tmp_path, patience):
     assert (tmp_path / "a.part").read_bytes() == BODY[:150_000]
 
 
-def test_a_part_of_another_address_or_without_a_note_is_not_gone_on_with(server, tmp_path, patience):
+def test_partial_download_of_another_address_or_without_record_is_not_resumed(server, tmp_path, patience):
     part = tmp_path / "a.part"
     part.write_bytes(b"x" * 5000)  # no note beside it
     get(server, part, patience)
@@ -270,7 +270,7 @@ def test_unknown_length_and_a_chunked_body_that_breaks(server, tmp_path, patienc
 
 @pytest.mark.parametrize("told", [len(BODY) + 5000, len(BODY) - 5000])
 def test_a_wrong_length(server, tmp_path, patience, told, caplog):
-    """Too long: the server's own word on a range settles it. Too short: it is cut, as the archive's checks will say."""
+    """Too long: the server's answer to a range decides. Too short: the file is cut, which the archive's checks find."""
     server.acts = [("length", told)]
     get(server, tmp_path / "a.part", patience)
     assert (tmp_path / "a.part").read_bytes() == BODY[:told]
@@ -279,7 +279,7 @@ def test_a_wrong_length(server, tmp_path, patience, told, caplog):
 
 
 @pytest.mark.parametrize("lie", ["bytes 0-9/300000", "bytes 5-299999/300000", "nonsense", "bytes 100000-299999/999999"])
-def test_a_part_that_does_not_fit_is_not_glued_on(server, tmp_path, patience, lie):
+def test_mismatched_partial_content_is_not_appended(server, tmp_path, patience, lie):
     server.acts = [("cut", 100_000), ("range-lie", lie)]
     try:
         get(server, tmp_path / "a.part", patience)
@@ -298,7 +298,7 @@ def test_part_sent_unasked(server, tmp_path, patience):
 @pytest.mark.parametrize(
     ("status", "says"), [(403, "refuses access"), (404, "give --url"), (401, "requires a login"), (410, "gone")]
 )
-def test_refusals_are_told_at_once(server, tmp_path, patience, status, says, waits):
+def test_refusals_are_reported_at_once(server, tmp_path, patience, status, says, waits):
     server.always = ("status", status)
     with pytest.raises(FetchError, match=f"(?s)HTTP {status}.*{says}"):
         get(server, tmp_path / "a.part", patience, "/a.zip?token=secret")
@@ -309,7 +309,7 @@ def test_refusals_are_told_at_once(server, tmp_path, patience, status, says, wai
     assert "secret" not in str(caught.value)
 
 
-def test_troubles_that_pass_are_waited_for(server, tmp_path, patience, waits):
+def test_temporary_errors_are_retried(server, tmp_path, patience, waits):
     server.acts = [
         ("status", 500),
         ("status", 429, {"Retry-After": "7"}),
@@ -321,7 +321,7 @@ def test_troubles_that_pass_are_waited_for(server, tmp_path, patience, waits):
     assert waits == [1.0, 7.0, 1.0, 60.0]
 
 
-def test_a_silent_server_is_not_waited_for_forever(server, tmp_path):
+def test_silent_server_times_out(server, tmp_path):
     server.always = ("stall",)
     with pytest.raises(FetchError, match="given up after 2 attempts"):
         get(server, tmp_path / "a.part", RetryPolicy(failures=2, timeout_s=0.2, sleep=lambda s: None))
@@ -370,7 +370,7 @@ def test_encrypted_connections_do_not_become_plain():
         "http://[::1",
     ],
 )
-def test_addresses_that_are_none(url, tmp_path):
+def test_invalid_addresses(url, tmp_path):
     with pytest.raises(FetchError, match="expected http"):
         download(url, tmp_path / "a.part")
 
@@ -381,7 +381,7 @@ def test_an_encoded_answer_is_refused(server, tmp_path, patience):
         get(server, tmp_path / "a.part", patience)
 
 
-def test_ctrl_c_keeps_what_arrived_and_goes_on(server, tmp_path, patience):
+def test_interrupted_download_keeps_received_bytes_and_resumes(server, tmp_path, patience):
     def stop(done: int, total: int | None) -> None:
         if done > 100_000:
             raise KeyboardInterrupt
@@ -411,7 +411,7 @@ def test_proxies_of_the_environment_are_used(server, tmp_path, patience, monkeyp
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificate")
-def test_a_certificate_nobody_vouches_for_is_told_plainly(tmp_path, patience, waits):
+def test_untrusted_certificate_is_reported_plainly(tmp_path, patience, waits):
     key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
     subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost",
@@ -538,7 +538,7 @@ HOSTILE: dict[str, Callable[[], bytes]] = {
 
 
 def header_bomb() -> bytes:
-    """A long-name header that announces, and holds, 200 MB."""
+    """A long-name header that announces and contains 200 MB."""
     info = member("././@LongLink", tarfile.GNUTYPE_LONGNAME)
     info.size = 50_000_000
     return info.tobuf(tarfile.GNU_FORMAT) + b"a" * info.size
@@ -593,7 +593,7 @@ def test_encrypted_and_oddly_packed_zips_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("announced", [10, 5000])
-def test_a_zip_that_lies_about_sizes(tmp_path, announced):
+def test_zip_with_false_sizes(tmp_path, announced):
     data = bytearray(zipped({"a": b"y" * 1000}))
     at = data.index(b"PK\x01\x02") + 24
     data[at : at + 4] = announced.to_bytes(4, "little")
@@ -618,7 +618,7 @@ def test_limits_on_number_size_and_the_list_of_a_zip(tmp_path, monkeypatch):
         unpack(archive, tmp_path / "out")
 
 
-def test_bombs_do_not_fill_the_memory(tmp_path):
+def test_decompression_bombs_do_not_fill_memory(tmp_path):
     """Peak memory of a process of its own that meets three bombs."""
     names = ("zip bomb", "tar bomb", "tar header bomb", "tar gz bomb after its end")
     for k, name in enumerate(names):
@@ -649,7 +649,7 @@ def test_a_full_disk_while_unpacking(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_zip_that_points_before_its_start_is_no_fault_of_the_disk(tmp_path):
+def test_zip_pointing_before_its_start_is_not_a_disk_error(tmp_path):
     data = bytearray(zipped(FILES))
     end = data.rindex(b"PK\x05\x06")
     data[end + 16 : end + 20] = (2**31 - 1).to_bytes(4, "little")  # where its list begins
@@ -676,7 +676,7 @@ def test_a_disk_that_fills_up_while_a_file_is_written(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_archives_with_random_damage(tmp_path, seed):
-    """Whatever is broken in it: it is refused in our words, or what comes out are plain files inside the folder."""
+    """A broken archive is refused with our own error, or gives regular files inside the folder."""
     draw = random.Random(seed)
     entries = [(member(n), c) for n, c in FILES.items()]
     data = bytearray(draw.choice([zipped(FILES), tarred(entries), tarred(entries, "w")]))
@@ -773,7 +773,7 @@ def test_fetch_from_end_to_end(tiny, server, tmp_path):
     assert len(server.requests) == asked
 
 
-def test_an_interrupted_fetch_goes_on_at_every_step(tiny, server, tmp_path, monkeypatch):
+def test_fetch_resumes_after_interruption_at_every_step(tiny, server, tmp_path, monkeypatch):
     out = tmp_path / "tiny"
     server.files["/tiny.zip"] = archive_of({**CONTENT, "images/c.bin": BODY})
     whole = len(server.files["/tiny.zip"])
@@ -837,7 +837,7 @@ def test_parts_doubled_folders_and_litter(tiny, server, tmp_path):
     assert sorted(record["archives"]) == ["test", "train"]
 
 
-def test_what_is_not_the_dataset_is_refused_and_fetched_anew(tiny, server, tmp_path):
+def test_wrong_content_is_refused_and_fetched_again(tiny, server, tmp_path):
     out = tmp_path / "tiny"
     less = {k: v for k, v in CONTENT.items() if k != "images/b.jpg"} | {"labels.json": b'{"annotations": [1]}'}
     server.files["/tiny.zip"] = archive_of(less, comment="e" * 40)
@@ -851,7 +851,7 @@ def test_what_is_not_the_dataset_is_refused_and_fetched_anew(tiny, server, tmp_p
     assert not out.exists() or tree(out) == {}
     server.files["/tiny.zip"] = archive_of(CONTENT)
     fetch("tiny", out)
-    # An own address may hold something else; it is told.
+    # The user's own address may serve something else, which is reported.
     server.files["/own.zip"] = archive_of(less)
     report = fetch("tiny", tmp_path / "own", url=f"{server.url}/own.zip")
     assert [p.code for p in report.problems] == ["content-files", "content-json"]
@@ -869,7 +869,7 @@ def test_checksums(tiny, server, tmp_path):
         fetch("tiny", tmp_path / "c", sha256="abc")
 
 
-def test_a_corrupt_archive_is_deleted_and_fetched_anew(tiny, server, tmp_path):
+def test_corrupt_archive_is_deleted_and_fetched_again(tiny, server, tmp_path):
     good = server.files["/tiny.zip"]
     server.files["/tiny.zip"] = good[:-100]
     with pytest.raises(DatasetError, match="damaged or incomplete"):
@@ -923,7 +923,7 @@ def test_two_fetches_at_once(tiny, tmp_path):
         fetch("tiny", tmp_path / "out")
 
 
-def test_a_full_disk_is_seen_before_the_download(tiny, server, tmp_path, monkeypatch):
+def test_lack_of_disk_space_is_detected_before_the_download(tiny, server, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: type("U", (), {"free": 1000})())
     with pytest.raises(OutputError, match="not enough room"):
         fetch("tiny", tmp_path / "out")
@@ -965,7 +965,7 @@ def test_keep_archive_and_archive_by_hand(tiny, server, tmp_path):
         ("tiny", {"url": "file:///etc/passwd"}, "expected http"),
     ],
 )
-def test_wrong_wishes(tiny, tmp_path, name, options, says):
+def test_invalid_requests(tiny, tmp_path, name, options, says):
     with pytest.raises(InfraBlendError, match=says):
         fetch(name, tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()

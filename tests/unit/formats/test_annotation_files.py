@@ -1,4 +1,4 @@
-"""Files appear whole or not at all; the disk's errors say what to do; polygons hold their masks."""
+"""Files appear complete or not at all; disk errors have a remedy; polygons cover their masks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_full_disk_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Monk
     assert path.read_text() == "old" and not part_path(path).exists()
 
 
-def test_what_must_outlast_a_power_cut_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch) -> None:
+def test_durable_files_are_synced_before_they_are_renamed(tmp_path: Path, monkeypatch) -> None:
     path, seen = tmp_path / "f.json", []
     monkeypatch.setattr(os, "fsync", lambda handle: seen.append((os.fstat(handle).st_ino, path.exists())))
     write_bytes(path, b"x")
@@ -54,7 +54,7 @@ def test_what_must_outlast_a_power_cut_is_on_the_disk_before_it_has_its_name(tmp
     assert path.read_bytes() == b"y"
 
 
-def test_a_folder_in_the_way_is_an_output_error(tmp_path: Path) -> None:
+def test_folder_at_the_output_path_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("a file")
     with pytest.raises(OutputError, match="cannot write"):
         write_text(tmp_path / "a" / "x.txt", "new")
@@ -153,7 +153,7 @@ def test_a_ragged_mask_stays_below_the_corner_limit() -> None:
 
 
 def jpeg_header(width: int, height: int) -> bytes:
-    """A JPEG that says its size and holds nothing else."""
+    """A JPEG that contains only a header with its size."""
     start = b"\xff\xd8\xff\xc0\x00\x0b\x08" + height.to_bytes(2, "big") + width.to_bytes(2, "big")
     return start + b"\x01\x01\x11\x00\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\xff\xd9"
 

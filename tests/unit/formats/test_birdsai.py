@@ -110,7 +110,7 @@ LINES = (
 
 
 @pytest.mark.parametrize(("line", "code", "severity"), LINES)
-def test_every_line_is_read_or_named(tmp_path: Path, line: str, code: str, severity: Any) -> None:
+def test_every_line_is_read_or_reported(tmp_path: Path, line: str, code: str, severity: Any) -> None:
     d = birdsai.read(frames(tmp_path, [0], f"0,7,10,12,20,8,0,1,0,0\r\n\r\n{line}\r\n"))
     assert [(p.code, p.severity) for p in d.problems] == [(code, severity)]
     assert len(d.images[0].instances) == (1 if severity == "error" else 2)
@@ -118,7 +118,7 @@ def test_every_line_is_read_or_named(tmp_path: Path, line: str, code: str, sever
         assert d.problems[0].where == f"TrainReal/annotations/{SEQ}.csv: line 3"
 
 
-def test_folders_as_they_come(tmp_path: Path) -> None:
+def test_various_folder_layouts(tmp_path: Path) -> None:
     frames(tmp_path / "a" / "TrainReal", [0], ROWS, "TrainReal")  # doubled
     frames(tmp_path / "a", [0], ROWS, "TestReal")
     (tmp_path / "a" / "TrainSimulation").mkdir()
@@ -131,7 +131,7 @@ def test_folders_as_they_come(tmp_path: Path) -> None:
     assert detection.read(tmp_path / "b").format == "birdsai"
 
 
-def test_frames_in_another_format_are_left_to_it(tmp_path: Path) -> None:
+def test_frames_in_another_format_are_not_claimed(tmp_path: Path) -> None:
     d = birdsai.read(frames(tmp_path / "in", [0, 2], ROWS))
     yolo.write(tmp_path / "out", d.images, d.categories)
     assert detection.detect(tmp_path / "out").format == "yolo"
@@ -146,7 +146,7 @@ def test_frames_in_another_format_are_left_to_it(tmp_path: Path) -> None:
     assert "2 of 3 pictures" in birdsai.detect(tmp_path / "mixed").reason
 
 
-def test_what_was_read_is_written_back_to_the_byte(tmp_path: Path) -> None:
+def test_unchanged_dataset_is_written_back_byte_for_byte(tmp_path: Path) -> None:
     d = birdsai.read(frames(tmp_path / "in", [0, 1, 2], ROWS))
     written = birdsai.write(tmp_path / "out", d.images, d.categories)
     assert written.losses == {}

@@ -1,4 +1,4 @@
-"""DOTA: what is read, what is refused, what is written."""
+"""DOTA: reading, invalid input, writing."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ def test_counter_clockwise_corners_are_turned_round(tmp_path: Path) -> None:
         ("-0.4 3 12 3 12 9 -0.4 9 ship 0", None, None, 1),
     ],
 )
-def test_every_bad_line_is_named(line: str, code: str | None, severity: str | None, kept: int, tmp_path: Path) -> None:
+def test_every_invalid_line_is_reported(
+    line: str, code: str | None, severity: str | None, kept: int, tmp_path: Path
+) -> None:
     data = dota.read(folder(tmp_path, {"train/P1": f"gsd:null\n{line}\n{GOOD}"}))
     assert len(data.images[0].instances) == kept + 1
     assert [(p.code, p.severity) for p in data.problems] == ([] if code is None else [(code, severity)])
@@ -90,7 +92,7 @@ def test_pictures_and_labels_that_lack_each_other(tmp_path: Path) -> None:
     assert [i.id for i in data.images] == ["P1", "P3"]
 
 
-def test_the_same_line_twice_is_kept_with_a_warning(tmp_path: Path) -> None:
+def test_repeated_line_is_kept_with_a_warning(tmp_path: Path) -> None:
     assert codes(folder(tmp_path, {"train/P1": GOOD + GOOD})) == [("object-duplicate", "warning")]
 
 

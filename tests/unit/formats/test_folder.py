@@ -77,7 +77,7 @@ def test_tables_may_be_json(tmp_path: Path, content: Any) -> None:
     assert folder.read(tmp_path / "in", metadata=tmp_path / "t.json").images[0].pitch_deg == 45
 
 
-def test_a_row_may_name_a_sequence(tmp_path: Path) -> None:
+def test_table_row_may_name_a_sequence(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text(
         "sequence,file,pitch_deg,altitude_m\nflight,,30,80\n,flight/b.png,,70\nother,,1,1\n"
     )
@@ -85,7 +85,7 @@ def test_a_row_may_name_a_sequence(tmp_path: Path) -> None:
     captures = Captures(read_table(tmp_path / "t.csv"), problems)
     assert captures.of("flight/a.png", "a", None, "flight") == Capture(30, 80)
     assert captures.of("flight/b.png", "b", None, "flight") == Capture(30, 70)
-    assert captures.of("flight/c.png", "c", Capture(45), "flight") == Capture(45, 80)  # an annotation says more
+    assert captures.of("flight/c.png", "c", Capture(45), "flight") == Capture(45, 80)  # the annotation takes precedence
     assert captures.of("0_60_90_0_00001.png", "d", None, "flight") == Capture(90, 60, "day")
     assert captures.of("e.png", "e") == Capture()
     assert (
@@ -96,13 +96,13 @@ def test_a_row_may_name_a_sequence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "name,pitch\na,1\n", "file,size\na,1\n", "\xff"])
-def test_tables_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+def test_invalid_tables_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.csv").write_bytes(text.encode("latin-1"))
     with pytest.raises(DatasetError):
         read_table(tmp_path / "t.csv")
 
 
-def test_labels_beside_the_pictures(tmp_path: Path) -> None:
+def test_sidecar_labels(tmp_path: Path) -> None:
     picture(tmp_path / "clip" / "a b.png")
     picture(tmp_path / "clip" / "c.png")
     (tmp_path / "clip" / "a b.txt").write_text("1 0.5 0.5 0.2 0.25\n")
@@ -140,7 +140,7 @@ def test_bad_label_lines_are_named_and_left_out(tmp_path: Path, line: str, code:
     assert next(p.where for p in d.problems if p.code == code) == "labels/train/a.txt: line 2"
 
 
-def test_a_box_over_the_edge_is_clipped_and_said(tmp_path: Path) -> None:
+def test_box_over_the_edge_is_clipped_and_reported(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     (tmp_path / "a.txt").write_text("0 0 0.5 0.2 0.25\n0 0 0.5 0.2 0.25\n")
     d = folder.read(tmp_path)
@@ -169,7 +169,7 @@ def test_no_data_yaml_of_yolo(tmp_path: Path, text: str) -> None:
         yolo.read(tmp_path)
 
 
-def test_a_wrong_number_of_classes_is_said(tmp_path: Path) -> None:
+def test_wrong_number_of_classes_is_reported(tmp_path: Path) -> None:
     picture(tmp_path / "images" / "train" / "a.png")
     for nc, found in (("2", ["names"]), ("1", []), ("many", ["names"])):
         (tmp_path / "data.yaml").write_text(f"train: images/train\nnc: {nc}\nnames: [Person]\n")

@@ -1,4 +1,4 @@
-"""HIT-UAV: the worked example, the union of forms, and every kind of bad input."""
+"""HIT-UAV: a worked example, merged forms, and every kind of bad input."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_worked_example_of_the_paper_data() -> None:
     assert [box[0], box[1], box[2] - box[0], box[3] - box[1]] == [107, 133, 119, 121]
 
 
-def test_forms_are_united(tiny: Path) -> None:
+def test_forms_are_merged(tiny: Path) -> None:
     d = hit_uav.read(tiny)
     assert d.problems == ()
     assert [i.id for i in d.images] == [
@@ -93,7 +93,7 @@ def test_picture_folders_may_be_links_and_rubbish_is_passed_over(tiny: Path, tmp
     assert hit_uav.read(tiny).problems == ()
 
 
-def test_a_form_without_pictures_borrows_those_beside_it(tiny: Path) -> None:
+def test_form_without_pictures_uses_those_of_another_form(tiny: Path) -> None:
     shutil.rmtree(tiny / "rotate_json" / "train")
     d = hit_uav.read(tiny / "rotate_json")
     assert len(d.images) == 4
@@ -161,7 +161,7 @@ def test_bad_oriented_boxes(tiny: Path, bbox: Any, code: str, severity: str) -> 
     assert len(d.images[0].instances) == (2 if severity == "warning" else 1)
 
 
-def test_a_box_bad_in_one_form_comes_from_the_other(tiny: Path) -> None:
+def test_invalid_box_is_taken_from_the_other_form(tiny: Path) -> None:
     change(tiny, "normal_json", "train", lambda t: t["annotation"][1].__setitem__("bbox", [1, 2, 0, 0]))
     d = hit_uav.read(tiny)
     assert codes(d) == ["box-empty"]
@@ -221,7 +221,7 @@ def test_duplicates_and_unknown_ids(tiny: Path) -> None:
     assert len(d.images[0].instances) == 3
 
 
-def test_a_broken_annotation_file_costs_its_split_only(tiny: Path) -> None:
+def test_broken_annotation_file_affects_only_its_split(tiny: Path) -> None:
     (tiny / "normal_json" / "annotations" / "train.json").write_text('{"images": [')
     d = hit_uav.read(tiny, form="normal_json")
     assert codes(d) == ["annotation-not-json"] and len(d.images) == 2
@@ -300,7 +300,7 @@ def test_entity_bombs_are_refused(with_xml: Path) -> None:
         hit_uav.read(with_xml, form="normal_xml")
     assert [p.code for p in caught.value.problems if p.severity == "error"] == ["annotation-not-xml"] * 2
     assert "Forbidden" in caught.value.problems[0].found
-    assert len(hit_uav.read(with_xml).images) == 4  # the other forms still hold everything
+    assert len(hit_uav.read(with_xml).images) == 4  # the other forms still contain everything
 
 
 def test_xml_with_an_unknown_category_and_a_nan(with_xml: Path) -> None:
@@ -353,7 +353,7 @@ def test_xml_splits_hold_for_names_with_blanks(tmp_path: Path) -> None:
     assert "split-unknown" not in codes(again, "warning")
 
 
-def test_an_object_whose_two_boxes_hardly_overlap_stays_one(tmp_path: Path) -> None:
+def test_object_with_barely_overlapping_boxes_stays_one_object(tmp_path: Path) -> None:
     # A thin pole across its upright box, inserted by us; and a box thinner than a pixel, widened by the format.
     turned = corners_of_cxcywha(np.array([30.3, 20.7, 40.0, 2.0, 0.7]))
     low, high = turned.min(axis=0) + [6.0, 5.0], turned.max(axis=0) - [6.0, 5.0]

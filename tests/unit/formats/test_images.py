@@ -1,4 +1,4 @@
-"""Decoding and encoding pictures: what is kept, what is refused, and what is converted with a word."""
+"""Decoding and encoding pictures: kept values, refused files, conversions with a warning."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ def test_truncated_files_are_refused(tmp_path: Path, name: str, share: float) ->
     assert refused(path) == "image-truncated"
 
 
-def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:
+def test_non_pictures_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("not a picture")
     (tmp_path / "empty.png").write_bytes(b"")
     assert refused(tmp_path / "a.jpg") == "image-unreadable"
     assert refused(tmp_path / "empty.png") == "image-unreadable"
     assert refused(tmp_path / "absent.jpg") == "image-missing"
     assert refused(tmp_path) == "image-missing"
-    Image.fromarray(ramp()).save(tmp_path / "b.jpg", "GIF")  # a format nobody asked for
+    Image.fromarray(ramp()).save(tmp_path / "b.jpg", "GIF")  # an unsupported format
     assert refused(tmp_path / "b.jpg") == "image-unreadable"
 
 
@@ -148,7 +148,7 @@ def test_animations_and_strange_modes_are_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "f.tif") == "image-mode"
 
 
-def test_exif_rotation_is_said(tmp_path: Path) -> None:
+def test_exif_rotation_is_reported(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(ramp()).save(tmp_path / "a.jpg", exif=exif)

@@ -1,4 +1,4 @@
-"""Masks as pictures with tables: numbers, overlaps, what is refused."""
+"""Masks as pictures with tables: numbers, overlaps, invalid input."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_damage_is_named_and_the_rest_is_read(data: Path, damage, code: str, obj
     assert read.get("0_60_30_0_00001.jpg") == objects
 
 
-def test_values_without_an_object_are_told(data: Path) -> None:
+def test_values_without_an_object_are_reported(data: Path) -> None:
     table = json.loads((data / TABLE).read_text())
     table["objects"] = table["objects"][:2]
     (data / TABLE).write_text(json.dumps(table))

@@ -1,4 +1,4 @@
-"""MONET: telemetry wherever it stands, the sign of its pitch, sequences without any, layouts nobody has seen."""
+"""MONET: places of telemetry, the sign of its pitch, sequences without any, unusual layouts."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def codes(dataset: Dataset, severity: str = "warning") -> list[str]:
     return sorted(p.code for p in dataset.problems if p.severity == severity)
 
 
-# ---- where telemetry stands
+# ---- places of telemetry
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_telemetry_is_found(tmp_path: Path, nest: str | None, telemetry: Any, op
     assert d.notes["gimbal_pitch"]["sign"] == -1 and codes(d) == ["pitch-sign"]
 
 
-def test_telemetry_may_stand_in_a_list_beside_the_images(tmp_path: Path) -> None:
+def test_telemetry_may_be_a_list_beside_the_images(tmp_path: Path) -> None:
     def move(top: dict[str, Any]) -> None:
         top["meta"] = [{"image_id": i["id"], **i.pop("metadata")} for i in top["images"]]
 
@@ -107,7 +107,7 @@ def test_telemetry_may_stand_in_a_list_beside_the_images(tmp_path: Path) -> None
     assert [i.pitch_deg for i in detection.read(tmp_path / "out").images] == [35, 40]
 
 
-def test_another_key_is_told_by_what_is_there(tmp_path: Path) -> None:
+def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"gimbalPitch": -35, "speed": {"x": {"m_s": 1}}}])
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:
         detection.read(tmp_path)
@@ -145,7 +145,7 @@ def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
         detection.read(tmp_path, Reading(options={"pitch_sign": "1"}))
 
 
-def test_a_file_that_looks_up_against_the_others_stops_the_read(tmp_path: Path) -> None:
+def test_opposite_pitch_sign_in_one_file_stops_the_reader(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, -36, -37, -38))
     sequence(tmp_path, "runway_05", down(35, 36, -1))
     with pytest.raises(DatasetError) as caught:
@@ -315,7 +315,7 @@ def test_splits_are_read_one_by_one(tmp_path: Path) -> None:
         detection.read(tmp_path, Reading(splits=["test"]))
 
 
-def test_regions_to_ignore_are_told_by_their_name(tmp_path: Path) -> None:
+def test_regions_to_ignore_are_recognised_by_name(tmp_path: Path) -> None:
     def ignore(top: dict[str, Any]) -> None:
         top["categories"].append({"id": 7, "name": "don't care"})
 
@@ -330,7 +330,7 @@ def test_regions_to_ignore_are_told_by_their_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"images": 3}', "[" * 100_000, "\x00"])
-def test_json_that_is_no_coco_is_said(tmp_path: Path, text: str) -> None:
+def test_non_coco_json_is_reported(tmp_path: Path, text: str) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     (tmp_path / "train" / "runway_05.json").write_text(text)
     d = detection.read(tmp_path)
@@ -383,7 +383,7 @@ KEYS = st.sampled_from(["g_pitch", "alt", "timestamp", "metadata", "width", "id"
 
 
 @given(st.lists(st.dictionaries(KEYS, JSON, max_size=4) | JSON, min_size=1, max_size=4), JSON)
-def test_whatever_telemetry_holds_the_read_ends_with_a_dataset_or_an_error_of_ours(
+def test_any_telemetry_gives_a_dataset_or_our_own_error(
     tmp_path_factory: pytest.TempPathFactory, records: list[Any], more: Any
 ) -> None:
     root = tmp_path_factory.mktemp("fuzz")
@@ -410,7 +410,7 @@ def test_whatever_telemetry_holds_the_read_ends_with_a_dataset_or_an_error_of_ou
 # ---- writing
 
 
-def test_what_was_read_is_written_with_every_field(tmp_path: Path) -> None:
+def test_every_read_field_is_written(tmp_path: Path) -> None:
     telemetry = {"g_pitch": -35.25, "alt": 51, "speed_x": 1.5, "nan": math.nan, "list": [1, {"a": None}]}
     sequence(tmp_path / "in", "runway_04", [telemetry, {}])
     d = detection.read(tmp_path / "in")
@@ -484,13 +484,13 @@ def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
         monet.write(tmp_path / "out", [image, replace(image, id="b")], detection.read(tmp_path / "in").categories)
 
 
-def test_without_any_pitch_the_files_are_still_known_for_what_they_are(tmp_path: Path) -> None:
+def test_files_without_any_pitch_are_still_detected(tmp_path: Path) -> None:
     instance = Instance("deer", np.array([3.0, 4.0, 20.0, 30.0]))
     path = picture(tmp_path / "a.png")
     image = ImageRecord("a", path, "train", (64, 48), None, None, None, (instance,))
     written = monet.write(tmp_path / "out", [image], [Category(0, "deer")])
     assert [p.code for p in written.problems] == ["telemetry-absent"]
-    # Never a folder of bare pictures, whose labels nobody would miss.
+    # It must not be read as a folder of pictures without labels.
     with pytest.raises(DatasetError, match="empty=keep"):
         detection.read(tmp_path / "out")
     (again,) = detection.read(tmp_path / "out", Reading(options={"empty": "keep"})).images

@@ -1,4 +1,4 @@
-"""Pascal VOC: layouts, origins, flags, bad boxes, and what is written."""
+"""Pascal VOC: layouts, origins, flags, bad boxes, written files."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_folders_of_splits_may_hold_the_same_names(tmp_path: Path) -> None:
     assert len({i.id for i in d.images}) == 3 and codes(d) == []
 
 
-def test_what_a_box_means_is_an_option(tmp_path: Path) -> None:
+def test_box_convention_is_an_option(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     xml(tmp_path / "a.xml", f"<name>fox</name>{box(1, 1, 100, 80)}", f"<name>fox</name>{box(0, 5, 8, 9)}")
     assert boxes(voc.read(tmp_path))["a"] == [[1, 1, 100, 80], [0, 5, 8, 9]]
@@ -148,7 +148,7 @@ def test_files_that_cannot_be_used_are_all_named(tmp_path: Path) -> None:
     xml(tmp_path / "e.xml", name="../../../etc/passwd")
     xml(tmp_path / "f.xml", name="a.png")
     d = voc.read(tmp_path)
-    assert [i.id for i in d.images] == ["a"]  # a picture whose file is broken is not taken for one without objects
+    assert [i.id for i in d.images] == ["a"]  # a picture with a broken file does not count as one without objects
     assert sorted(codes(d)) == [
         "annotation-layout", "annotation-not-xml", "annotation-not-xml", "image-duplicate", "image-missing",
     ]  # fmt: skip
@@ -156,7 +156,7 @@ def test_files_that_cannot_be_used_are_all_named(tmp_path: Path) -> None:
     assert d.images[0].size_wh == (100, 80)
 
 
-def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
+def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     match = voc.detect(tmp_path)
     assert (match.ok, match.reason) == (False, "no XML file in the folder or below it")
@@ -166,7 +166,7 @@ def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
     assert detection.detect(tmp_path).format == "folder"
 
 
-def test_voc_with_annotations_is_not_taken_for_hit_uav(tmp_path: Path) -> None:
+def test_voc_with_annotations_is_not_detected_as_hit_uav(tmp_path: Path) -> None:
     for name in ("0_60_30_0_00001", "dog"):
         picture(tmp_path / name / "JPEGImages" / f"{name}.png")
         xml(tmp_path / name / "Annotations" / f"{name}.xml", "<name>fox</name>" + box(10, 20, 30, 40))
@@ -197,7 +197,7 @@ def test_losses_are_counted_and_names_must_fit(tmp_path: Path) -> None:
 
 
 @given(st.text(max_size=200) | st.binary(max_size=200))
-def test_any_bytes_are_read_or_named(tmp_path_factory: pytest.TempPathFactory, content: str | bytes) -> None:
+def test_any_bytes_are_read_or_reported(tmp_path_factory: pytest.TempPathFactory, content: str | bytes) -> None:
     root = tmp_path_factory.mktemp("voc")
     picture(root / "a.png")
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content

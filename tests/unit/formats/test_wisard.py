@@ -1,4 +1,4 @@
-"""WiSARD: clips, names with blanks, what is labelled and what is not, the burnt-in logo, the edge's rounding."""
+"""WiSARD: clips, names with blanks, labelled and unlabelled pictures, the burnt-in logo, rounding at edges."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ LINES = (
 
 
 @pytest.mark.parametrize(("line", "expected", "snapped", "code"), LINES)
-def test_every_line_is_read_or_named(
+def test_every_line_is_read_or_reported(
     tmp_path: Path, line: str, expected: list[float] | None, snapped: int, code: str | None
 ) -> None:
     frame(tmp_path, IR, "x_1.jpg", f"{line}\n")
@@ -130,7 +130,7 @@ def test_every_line_is_read_or_named(
         assert d.problems[0].where == f"{IR}/x_1.txt: line 1"
 
 
-def test_a_picture_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_unreadable_picture_is_named(tmp_path: Path) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
     frame(tmp_path, IR, "x_2.jpg", "0 0.5 0.5 0.25 0.5\n").write_bytes(b"no picture")
     frame(tmp_path, IR, "x_3.jpg", None).with_suffix(".txt").write_bytes(b"\xff\xfe")
@@ -171,7 +171,7 @@ def test_the_shared_clips_are_read(real_data: Path) -> None:
     assert d.notes["pitch"] == "none" and {i.captured for i in d.images} == {"2021-04-17", "2021-09-24"}
 
 
-def test_clips_in_another_format_are_left_to_it(tmp_path: Path) -> None:
+def test_clips_in_another_format_are_not_claimed(tmp_path: Path) -> None:
     frame(tmp_path / "in", IR, "x 1.jpg", "0 0.5 0.5 0.25 0.5\n")
     d = wisard.read(tmp_path / "in")
     yolo.write(tmp_path / "yolo", d.images, d.categories)

@@ -1,4 +1,4 @@
-"""WIT-UAS: `.label` files, two cameras of one run, boxes without area."""
+"""WIT-UAS: `.label` files, two cameras per run, boxes without area."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
         assert 0 <= x0 < x1 <= 64 and 0 <= y0 < y1 <= 48
 
 
-def test_runs_in_another_format_are_left_to_it(tmp_path: Path) -> None:
+def test_runs_in_another_format_are_not_claimed(tmp_path: Path) -> None:
     frame(tmp_path / "in", f"train/{RUN}_flir", "0001.00", "1 2 30 40 h\n")
     d = wit_uas.read(tmp_path / "in")
     yolo.write(tmp_path / "yolo", d.images, d.categories)

@@ -1,4 +1,4 @@
-"""`infrablend convert`: any dataset in any format that can be written, nothing lost without a word."""
+"""`infrablend convert`: any dataset to any writable format, with every loss reported."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_
     assert {i.path.stat().st_ino for i in again.images} <= linked
 
 
-def test_json_says_the_same_as_the_record(data: Path, tmp_path: Path) -> None:
+def test_json_output_equals_the_record(data: Path, tmp_path: Path) -> None:
     done = run("-q", "convert", data, tmp_path / "out", "--to", "yolo", "--split", "train,val", "--json")
     said = json.loads(done.stdout)
     record = json.loads((tmp_path / "out/convert.json").read_text())
@@ -117,7 +117,7 @@ def test_pictures_whose_names_clash_are_renamed_and_counted(tmp_path: Path) -> N
         ), to
 
 
-def test_what_is_wrong_with_the_source_is_told_and_exit_code_is_1(data: Path, tmp_path: Path) -> None:
+def test_source_problems_are_reported_with_exit_code_1(data: Path, tmp_path: Path) -> None:
     file = data / "annotations/instances_train.json"
     top = json.loads(file.read_text())
     top["annotations"][0]["bbox"] = [1, 2, -3, 4]
@@ -192,7 +192,7 @@ def test_the_same_bytes_each_time(data: Path, tmp_path: Path) -> None:
         ({"to": "yolo", "reading": api.Reading(format="dota")}, DatasetError, "labelTxt"),
     ],
 )
-def test_wrong_wishes_make_nothing(
+def test_invalid_requests_write_nothing(
     options: dict, error: type[Exception], text: str, data: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(error, match=text):
@@ -215,7 +215,7 @@ def test_the_source_is_never_written_to(data: Path) -> None:
         (["--with-class", "Car", "--objects", "1", "--images", "1"], "1 asked for, seed 0"),
     ],
 )
-def test_the_selection_is_told_in_plain_words(words: list[str], said: str, data: Path, tmp_path: Path) -> None:
+def test_selection_is_described_in_words(words: list[str], said: str, data: Path, tmp_path: Path) -> None:
     result = run("convert", data, tmp_path / "out", "--to", "coco", *words)
     (line,) = [x for x in result.output.splitlines() if x.startswith("selection")]
     assert said in line and "None" not in line and "_" not in line

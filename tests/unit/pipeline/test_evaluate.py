@@ -1,4 +1,4 @@
-"""`evaluate` from findings that are saved: no torch, no Ultralytics."""
+"""`evaluate` on saved detections, which needs neither torch nor Ultralytics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "Don
 
 @pytest.fixture(autouse=True)
 def _without_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the extra is not installed; what Ultralytics says is compared in tests/contract."""
+    """As without the extra installed; tests/contract compares with Ultralytics."""
     monkeypatch.setattr(pipeline, "missing_packages", lambda: ["ultralytics", "torch"])
 
 
@@ -56,7 +56,7 @@ def made_up_dataset(number: int = 40, split: str = "test") -> Dataset:
 def found_on(
     dataset: Dataset, *, classes: tuple[str, ...] = CLASSES, noise_px: float = 1.5, seed: int = 0
 ) -> Predictions:
-    """Findings near the labels, and some of nothing."""
+    """Detections near the labels, and some false ones."""
     rng = stream(seed, "found")
     found = {}
     for image in dataset.images:
@@ -82,7 +82,7 @@ def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any)
     return evaluate_detector(saved, dataset or made_up_dataset(), out, chosen, **more)
 
 
-def test_what_is_written(saved: Path, tmp_path: Path) -> None:
+def test_written_files(saved: Path, tmp_path: Path) -> None:
     report = run(saved, tmp_path / "out")
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
     assert files == ["evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
@@ -277,7 +277,7 @@ def test_two_labelled_classes_that_match_one_class_of_the_detector(tmp_path: Pat
 
 def test_detections_in_crowds_are_not_counted(tmp_path: Path) -> None:
     dataset = made_up_dataset(4)
-    # One finding, the most confident, of nothing; then a crowd around it, of which it is a part.
+    # The most confident detection is false; then a crowd is added around it, which makes it ignored.
     first = replace(dataset.images[0], instances=(Instance("Person", np.array([100.0, 100, 120, 140])),))
     dataset = replace(dataset, images=(first, *dataset.images[1:]))
     found = found_on(dataset)
@@ -397,7 +397,7 @@ def test_files_of_other_types_are_refused_as_weights(
     assert "Error" not in message
 
 
-def test_detections_that_hit_nothing_give_a_warning(saved: Path, tmp_path: Path) -> None:
+def test_detections_without_any_match_give_a_warning(saved: Path, tmp_path: Path) -> None:
     dataset = made_up_dataset()
     nothing = {f"test/{i.name}": detections([[0, 0, 3, 3]], [0.5], [0]) for i in dataset.images}
     away = write_predictions(tmp_path / "away.json", replace(found_on(dataset), images=nothing))
@@ -458,7 +458,7 @@ def test_other_sizes_and_too_many_detections(tmp_path: Path) -> None:
     assert report.metrics["counts"]["detections"] == 300 + len(found.images[list(found.images)[1]])
 
 
-def test_folders_that_hold_something_else_are_left_alone(saved: Path, tmp_path: Path) -> None:
+def test_folders_with_foreign_content_are_left_alone(saved: Path, tmp_path: Path) -> None:
     run(saved, tmp_path / "out")
     with pytest.raises(OutputError, match="--overwrite"):
         run(saved, tmp_path / "out")

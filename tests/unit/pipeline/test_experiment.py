@@ -172,7 +172,7 @@ def test_the_papers_figures_of_the_pitch_stand_in_the_file() -> None:
     assert [rows[t].map50_95 for t in ("Fixed at 0°", "Random [0°, 90°]", "Metadata aligned")] == [0.133, 0.910, 0.964]
 
 
-def test_all_that_is_wrong_in_a_file_is_said_at_once() -> None:
+def test_all_faults_of_a_file_are_reported_at_once() -> None:
     text = """
 name: mine
 titel: x
@@ -199,18 +199,18 @@ trainings: {a: {data: hit-uav, task: guess}}
         ("only_at: {nobody: [paper]}", "only_at: no stage nobody"),
     ],
 )
-def test_names_that_lead_nowhere_are_named(more: str, what: str) -> None:
+def test_names_of_missing_files_are_reported(more: str, what: str) -> None:
     text = f"name: m\ntitle: t\ndescription: d\nsources: {{hit-uav: {{format: hit-uav, title: H}}}}\n{more}"
     with pytest.raises(RecipeError, match=what.replace("[", r"\[")):
         parse_experiment(text, "m.yaml")
 
 
-def test_an_unknown_experiment_is_told_which_there_are(data: Path, tmp_path: Path) -> None:
+def test_unknown_experiment_lists_the_known_ones(data: Path, tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match=r"neither a shipped experiment nor a YAML file.*pitch-alignment"):
         run("pitch", data, tmp_path / "w")
 
 
-def test_data_items_that_need_each_other_are_refused(data: Path, tmp_path: Path, bench: Bench) -> None:
+def test_circular_data_items_are_refused(data: Path, tmp_path: Path, bench: Bench) -> None:
     path = tmp_path / "round.yaml"
     path.write_text(
         "name: r\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
@@ -223,7 +223,7 @@ def test_data_items_that_need_each_other_are_refused(data: Path, tmp_path: Path,
 # A run.
 
 
-def test_a_run_ends_in_a_page_and_a_second_makes_nothing(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_run_writes_a_page_and_repeating_it_does_nothing(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     news: list[tuple[str, str]] = []
     report = run("pitch-alignment", data, work, on_stage=lambda *n: news.append(n[:2]))
@@ -285,7 +285,7 @@ def test_joint_classes_are_those_of_detector_and_images(bench: Bench, data: Path
 
 
 @pytest.mark.parametrize("where", ["train", "evaluate"])
-def test_a_stopped_run_says_so_and_goes_on(bench: Bench, data: Path, tmp_path: Path, where: str) -> None:
+def test_interrupted_run_is_reported_and_resumes(bench: Bench, data: Path, tmp_path: Path, where: str) -> None:
     work = tmp_path / "work"
     calls = []
 
@@ -333,7 +333,7 @@ run("pitch-alignment", Path({data!r}), Path({work!r}))
 
 
 @pytest.mark.parametrize("at", ["generate", "train", "evaluate", "compare"])
-def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
+def test_killed_run_resumes(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
     work = tmp_path / "work"
     root = Path(__file__).resolve().parents[3]
     code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work))
@@ -348,7 +348,7 @@ def test_a_killed_run_goes_on(bench: Bench, data: Path, tmp_path: Path, at: str)
     assert keys[0] == keys[1]
 
 
-def test_a_stopped_run_counts_all_that_is_there(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_interrupted_run_counts_all_finished_frames(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     run("pitch-alignment", data, work)
     (gone,) = [p for p in (work / "train").iterdir() if _name(p) == "fixed"]
@@ -362,7 +362,7 @@ def test_a_stopped_run_counts_all_that_is_there(bench: Bench, data: Path, tmp_pa
         run("pitch-alignment", data, work, only=["train"])
 
 
-def test_a_failing_stage_leaves_a_page_that_says_so(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_page_reports_a_failed_stage(bench: Bench, data: Path, tmp_path: Path) -> None:
     def fail(what: str) -> None:
         if what == "evaluate":
             raise DatasetError("no such thing")
@@ -374,7 +374,7 @@ def test_a_failing_stage_leaves_a_page_that_says_so(bench: Bench, data: Path, tm
     assert "It stopped: DatasetError: evaluate:aligned" in page
 
 
-def test_chosen_stages_bring_what_they_need(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_selected_stages_include_their_dependencies(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("pitch-alignment", data, tmp_path / "work", only=["train:fixed"])
     assert report.made == ("source:hit-uav", "generate:fixed", "train:fixed") and report.status == "unfinished"
     with pytest.raises(DatasetError, match="no such stage") as caught:
@@ -382,7 +382,7 @@ def test_chosen_stages_bring_what_they_need(bench: Bench, data: Path, tmp_path: 
     assert "train:fixed" in caught.value.problems[0].expected
 
 
-def test_data_that_a_finished_training_was_made_of_are_not_made_again(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_data_of_a_finished_training_are_not_regenerated(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     run("pitch-alignment", data, work)
     (gone,) = [p for p in (work / "generate").iterdir() if _name(p) == "fixed"]
@@ -455,7 +455,7 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
     assert all(pixels[k] != one[k] for k in one)
 
 
-def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_plan_writes_nothing_and_lists_finished_stages(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     facts = plan("pitch-alignment", data, work, renderer="flat").facts
     assert not work.exists()
@@ -471,7 +471,7 @@ def test_a_plan_writes_nothing_and_tells_what_is_done(bench: Bench, data: Path, 
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
 
 
-def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_plan_matches_the_run_of_the_same_command(bench: Bench, data: Path, tmp_path: Path) -> None:
     def statuses(**more: Any) -> dict[str, Any]:
         facts = plan("pitch-alignment", data, tmp_path / "work", **more).facts
         return {s["stage"]: s["status"] for s in facts["stages"]} | {"to_do": facts["to_do"]}
@@ -495,7 +495,7 @@ def test_a_plan_holds_what_the_same_command_would_make(bench: Bench, data: Path,
     assert not (tmp_path / "work").exists()
 
 
-def test_a_plan_wants_the_device_that_is_asked_for(
+def test_plan_requires_the_requested_device(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(device: str) -> None:
@@ -508,7 +508,7 @@ def test_a_plan_wants_the_device_that_is_asked_for(
     plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda", only=["generate"])
 
 
-def test_a_misspelled_setting_is_refused_before_anything_is_made(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_misspelt_setting_is_refused_before_any_work(bench: Bench, data: Path, tmp_path: Path) -> None:
     pytest.importorskip("ultralytics")
     wrong = {"training": {"pases": 100}}
     with pytest.raises(OutputError, match="pases"):
@@ -536,7 +536,7 @@ def test_the_page_goes_to_the_current_folder_unless_another_is_named(tmp_path: P
 
 
 def test_the_same_with_other_seeds(bench: Bench, data: Path, tmp_path: Path) -> None:
-    """`reseed` makes another training of the same data; a comparison of several says so on the page."""
+    """`reseed` adds a training on the same data; the page states that a comparison has several."""
     text = (SHIPPED / "hit-uav.yaml").read_text()
     mine = tmp_path / "mine.yaml"
     mine.write_text(text.replace(": [small]", ": [small, smoke]").replace("scales: [small]", "scales: [small, smoke]"))
@@ -582,7 +582,7 @@ def test_data_of_the_wrong_kind_are_refused(bench: Bench, data: Path, tmp_path: 
         run("hit-uav", [data, shutil.copytree(data, tmp_path / "copy")], tmp_path / "w")
 
 
-def test_a_class_that_is_needed_must_be_there(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_required_class_must_exist(bench: Bench, data: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text(
         "name: m\ntitle: t\ndescription: d\n"
@@ -592,7 +592,7 @@ def test_a_class_that_is_needed_must_be_there(bench: Bench, data: Path, tmp_path
         run(str(mine), data, tmp_path / "w")
 
 
-def test_an_empty_split_is_told_before_anything_is_made(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_empty_split_is_reported_before_any_work(bench: Bench, data: Path, tmp_path: Path) -> None:
     for form in ("rotate_json", "normal_json"):
         (data / form / "annotations" / "test.json").unlink()
         shutil.rmtree(data / form / "test")
@@ -601,7 +601,7 @@ def test_an_empty_split_is_told_before_anything_is_made(bench: Bench, data: Path
     assert not (tmp_path / "w").exists()
 
 
-def test_too_little_space_is_told_before_anything_is_made(
+def test_lack_of_space_is_reported_before_any_work(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
@@ -610,7 +610,7 @@ def test_too_little_space_is_told_before_anything_is_made(
     assert caught.value.problems[0].code == "disk-full" and not bench.trained
 
 
-def test_without_a_trainer_nothing_is_begun(
+def test_without_a_trainer_nothing_starts(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(device: str) -> None:
@@ -628,10 +628,10 @@ def test_the_work_folder_is_not_in_the_data(bench: Bench, data: Path) -> None:
         run("hit-uav-drone", data, data / "work")
 
 
-# What is left out, and what stands in.
+# Skipped stages and substitutes.
 
 
-def test_an_absent_dataset_is_told_where_to_get_and_the_rest_is_run(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_missing_dataset_is_explained_and_other_stages_run(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("visible-vs-thermal", data, tmp_path / "work")
     assert report.status == "complete"
     assert "github.com/wangdongdut/DUT-Anti-UAV" in report.facts["left_out"]["dut-anti-uav"]
@@ -665,7 +665,7 @@ def test_a_part_of_a_source_holds_every_class(write_tiny_hit_uav: Callable[..., 
 # What was made elsewhere.
 
 
-def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_equal_training_from_elsewhere_is_adopted(bench: Bench, data: Path, tmp_path: Path) -> None:
     first = tmp_path / "first"
     run("hit-uav-drone", data, first)
     (made,) = (first / "train").iterdir()
@@ -693,7 +693,7 @@ def test_a_training_made_elsewhere_is_taken_over_if_it_is_the_same(bench: Bench,
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
 
 
-def test_a_stage_that_is_there_is_not_taken_over_and_that_is_said(
+def test_finished_stage_is_not_adopted_and_that_is_reported(
     bench: Bench, data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     run("hit-uav-drone", data, tmp_path / "work")
@@ -741,7 +741,7 @@ def test_conclusions_follow_from_intervals(expect: Any, low: float, high: float,
     assert found["holds"] is holds and found["ci"] == [low, high]
 
 
-def test_a_ratio_is_judged_by_its_least() -> None:
+def test_ratio_is_compared_with_its_minimum() -> None:
     figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
     check = Check(text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7)
     found = check_claim(check, figures, {}, {})
@@ -754,7 +754,7 @@ def test_a_ratio_is_judged_by_its_least() -> None:
 @pytest.mark.parametrize(
     ("scale", "said"), [("smoke", "figures mean nothing"), ("small", "with each other"), ("paper", None)]
 )
-def test_a_page_says_what_its_figures_are_worth(
+def test_page_states_the_limits_of_its_figures(
     scale: str, said: str | None, bench: Bench, data: Path, tmp_path: Path
 ) -> None:
     facts = run("hit-uav-drone", data, tmp_path / "work").facts
@@ -776,7 +776,7 @@ def test_pages_of_scales_stand_side_by_side(bench: Bench, data: Path, tmp_path: 
     assert files_of(out) == before
 
 
-def test_the_json_alone_makes_the_page(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_page_is_made_from_the_json_only(bench: Bench, data: Path, tmp_path: Path) -> None:
     """All of it but the curves, which are left out of the JSON."""
     report = run("hit-uav", data, tmp_path / "work")
     facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))
@@ -835,7 +835,7 @@ def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
         (["hit-uav", "--adopt", "train"], "KEY=VALUE"),
     ],
 )
-def test_wrong_commands_are_told(
+def test_wrong_commands_are_reported(
     words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))

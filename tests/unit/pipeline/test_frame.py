@@ -1,4 +1,4 @@
-"""The physical recipes through the pipeline, without Blender: what bad backgrounds get, 16 bit, what records say."""
+"""The physical recipes in the pipeline without Blender: bad backgrounds, 16 bit, run records."""
 
 import json
 from pathlib import Path
@@ -102,7 +102,7 @@ def test_sixteen_bit_stays_sixteen_bit_and_linear(tmp_path):
         assert r.facts["sensor"]["codec_quality"] is None
 
 
-def test_a_background_without_altitude_is_left_out_by_name(tmp_path):
+def test_background_without_altitude_is_skipped_and_named(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
     (data / "metadata.csv").write_text("file,pitch_deg,altitude_m\na.png,60,80\nb.png,60,\n")
     report = generate(data, tmp_path / "run")
@@ -131,7 +131,7 @@ def test_realism_says_which_times_of_day_there_are(tmp_path):
         api.realism(tmp_path / "run", data, time_of_day="day")
 
 
-def test_what_nobody_would_see_is_not_inserted_but_counted(tmp_path):
+def test_invisible_objects_are_counted_but_not_inserted(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
     report = generate(data, tmp_path / "run", settings=["matching.min_contrast_grey=5000"])
     assert report.counts["frames_without_object"] == 1
@@ -155,7 +155,7 @@ def test_other_class_names_change_no_picture(tmp_path):
     ]
 
 
-def test_a_run_without_places_says_so(tmp_path):
+def test_run_without_a_place_for_objects_reports_it(tmp_path):
     data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
     settings = ["objects=[{model: person}]", "camera.pitch={fixed_deg: -20}"]
     report = generate(data, tmp_path / "run", settings=settings)

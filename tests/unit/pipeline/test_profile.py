@@ -49,7 +49,7 @@ def pictures(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("psf", "gain", "radius"), [(0.9, 0.6, 1.6), (1.0, 0.5, 2.4), (0.8, 0.0, 1.6)])
-def test_a_known_chain_is_found_again(psf, gain, radius):
+def test_known_sensor_chain_is_recovered(psf, gain, radius):
     survey = Survey((40.0, 200.0), 8)
     for n in range(8):
         survey.add(scene(n, psf, gain, radius), None, None)
@@ -65,7 +65,7 @@ def test_a_known_chain_is_found_again(psf, gain, radius):
 
 
 def test_the_fitted_chain_shows_what_the_pictures_show(pictures, tmp_path):
-    """Its own edges and grain, read as the pictures are, within what one percent of a step and of a px mean."""
+    """Its own edges and grain, measured like those of pictures, agree to 1 % of a step and of a pixel."""
     report = api.profile(pictures, tmp_path / "out")
     rows = dict(report.rows)
     for what, within in (
@@ -79,7 +79,7 @@ def test_the_fitted_chain_shows_what_the_pictures_show(pictures, tmp_path):
 
 
 @pytest.mark.parametrize("quality", [40, 60, 80])
-def test_a_codec_is_found_by_its_blocks(quality):
+def test_codec_is_detected_by_its_blocks(quality):
     survey = Survey((40.0, 200.0), 6)
     for n in range(6):
         survey.add(scene(n, noise=3.0, codec=quality), None, None)
@@ -97,7 +97,7 @@ def test_the_files_own_jpeg_is_no_further_codec(tmp_path):
 
 
 @pytest.mark.parametrize("quality", [10, 50, 75, 95])
-def test_a_files_quality_is_read_from_its_table(quality, tmp_path):
+def test_jpeg_quality_is_read_from_the_quantisation_table(quality, tmp_path):
     Image.fromarray(scene(1)).save(tmp_path / "a.jpg", quality=quality)
     assert jpeg_quality(load_background(tmp_path / "a.jpg")) == quality
     Image.fromarray(scene(1)).save(tmp_path / "a.png")
@@ -185,7 +185,7 @@ def test_annotated_objects_are_left_out(tmp_path):
     ],
     ids=["none", "flat", "no-edges", "mixed", "palette"],
 )
-def test_what_cannot_be_used_is_said(make, says, tmp_path):
+def test_unusable_items_are_reported(make, says, tmp_path):
     with pytest.raises(InfraBlendError, match=says) as caught:
         api.profile(make(tmp_path / "data"), tmp_path / "out")
     assert isinstance(caught.value, DatasetError)
@@ -220,14 +220,14 @@ def test_the_command(pictures, tmp_path):
     assert "none of 12 picture(s) is known to be taken by day" in dusk.output
 
 
-def test_out_stays_outside_the_data(pictures):
+def test_output_must_be_outside_the_data(pictures):
     with pytest.raises(OutputError, match="inside the data folder"):
         api.profile(pictures, pictures / "out")
     with pytest.raises(RecipeError, match="no such profile"):
         api.profile(pictures, pictures.parent / "out", against="x")
 
 
-def test_hit_uavs_nights_are_found_as_measured_before(real_data, tmp_path):
+def test_hit_uav_night_profile_is_reproduced(real_data, tmp_path):
     """The figures of the design's sections 4.1, 4.4, 4.5 and 3.2, with annotated objects left out here."""
     report = api.profile(
         real_data / "hit-uav", tmp_path, reading=api.Reading(splits=("train",)), time="night", against="hit-uav"

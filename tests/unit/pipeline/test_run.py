@@ -1,4 +1,4 @@
-"""The pipeline without Blender: flat renderer, a small HIT-UAV-shaped dataset made here."""
+"""The pipeline with the flat renderer, on a small dataset in HIT-UAV's layout."""
 
 import hashlib
 import json
@@ -87,7 +87,7 @@ def hashes(run: Path) -> dict[str, str]:
     return found
 
 
-def test_a_run_from_end_to_end(dataset, tmp_path):
+def test_run_end_to_end(dataset, tmp_path):
     seen: list[Progress] = []
     report = generate(dataset, tmp_path / "run", on_progress=seen.append)
     assert report.ok
@@ -115,7 +115,7 @@ def test_a_run_from_end_to_end(dataset, tmp_path):
 
 
 def test_labels_describe_the_pixels(dataset, tmp_path):
-    """Every changed pixel lies in reach of the mask's object; every mask pixel that must change has changed."""
+    """Every changed pixel is within reach of an object; every mask pixel that must change has changed."""
     generate(dataset, tmp_path / "run", settings={"output.image": "png", "overlay.softness_px": 0.0})
     changed_in_masks = 0
     for record in records(tmp_path / "run"):
@@ -143,7 +143,7 @@ def records(run: Path) -> list[FrameRecord]:
     return found
 
 
-def test_twice_the_same_bytes_and_another_seed_others(dataset, tmp_path):
+def test_same_seed_gives_same_bytes_and_another_seed_others(dataset, tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         generate(dataset, tmp_path / name, seed=seed)
     a, b, c = (hashes(tmp_path / n) for n in "abc")
@@ -197,7 +197,7 @@ def test_resume_mends_damaged_frames(dataset, tmp_path):
     assert hashes(run) == whole
 
 
-def test_resume_refuses_another_run_and_says_what_differs(dataset, tmp_path):
+def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
     generate(dataset, tmp_path / "run")
     with pytest.raises(OutputError, match=r"recipe\.camera\.distance_m was \[1\.0, 10\.0\], is \[2\.0, 3\.0\]"):
         generate(
@@ -235,7 +235,7 @@ def test_unwritable_output(dataset, tmp_path):
         generate(dataset, tmp_path / "locked" / "run")
 
 
-def test_a_bad_background_is_skipped_named_and_counted(dataset, tmp_path):
+def test_unreadable_background_is_skipped_named_and_counted(dataset, tmp_path):
     path = dataset / "normal_json" / "train" / f"{NAMES[0]}.jpg"
     path.write_bytes(path.read_bytes()[:3000])
     report = generate(dataset, tmp_path / "run")
@@ -306,7 +306,7 @@ def test_label_modes_and_categories(dataset, tmp_path):
 
 
 def test_a_single_object_that_is_barely_visible_is_not_inserted(dataset, tmp_path):
-    """`on_miss: keep` draws objects anywhere; `min_visibility` holds all the same, for one object alone too."""
+    """`on_miss: keep` draws objects anywhere; `min_visibility` applies nevertheless, even to a single object."""
     settings = {"output.image": "png", "placement.on_miss": "keep", "camera.distance_m": 3, "configurations": 5}
     free = generate(dataset, tmp_path / "free", settings=settings)
     held = generate(dataset, tmp_path / "held", settings={**settings, "placement.min_visibility": 0.6})
@@ -498,7 +498,7 @@ def test_regions_to_ignore_that_a_recipe_turns_into_objects_are_a_warning(datase
     assert not warnings({"DontCare": "crowd", "Car": "vehicle"})
 
 
-def test_renaming_what_is_not_there_is_refused(dataset, tmp_path):
+def test_renaming_an_unknown_class_is_refused(dataset, tmp_path):
     with pytest.raises(RecipeError, match=r"labels.rename: found car; expected categories .*Car"):
         generate(dataset, tmp_path / "run", settings={"labels.rename": {"car": "x"}})
 

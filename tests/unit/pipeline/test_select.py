@@ -1,4 +1,4 @@
-"""Selecting part of a dataset: by class, number of pictures, number of objects, or flight conditions."""
+"""Selecting a part of a dataset by class, number of pictures or objects, or flight conditions."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_pictures_without_a_class_and_without_regions_to_ignore():
 
 
 @pytest.mark.parametrize("objects", [60, 77, 90, 111])
-def test_so_many_pictures_with_exactly_so_many_objects(objects):
+def test_requested_numbers_of_pictures_and_objects_are_met(objects):
     counts = np.random.default_rng(3).integers(0, 9, 60)
     data = dataset([people(int(c)) for c in counts])
     part, facts = select(data, Selection("Person", images=20, objects=objects, seed=5))
@@ -59,7 +59,7 @@ def test_so_many_pictures_with_exactly_so_many_objects(objects):
     assert [i.id for i in same.images] == [i.id for i in part.images] != [i.id for i in other.images]
 
 
-def test_what_cannot_be_reached_is_come_near_to_and_said():
+def test_unreachable_targets_are_approximated_and_reported():
     data = dataset([people(c) for c in (1, 2, 3, 4)])
     for objects, found in ((100, 7), (1, 3)):
         part, facts = select(data, Selection("Person", images=2, objects=objects))
@@ -76,7 +76,7 @@ def test_the_draw_is_changed_no_more_than_it_must():
     assert draw_with_sum(counts, np.arange(7), 4, 20).tolist() == [0, 1, 2, 3]
 
 
-def test_heights_and_times_are_shared_out_as_among_those_with_the_class():
+def test_heights_and_times_follow_the_images_with_the_class():
     like = [image(k, {"Person": 1}, 60.0 if k < 30 else 100.0) for k in range(40)]
     pool = [image(100 + k, {"Car": 1}, 60.0 if k < 10 else 100.0) for k in range(40)]
     data = Dataset(Path(), "coco", CATEGORIES, (*like, *pool))
@@ -91,7 +91,7 @@ def test_heights_and_times_are_shared_out_as_among_those_with_the_class():
     assert {i.path for i in again} <= {i.path for i in pool}
 
 
-def test_what_a_height_cannot_give_the_nearest_of_the_same_time_gives():
+def test_missing_heights_are_filled_from_the_nearest_of_the_same_time():
     pool = [("night", 60.0, 30), ("night", 80.0, 30), ("night", 120.0, 30), ("night", 120.0, 30), ("day", 60.0, 30)]
     copies = copies_to_match(pool, [("night", 60.0, 30)] * 3 + [("day", 90.0, 30)], 12, 0)
     # Nine at night from 60 m, of which four are to be had; four from 80 m, one from 120 m. Three by day.

@@ -1,4 +1,4 @@
-"""New splits: whole groups, shares as wanted, no neighbours left, the same bytes each time."""
+"""New splits: whole groups, requested shares, no neighbours across splits, the same bytes each time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def tree(folder: Path) -> dict[str, str]:
 
 
 def clips(root: Path) -> Path:
-    """Six clips of ten frames in steps of two; the splits as they are tear them apart."""
+    """Six clips of ten frames in steps of two, which the original splits divide."""
     for clip in range(6):
         for n in range(10):
             split = ("train", "train", "val", "test")[(clip + n) % 4]
@@ -64,7 +64,7 @@ def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
     assert tree(tmp_path / "out") == tree(tmp_path / "second")
 
 
-def test_lists_alone(tmp_path: Path) -> None:
+def test_lists_only(tmp_path: Path) -> None:
     root = clips(tmp_path / "data")
     ended = run(root, tmp_path / "out", "--by", "gap", "--list", "--json")
     assert ended.exit_code == 0, ended.output
@@ -100,7 +100,7 @@ def test_pictures_of_like_name_do_not_meet(tmp_path: Path) -> None:
     assert len({i.path for i in again.images}) == 6 == sum(len(i.instances) for i in again.images)
 
 
-def test_what_cannot_be_done_is_said_before_anything_is_written(tmp_path: Path) -> None:
+def test_impossible_requests_are_reported_before_writing(tmp_path: Path) -> None:
     root = clips(tmp_path / "data")
     assert run(root, tmp_path / "out", "--by", "date").exit_code == 2
     assert "without a date" in run(root, tmp_path / "out", "--by", "date").stderr
@@ -142,7 +142,7 @@ def test_shares_are_met_within_the_largest_group(groups: int, classes: int, seed
         assert abs(held - share * counts[:, 0].sum()) <= counts[:, 0].max()
 
 
-def test_a_share_of_nothing_gets_nothing() -> None:
+def test_split_with_share_zero_is_empty() -> None:
     assert set(assign_groups(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
     assert check_shares((8, 0, 2)) == (0.8, 0.0, 0.2)
 

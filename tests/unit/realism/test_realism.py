@@ -1,4 +1,4 @@
-"""Measuring realism on pictures made here: what a known disc gives, what the controls and the classifiers must say."""
+"""Realism measures on synthetic pictures: a known disc, the controls and the classifiers."""
 
 import builtins
 import json
@@ -93,7 +93,7 @@ def test_grain_is_the_same_inside_and_outside():
     assert values(measured(quiet, np.array([40.0, 40.0, 88.0, 88.0])))["noise_ratio"] < 0.3
 
 
-def test_what_cannot_be_made_out_is_said():
+def test_unmeasurable_objects_have_a_flaw():
     flat = np.full((128, 128), 100, np.float32)
     assert measured(flat).flaw == "no_contrast"
     assert np.isnan(measured(flat).features).all()
@@ -103,7 +103,7 @@ def test_what_cannot_be_made_out_is_said():
     assert measured(thin, np.array([62.0, 52.0, 67.0, 76.0])).flaw == "thin"
 
 
-def test_unfit_objects():
+def test_objects_that_cannot_be_measured():
     labels = Labels((128, 128), [instance(), instance([60, 60, 80, 80]), instance([2, 40, 20, 60])])
     assert reason_not_measured(instance(), labels) == "overlapping"
     assert reason_not_measured(instance([2, 40, 20, 60]), labels) == "truncated"
@@ -260,7 +260,7 @@ def test_pairs_are_of_like_size_and_unique():
     assert [i.key for _, i in pair_by_size(real[::-1], inserted[::-1], 60)] == [i.key for _, i in pairs]
 
 
-def test_distance_is_nothing_for_equals_and_grows_with_the_shift():
+def test_distance_is_zero_for_equals_and_grows_with_the_shift():
     a, b, c = (made_up(250, s, k) for k, s in enumerate((0, 0, 2)))
     like = dct_features(a)
     x, y, z = (standardised(dct_features(m), like) for m in (a, b, c))
@@ -270,14 +270,14 @@ def test_distance_is_nothing_for_equals_and_grows_with_the_shift():
         mmd(x[:50], y)
 
 
-def test_networks_say_why_they_do_not_run(monkeypatch):
+def test_skipped_networks_report_the_reason(monkeypatch):
     monkeypatch.setattr(nets.importlib.util, "find_spec", lambda name: None)
     assert nets.missing("torch") == "torch is not installed"
     assert nets.no_inception(2000) == "torch and torchvision are not installed"
     assert nets.no_inception(900) == "900 crops; 1000 are needed"
 
 
-def test_the_network_tells_shifted_crops_and_not_equal_ones(monkeypatch):
+def test_network_separates_shifted_crops_but_not_equal_ones(monkeypatch):
     pytest.importorskip("torch")
     monkeypatch.setattr(nets, "BATCH", 16)
     real, other = made_up(40, 0, 1), made_up(40, 2, 2)
@@ -306,7 +306,7 @@ def test_kid_uses_the_weights_in_torchs_cache(monkeypatch, tmp_path):
     assert np.isfinite(found).all()
 
 
-def test_figures_count_only_with_controls_that_behave():
+def test_figures_are_valid_only_with_plausible_controls():
     facts = {"n": 600, "hard_paste_logistic": 0.999}
     assert validity(facts, 0.74) == {"valid": True, "invalid_because": []}
     bad = validity({"n": 40, "hard_paste_logistic": 0.9}, None)
@@ -340,7 +340,7 @@ def test_the_chain_comes_back_step_by_step():
     assert (steps["noise"].noise_grey, steps["noise"].codec_quality) == (1.5, None)
 
 
-def test_without_scikit_learn_it_says_what_to_install(monkeypatch, tmp_path):
+def test_missing_scikit_learn_error_names_the_install_command(monkeypatch, tmp_path):
     real_import = builtins.__import__
 
     def refuse(name, *rest, **more):
@@ -441,7 +441,7 @@ def test_a_run_is_compared(crowd, tmp_path):
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
 
-def test_what_cannot_be_compared_is_refused(crowd, tmp_path):
+def test_incomparable_runs_are_refused(crowd, tmp_path):
     run, data = crowd
     with pytest.raises(DatasetError, match=r"Car: expected classes that are both inserted \(Person\) and annotated"):
         api.realism(run, data, tmp_path, categories=["Car"], execution=api.Execution(in_process=True))

@@ -1,4 +1,4 @@
-"""Dataset cards: front matter that the hub takes, counts that agree with run.json, sources that are not made up."""
+"""Dataset cards: front matter that the hub accepts, counts equal to run.json, no invented sources."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HUB_SIZES = {"n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M"}
 
 
 def front_matter(text: str) -> dict:
-    """The front matter, checked against what the hub reads."""
+    """Return the front matter, after checking it against the hub's rules."""
     assert text.startswith("---\n")
     found = yaml.safe_load(text.split("---\n")[1])
     assert set(found) <= HUB_KEYS
@@ -106,7 +106,7 @@ def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
     assert "seed: 0" in text
 
 
-def test_every_loss_is_told_in_words(data, tmp_path):
+def test_every_loss_has_a_description(data, tmp_path):
     run = tmp_path / "run"
     generate(data, run)
     losses = json.loads((run / "run.json").read_text())["losses"]
@@ -129,7 +129,7 @@ def test_the_card_says_nothing_of_machine_or_time_and_repeats(data, tmp_path):
         assert not re.search(rb"20[0-9]{2}-[0-9]{2}-[0-9]{2}", first)
 
 
-def test_an_own_models_folder_is_not_told(data, tmp_path):
+def test_user_models_folder_is_not_recorded(data, tmp_path):
     from infrablend.pipeline.card import _recipe_yaml
     from infrablend.pipeline.plan import make_plan
 
@@ -142,7 +142,7 @@ def test_an_own_models_folder_is_not_told(data, tmp_path):
     assert "secret" not in text
 
 
-def test_an_edited_card_is_left_alone_and_an_own_one_is_not(data, tmp_path):
+def test_edited_card_is_kept_and_unedited_card_is_replaced(data, tmp_path):
     run = tmp_path / "run"
     generate(data, run)
     original = card(run)
@@ -192,7 +192,7 @@ def test_an_unknown_source_must_be_filled_in(tmp_path):
     assert "Before you publish, find out the licence" in made
 
 
-def test_a_licence_that_contradicts_the_known_one_is_told(data):
+def test_contradicting_licence_is_reported(data):
     (data / "LICENSE").write_text("MIT License\n")
     source = find_provenance(api.read_dataset(data))
     assert source.licence.id == "mit"
@@ -215,7 +215,7 @@ def test_known_sources(tmp_path, known):
     assert ("Licence: unknown." in made) == (known.name == "wit-uas")
 
 
-def test_what_infrablend_wrote_is_not_taken_for_the_original(tmp_path):
+def test_own_output_is_not_taken_for_the_original(tmp_path):
     ours = Dataset(
         tmp_path, "hit-uav", (), (), extra={"info": {"description": "HIT-UAV layout, written by InfraBlend"}}
     )
@@ -308,7 +308,7 @@ def test_a_source_file_by_hand(tmp_path):
 @pytest.mark.parametrize(
     "text", ["[", "[]", "{}", '{"licence": "mit"}', '{"licence": {"id": 3}, "title": [1], "changes": [2]}', "null"]
 )
-def test_broken_source_files_do_no_harm(tmp_path, text):
+def test_broken_source_files_are_harmless(tmp_path, text):
     (tmp_path / "SOURCE.json").write_text(text)
     source = find_provenance(Dataset(tmp_path, "folder", (), ()))
     assert source.licence.id == "unknown"

@@ -1,4 +1,4 @@
-"""What `check` finds, what it says, how it ends."""
+"""`check`: problems found, messages, exit codes."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_copies_across_splits_are_errors_and_within_one_warnings(data: Path) -> 
     assert codes(data) == {"image-repeated": 1}
 
 
-def test_a_picture_of_nothing(data: Path) -> None:
+def test_empty_picture(data: Path) -> None:
     for path in pictures(data, "1_90_90_0_00034.jpg"):
         path.unlink()
         Image.fromarray(np.full((48, 64), 90, np.uint8)).save(path)
@@ -94,7 +94,7 @@ def test_a_picture_of_nothing(data: Path) -> None:
     assert codes(data, decode=False) == {}
 
 
-def test_labels_that_cannot_be(data: Path) -> None:
+def test_impossible_labels(data: Path) -> None:
     def spoil(top: dict) -> None:
         person, bicycle = json.loads(json.dumps(top["annotation"][0])), top["annotation"][0]
         bicycle["category_id"] = 77
@@ -146,7 +146,7 @@ def test_text_labels_without_a_picture_and_lines_given_twice(tmp_path: Path) -> 
     assert {p.where for p in report.warnings} == {"labels/train/orphan.txt", "labels/test/1_90_90_0_00034.txt: line 2"}
 
 
-def test_a_dataset_that_cannot_be_read_is_reported_and_wrong_usage_is_told_apart(data: Path, tmp_path: Path) -> None:
+def test_unreadable_dataset_and_wrong_usage_have_different_exit_codes(data: Path, tmp_path: Path) -> None:
     for path in data.rglob("*.json"):
         path.write_text("{")
     ended = run(data, "--json")

@@ -27,7 +27,7 @@ def verdict(machine: Machine, name: str) -> doctor.Check:
     return next(c for c in assess(machine).checks if c.name == name)
 
 
-def test_a_good_machine_gets_no_advice() -> None:
+def test_suitable_machine_gets_no_advice() -> None:
     diagnosis = assess(GOOD)
     assert diagnosis.ok
     assert [c for c in diagnosis.checks if c.status != "ok" or c.todo] == []
@@ -57,7 +57,7 @@ def test_a_good_machine_gets_no_advice() -> None:
         ({"free_shm_bytes": 1024}, "shared memory", "warning", "--shm-size"),
     ],
 )
-def test_each_trouble_is_named_with_what_to_do(change: dict, name: str, status: str, words: str) -> None:
+def test_each_problem_has_a_remedy(change: dict, name: str, status: str, words: str) -> None:
     machine = replace(GOOD, **change)
     check = verdict(machine, name)
     assert check.status == status
@@ -89,7 +89,7 @@ def test_ldd_listing() -> None:
     assert parse_ldd(listing) == ("libICE.so.6", "libSM.so.6")
 
 
-def test_a_hung_or_silent_blender_is_reported_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hung_or_silent_blender_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_ASK_BLENDER", "import time; time.sleep(60)")
     assert doctor._ask_blender(0.2).trouble == "no answer within 0.2 s"
     monkeypatch.setattr(doctor, "_ASK_BLENDER", "raise ImportError('libGL.so.1: cannot open')")
@@ -121,7 +121,9 @@ NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'
         (Trainer("2.9.0", trouble="no answer within 60 s"), "warning", "no answer within 60 s", NOT_INSTALLED),
     ],
 )
-def test_torch_and_ultralytics_are_told(trainer: Trainer, status: str, torch: str, ultralytics: str) -> None:
+def test_versions_of_torch_and_ultralytics_are_reported(
+    trainer: Trainer, status: str, torch: str, ultralytics: str
+) -> None:
     machine = replace(GOOD, trainer=trainer)
     assert verdict(machine, "torch").status == status and torch in verdict(machine, "torch").found
     assert (verdict(machine, "Ultralytics").status, verdict(machine, "Ultralytics").found) == ("ok", ultralytics)

@@ -1,4 +1,4 @@
-"""What `inspect` counts and draws."""
+"""Counts and charts of `inspect`."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_pictures_without_labels_get_no_table_of_classes(tmp_path: Path) -> None
     assert "images" in shown and "objects by class" not in shown
 
 
-def test_bins_hold_what_they_say() -> None:
+def test_bins_contain_the_stated_range() -> None:
     assert _binned([30.0, None, -5.0], "°", 10) == (["30°", "unknown", "-5°"], ("-5°", "30°", "unknown"))
     of, order = _binned([float(v) for v in range(0, 100, 3)], " m", 10)
     assert order[0] == "0 to 10 m" and order[-1] == "90 to 100 m" and len(order) == 10

@@ -1,4 +1,4 @@
-"""Contact sheets and the reading of run folders they need."""
+"""Contact sheets, and reading run folders for them."""
 
 import json
 from dataclasses import replace
@@ -129,7 +129,7 @@ def test_the_picture_given_is_left_alone():
     np.testing.assert_array_equal(picture, grey())
 
 
-def test_boxes_far_outside_do_no_harm():
+def test_boxes_far_outside_are_harmless():
     drawn = draw_labels(grey(), [make_instance(mask=None, box_xyxy=np.array([-1e9, -1e9, 1e9, 1e9]))], names=False)
     assert drawn.shape == grey().shape
 
@@ -238,7 +238,7 @@ def test_bad_arguments(tmp_path):
 
 @pytest.fixture
 def run(tmp_path):
-    """A run of three test frames; the last has no inserted object; b's picture lies in a group folder."""
+    """A run of three test frames; the last has no inserted object; b's picture is in a group folder."""
     root = tmp_path / "run"
     names = ["a_c0.png", "p60/b_c0.png", "c_c0.png"]
     images, annotations = [], []

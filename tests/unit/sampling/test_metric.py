@@ -1,4 +1,4 @@
-"""Metric placement: the ground plane, the camera's height from annotated objects, where objects may stand."""
+"""Metric placement: the ground plane, the camera's height from annotated objects, places for objects."""
 
 import math
 
@@ -89,7 +89,7 @@ def test_without_anchors_the_nominal_factor_holds_and_outliers_are_bounded():
     tiny = [Instance("Car", np.array([100.0, 100, 107, 107])) for _ in range(6)]
     assert calibrate(camera, 100, huge).factor == FACTOR_BOUNDS[0]
     assert calibrate(camera, 100, tiny).factor == FACTOR_BOUNDS[1]
-    # Cut by the frame: its size says nothing.
+    # Cut by the frame, so its size is unusable.
     assert not calibrate(camera, 100, [Instance("Car", np.array([0.0, 100, 60, 140]))]).anchors
 
 
@@ -102,12 +102,12 @@ def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCar
     return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
 
 
-def test_a_height_that_the_recipe_states_is_meant():
+def test_height_stated_by_the_recipe_is_not_corrected():
     recipe = load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 50}"])
     assert draw(recipe).view.camera_height_m == 50
 
 
-def test_people_go_by_several_names():
+def test_people_have_several_class_names():
     camera = hit_uav_camera(60, 100)
     for name in ("Person", "human", "Pedestrian"):
         labels = annotated(hit_uav_camera(60, 130), 130, "Person", 4, np.random.default_rng(2))
@@ -115,7 +115,7 @@ def test_people_go_by_several_names():
         assert calibrate(camera, 100, labels).anchors == {"person": 4}
 
 
-def test_what_stands_stands_on_the_ground_at_true_size():
+def test_standing_objects_are_on_the_ground_at_true_size():
     recipe = load_recipe("hit-uav-person", ["placement.size_px=[1, 500]"])
     for number in range(8):
         spec = draw(recipe, number=number)
@@ -132,7 +132,7 @@ def test_what_stands_stands_on_the_ground_at_true_size():
         assert tall * 0.8 < np.ptp(xy[:, 1]) < tall + deep
 
 
-def test_what_flies_keeps_its_range_before_the_ground():
+def test_flying_objects_keep_their_range_in_front_of_the_ground():
     recipe = load_recipe("hit-uav-drone-physical")
     for number in range(8):
         spec = draw(recipe, number=number)
@@ -158,7 +158,7 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
     assert covered.draws["absent"] == {"no_place": 6}
 
 
-def test_nobody_stands_in_a_tree():
+def test_people_do_not_overlap_trees():
     rng = np.random.default_rng(0)
     rough = FLAT.copy()
     rough[:, :320] = rng.integers(40, 220, (512, 320))
@@ -174,7 +174,7 @@ def test_nobody_stands_in_a_tree():
     assert not any(s.draws["rejected"].get("uneven_ground") for s in flying)
 
 
-def test_no_ground_in_the_frame_is_said():
+def test_frame_without_ground_is_reported():
     spec = draw(load_recipe("hit-uav-person"), pitch=-20.0)
     assert not spec.objects
     assert set(spec.draws["rejected"]) == {"no_ground"}
@@ -226,7 +226,7 @@ def test_cars_stand_in_rows():
     assert (np.abs(away @ side) > 3 * np.abs(away @ along)).all()
 
 
-def test_without_company_nothing_is_drawn_otherwise():
+def test_draws_without_companions_are_unchanged():
     """A recipe that names no group gets the scenes it always got."""
     plain = load_recipe("hit-uav-person", ["objects.0.count=3"])
     never = load_recipe("hit-uav-person", ["objects.0.count=3", "objects.0.group={share: 0}"])

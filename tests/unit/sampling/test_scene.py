@@ -1,4 +1,4 @@
-"""Scenes: reproducible, within the recipe's ranges, redrawn until the object shows."""
+"""Scenes: reproducible, within the recipe's ranges, drawn again until the object is visible."""
 
 import json
 import math
@@ -21,7 +21,7 @@ def key(k=0, name="0_60_50_0_00001", pitch=50.0):
     return FrameKey(name, "train", k, (640, 512), pitch)
 
 
-def test_same_key_same_scene_other_key_other_scene():
+def test_scene_depends_on_the_key():
     recipe = load_recipe("hit-uav-drone")
     a, b = (sample_scene(key(), recipe, MODELS, 0).spec for _ in range(2))
     assert a == b
@@ -96,7 +96,7 @@ def test_size_limits_hold():
 
 
 def test_size_limits_are_about_the_labels_box():
-    """An object that the frame cuts counts with what is left of it."""
+    """An object that the frame cuts counts by its visible part."""
     settings = {
         "placement.size_px": [100, 130],
         "placement.min_inside": 0.05,

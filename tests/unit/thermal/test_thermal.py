@@ -1,4 +1,4 @@
-"""Physics against published and independently computed figures."""
+"""Physics, compared with published and independently computed values."""
 
 import numpy as np
 import pytest

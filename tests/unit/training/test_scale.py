@@ -1,4 +1,4 @@
-"""The scale at which a detector is judged: the one it was trained at, and a warning where nobody knows it."""
+"""The image scale of an evaluation: that of the training, and a warning where it is unknown."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_scale_is_that_of_the_training(checkpoint: dict[str, Any], size: int
 
 
 @pytest.mark.parametrize(("preset", "size"), [("small", 0), ("paper", 640)])
-def test_weights_without_a_mark_are_as_the_record_beside_them_says(preset: str, size: int, tmp_path: Path) -> None:
+def test_weights_without_scale_use_the_record_beside_them(preset: str, size: int, tmp_path: Path) -> None:
     (tmp_path / "train.json").write_text(json.dumps({"settings": mark(preset)}))
     checkpoint = {"train_args": OURS | {"imgsz": PRESETS[preset].image_size}}
     assert training_scale(tmp_path / "weights.pt", checkpoint).image_size == size
@@ -53,6 +53,6 @@ def test_weights_without_a_mark_are_as_the_record_beside_them_says(preset: str, 
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"settings": 3}', "{}"])
-def test_a_record_that_cannot_be_read_is_none(text: str, tmp_path: Path) -> None:
+def test_unreadable_record_is_ignored(text: str, tmp_path: Path) -> None:
     (tmp_path / "train.json").write_text(text)
     assert training_scale(tmp_path / "weights.pt", {"train_args": {"imgsz": 256}}).image_size == 256

@@ -1,4 +1,4 @@
-"""Non-maximum suppression: what a surer finding hides, and that equal scores keep their order."""
+"""Non-maximum suppression: confident boxes suppress overlapping ones, and equal scores keep their order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def one_by_one(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[
 
 @pytest.mark.parametrize("number", [0, 1, 63, 64, 65, 400])
 @pytest.mark.parametrize("threshold", [0.3, 0.7])
-def test_the_surest_stay(number: int, threshold: float) -> None:
+def test_most_confident_boxes_stay(number: int, threshold: float) -> None:
     rng = stream(0, "suppression", str(number))
     centres, sizes = rng.uniform(0, 100, (number, 2)), rng.uniform(5, 50, (number, 2))
     boxes = np.concatenate([centres - sizes / 2, centres + sizes / 2], axis=1).astype(np.float32)
@@ -34,6 +34,6 @@ def test_the_surest_stay(number: int, threshold: float) -> None:
     assert kept_indices(boxes, scores, threshold).tolist() == one_by_one(boxes, scores, threshold)
 
 
-def test_the_first_of_equal_findings_stays_and_empty_boxes_hide_nothing() -> None:
+def test_first_of_equal_detections_stays_and_empty_boxes_suppress_nothing() -> None:
     boxes = np.array([[0, 0, 10, 10], [0, 0, 10, 10], [5, 5, 5, 5], [5, 5, 5, 5]], np.float32)
     assert kept_indices(boxes, np.full(4, 0.5, np.float32), 0.7).tolist() == [0, 2, 3]

@@ -1,4 +1,4 @@
-"""Tiles: every object whole in one of them, at its own size, its labels where its pixels are."""
+"""Tiles: every object is whole in at least one, at native size, with labels that match its pixels."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_labels_lie_on_the_pixels_also_where_cut_and_small(tmp_path):
     assert seen_cut == counts["labels_cut"]
 
 
-def test_what_is_cut_is_kept_from_a_quarter_on_and_counted_below(tmp_path):
+def test_cut_objects_are_kept_from_a_quarter_of_their_box_and_counted_below(tmp_path):
     big = box(10, 10, 50, 50)
     for x, kept in ((50 + 4, True), (50 + 24, True), (85, False)):
         other = box(x, 20, x + 16, 36)
