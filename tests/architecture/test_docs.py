@@ -280,7 +280,9 @@ def test_settings_in_the_docs_are_recipe_fields() -> None:
         for line in page.read_text("utf-8").replace("\\\n", " ").splitlines():
             found = re.findall(r"--set ('[^']*'|[^\s`']+(?:'[^']*')?)", line)
             words = [shlex.split(text)[0] for text in found]
-            commands.append([w for w in words if w != "KEY=VALUE" and w.split("=")[0] not in of_trainer])
+            settings = [w for w in words if w != "KEY=VALUE" and w.split("=")[0] not in of_trainer]
+            if settings:
+                commands.append(settings)
     assert sum(map(len, commands)) > 5
     for settings in commands:
         # A field may belong to a mode that only some recipes have.
