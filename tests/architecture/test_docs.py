@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
+import pkgutil
 import re
 import shlex
 import subprocess
@@ -11,6 +13,7 @@ import sys
 import tomllib
 import typing
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -312,8 +315,9 @@ def test_the_python_page_names_what_the_api_offers() -> None:
     named = set(re.findall(r"`(\w+)\(", "\n".join(table)))
     offered = {name for name in api.__all__ if name[0].islower()}
     assert named == offered
-    functions = {n for n, f in vars(api).items() if getattr(f, "__module__", "") == api.__name__ and callable(f)}
-    assert {n for n in functions if n[0].islower() and not n.startswith("default_")} == offered
+    modules = [import_module(f"{api.__name__}.{m.name}") for m in pkgutil.iter_modules(api.__path__)]
+    functions = {n for m in modules for n, f in vars(m).items() if inspect.isfunction(f) and f.__module__ == m.__name__}
+    assert {n for n in functions if not n.startswith("_")} == offered
     for block in blocks(ROOT / "docs" / "reference" / "python_api.md", "python"):
         compile(block, "python_api.md", "exec")
 

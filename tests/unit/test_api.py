@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import doctest
+import pkgutil
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -19,8 +21,10 @@ def test_the_examples_in_the_docstrings_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_tiny_hit_uav(tmp_path / "hit-uav")
-    examples = [t for t in doctest.DocTestFinder().find(api, globs=vars(api).copy()) if t.examples]
-    assert len(examples) >= 6
+    finder = doctest.DocTestFinder()
+    modules = [import_module(f"infrablend.api.{m.name}") for m in pkgutil.iter_modules(api.__path__)]
+    examples = [t for m in modules for t in finder.find(m, globs=vars(api).copy()) if t.examples]
+    assert len(examples) >= 8
     runner = doctest.DocTestRunner()
     for example in examples:
         runner.run(example, clear_globs=False)

@@ -1,0 +1,160 @@
+"""Datasets: fetch, read, examine, convert and split them; fit a sensor profile; make a virtual world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from infrablend.core.dataset import Dataset
+from infrablend.core.tasks import OnProgress
+from infrablend.fetching import fetch as fetching
+from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch, SourceEntry
+from infrablend.formats import detection
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline import world
+from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
+from infrablend.pipeline.request import Execution
+from infrablend.pipeline.select import SELECT_ALL, Selection
+from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
+from infrablend.world.dataset import WorldRequest
+
+if TYPE_CHECKING:
+    from infrablend.pipeline.profile import ProfileReport
+    from infrablend.report.checking import CheckReport
+    from infrablend.report.inspection import Inspection
+
+
+def fetch(
+    name: str, out: str | Path, request: FetchRequest = FETCH_ALL, *, on_progress: OnFetch | None = None
+) -> FetchReport:
+    """Download a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
+
+    `list_sources` lists the names. Calling it again continues an interrupted download.
+    """
+    return fetching.fetch(name, Path(out), request, on_progress=on_progress)
+
+
+def list_sources() -> list[SourceEntry]:
+    """Return the public datasets that `fetch` knows, with page, licence and parts.
+
+    >>> "hit-uav" in [source.name for source in list_sources()]
+    True
+    """
+    return fetching.list_sources()
+
+
+def describe_source(name: str, *, licence_only: bool = False) -> str:
+    """Return the source, licence and download steps of a public dataset."""
+    source = fetching.require_source(name)
+    if licence_only:
+        return "\n".join([source.title, *fetching.licence_lines(source)])
+    return fetching.fetch_instructions(source)
+
+
+def read_dataset(data: str | Path, reading: Reading = READ_ALL) -> Dataset:
+    """Read a dataset of any supported format into memory.
+
+    >>> dataset = read_dataset("hit-uav", Reading(splits=("train",)))
+    >>> dataset.format, len(dataset.images)
+    ('hit-uav', 2)
+
+    Raises:
+        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        DatasetError: The folder cannot be read.
+    """
+    return detection.read(Path(data), reading)
+
+
+def inspect(
+    data: str | Path, out: str | Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
+) -> Inspection:
+    """Return splits, classes, sizes, coverage, sequences, leakage and problems of a dataset.
+
+    `out` is the folder for `inspect.png` and `inspect.json`; None writes nothing. `decode` also decodes every picture
+    for bit depth, channels, grey levels and broken files.
+    """
+    from infrablend.pipeline.examine import inspect_folder
+
+    return inspect_folder(Path(data), None if out is None else Path(out), reading=reading, decode=decode)
+
+
+def check(
+    data: str | Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
+) -> CheckReport:
+    """Return every problem of the labels and pictures of a dataset; without `decode`, only picture headers are read.
+
+    >>> check("hit-uav").ok(strict=False)
+    True
+    """
+    from infrablend.pipeline.examine import check_folder
+
+    return check_folder(Path(data), reading=reading, decode=decode, on_progress=on_progress)
+
+
+def convert(
+    source: str | Path, out: str | Path, to: str, *, reading: Reading = READ_ALL, classes: ClassChanges = KEEP_CLASSES,
+    selection: Selection = SELECT_ALL, loosen: float = 1.0, writing: WriteSettings | None = None,
+    overwrite: bool = False,
+) -> ConvertReport:  # fmt: skip
+    """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
+
+    `to` is a format such as yolo, yolo-obb, yolo-seg or coco, or `native` for the format of the source. `loosen`
+    enlarges the axis-aligned boxes of inserted objects by a factor from 1 to 2, to match hand-drawn boxes.
+
+    >>> people = ClassChanges(only="Person")
+    >>> convert("hit-uav", "converted", "coco", classes=people).format
+    'coco'
+    """
+    dataset = read_dataset(source, reading)
+    return convert_dataset(
+        dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, settings=writing,
+        overwrite=overwrite,
+    )  # fmt: skip
+
+
+def split(
+    data: str | Path, out: str | Path, rule: SplitRule, *, to: str = "native", lists: bool = False,
+    reading: Reading = READ_ALL,
+) -> SplitReport:  # fmt: skip
+    """Write a dataset with new splits that do not share neighbouring frames, e.g. with `SplitRule("sequence")`.
+
+    `to` is the format to write, as in `convert`. `lists` writes only three lists of pictures and `split.json`.
+    """
+    return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists)
+
+
+def profile(
+    data: str | Path, out: str | Path, *, count: int = 64, time: str | None = None, name: str | None = None,
+    against: str | None = None, reading: Reading = READ_ALL, on_progress: OnProgress | None = None,
+) -> ProfileReport:  # fmt: skip
+    """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
+
+    Args:
+        data: Folder of pictures or of a dataset. Annotated objects are not measured.
+        out: Folder to write.
+        count: Number of pictures to read, evenly spread.
+        time: `day` or `night`: use only pictures taken then.
+        name: Name of the profile; the name of the folder by default.
+        against: Shipped profile to compare with.
+        reading: How to read `data`.
+        on_progress: Called after each picture.
+    """
+    from infrablend.pipeline.profile import pictures_taken_by, profile_dataset
+
+    dataset = read_dataset(data, reading)
+    dataset = dataset if time is None else pictures_taken_by(dataset, time)
+    return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
+
+
+def make_world(
+    out: str | Path, count: int, seed: int = 0, *, layout: Literal["hit-uav", "monet"] = "hit-uav",
+    workers: int | None = None, on_progress: OnProgress | None = None,
+) -> Path:  # fmt: skip
+    """Render a background dataset of a virtual thermal world, with exact labels and without any download.
+
+    The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
+    some of it lost). It always renders on the CPU.
+    """
+    world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
+    return Path(out)

@@ -1,0 +1,91 @@
+"""Detectors: train and evaluate them, compare evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from infrablend.api.datasets import read_dataset
+from infrablend.core.output import Existing, require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.pipeline.train import TrainReport, train_dataset
+from infrablend.pipeline.training.plan import TrainPlan, plan_training
+from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
+
+if TYPE_CHECKING:
+    from infrablend.evaluation.comparison import EvaluationComparison
+    from infrablend.pipeline.evaluate import EvaluationReport
+
+
+def train(
+    dataset: str | Path, out: str | Path, request: TrainRequest = DEFAULT_TRAINING, *, reading: Reading = READ_ALL,
+    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+) -> TrainReport:  # fmt: skip
+    """Train a detector with Ultralytics; write `weights.pt` and `train.json`. Needs `infrablend[train]`.
+
+    `dataset` has any readable format; a run of `generate` is one. `existing` decides what happens to an earlier
+    training in `out`: `refuse`, `resume` or `overwrite`.
+    """
+    require_apart(Path(dataset), Path(out))
+    found = read_dataset(dataset, reading)
+    return train_dataset(found, Path(out), request, existing=existing, on_progress=on_progress)
+
+
+def plan_train(
+    dataset: str | Path, request: TrainRequest = DEFAULT_TRAINING, *, reading: Reading = READ_ALL,
+    out: str | Path | None = None, existing: Existing = "refuse",
+) -> TrainPlan:  # fmt: skip
+    """Return images, epochs, time and disk space of `train`; whatever `train` would refuse is refused here too.
+
+    >>> plan_train("hit-uav", TrainRequest(preset="smoke", device="cpu", classes=["Car"])).images
+    2
+    """
+    folder = None if out is None else Path(out)
+    return plan_training(read_dataset(dataset, reading), request, out=folder, existing=existing)
+
+
+def evaluate(
+    weights: str | Path, dataset: str | Path, out: str | Path, settings: EvaluationSettings = DEFAULT_SETTINGS, *,
+    device: str = "auto", reading: Reading = READ_ALL, against: str | Path | None = None, overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> EvaluationReport:  # fmt: skip
+    """Evaluate a detector on a split: tables, strata, intervals and plots; docs/how_to/evaluate.md explains them.
+
+    Args:
+        weights: Ultralytics weights (.pt) or the folder of a finished `train`, which need `infrablend[train]`; or
+            `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics.
+        dataset: Folder of the dataset.
+        out: Folder to write.
+        settings: Split, task, classes, image size, intervals.
+        device: auto, cpu, cuda, cuda:1 or mps.
+        reading: How to read `dataset`.
+        against: Folder of another evaluation on the same images and labels, to compare with.
+        overwrite: Replace an earlier evaluation in `out`.
+        on_progress: Called after every few pictures.
+    """
+    from infrablend.pipeline.evaluate import evaluate_detector
+
+    require_apart(Path(dataset), Path(out))
+    return evaluate_detector(
+        Path(weights), read_dataset(dataset, reading), Path(out), settings, device=device,
+        against=None if against is None else Path(against), overwrite=overwrite, on_image=paced(on_progress),
+    )  # fmt: skip
+
+
+def compare_evaluations(
+    ours: str | Path | Sequence[str | Path], theirs: str | Path | Sequence[str | Path], *,
+    classes: Sequence[str] | None = None, bootstrap: int = 1000, seed: int = 0,
+) -> EvaluationComparison:  # fmt: skip
+    """Return the difference of mAP50 and mAP50-95 of two evaluations on the same images, by class, with its interval.
+
+    Either side may be several folders, of detectors that differ only in their training seed: their means are compared,
+    and the interval includes the variation between seeds. By default all classes are compared that both evaluated.
+    """
+    from infrablend.evaluation import comparison
+
+    first, second = ([Path(s)] if isinstance(s, str | Path) else [Path(p) for p in s] for s in (ours, theirs))
+    facts = comparison.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
+    return comparison.EvaluationComparison(**facts)

@@ -1,0 +1,120 @@
+"""Runs: insert objects into a dataset, look at the result, compare it with real objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from infrablend.api.datasets import read_dataset
+from infrablend.core.output import Existing
+from infrablend.core.tasks import OnProgress
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
+from infrablend.pipeline.generate import describe_run, generate_run
+from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
+from infrablend.pipeline.rerender import rerender_frame
+from infrablend.pipeline.run import RunReport
+
+if TYPE_CHECKING:
+    from infrablend.report.preview import Draw
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """Frames, disk space and time of a run that has not been started."""
+
+    facts: Mapping[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return dict(self.facts)
+
+
+def generate(
+    recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None, seed: int = 0,
+    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+) -> RunReport:  # fmt: skip
+    """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> report = generate("hit-uav-drone", "hit-uav", "runs/first", limit=2, execution=flat)
+    >>> report.ok, report.counts["frames"]
+    (True, 4)
+
+    Args:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        data: Folder of the background dataset.
+        out: Folder to write.
+        limit: Number of backgrounds to use, the first ones in sorted order.
+        seed: The same seed, data and recipe give the same bytes.
+        settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
+        reading: How to read `data`, e.g. `Reading(splits=("train",))`.
+        execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
+        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
+        on_progress: Called after each frame.
+    """
+    request = RunRequest(recipe, Path(data), Path(out), limit, seed, settings, reading, execution, existing)
+    return generate_run(request, on_progress)
+
+
+def plan(
+    recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None, seed: int = 0,
+    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+) -> PlanReport:  # fmt: skip
+    """Return what `generate` with the same arguments would write, without writing it.
+
+    >>> plan("hit-uav-drone", "hit-uav").facts["frames"]
+    8
+    """
+    folder = None if out is None else Path(out)
+    return PlanReport(describe_run(RunRequest(recipe, Path(data), folder, limit, seed, settings, reading, execution)))
+
+
+def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
+    """Render the frame `<split>/<background>_c<k>` of a run again, with the same bytes; return the picture's path.
+
+    By default the picture goes to the current folder. `data` is the folder of the backgrounds, if it has moved.
+    """
+    return rerender_frame(Path(run), frame_id, None if out is None else Path(out), None if data is None else Path(data))
+
+
+def preview(
+    run: str | Path, out: str | Path, count: int = 12, draw: Sequence[Draw] = ("boxes", "obb", "masks")
+) -> Path:
+    """Write a contact sheet of a run with its labels drawn and inserted objects enlarged; return its path."""
+    from infrablend.report.preview import preview_run
+
+    return preview_run(Path(run), Path(out), count, draw)
+
+
+def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
+    """Write frames of a metric run with the ground grid and people of 1.7 m, to check the scale; return the path."""
+    from infrablend.report.ground_preview import ground_sheet
+
+    return ground_sheet(Path(run), Path(out), count)
+
+
+def realism(
+    run: str | Path, against: str | Path, out: str | Path | None = None, *, categories: Sequence[str] | None = None,
+    time_of_day: Time = "all", pairs: int = 1000, reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION, on_progress: OnProgress | None = None,
+) -> RealismReport:  # fmt: skip
+    """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
+
+    Args:
+        run: Folder of a finished run that inserted objects of a class that also exists for real.
+        against: Dataset that the run was made from.
+        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run folder by default.
+        categories: Classes to compare; by default all that are both inserted and annotated.
+        time_of_day: Only pictures of that time.
+        pairs: Largest number of pairs per class.
+        reading: How to read `against`.
+        execution: Worker processes; `in_process` only for runs made with the flat renderer.
+        on_progress: Called after each picture.
+    """
+    folder = Path(run) / "realism" if out is None else Path(out)
+    request = ComparisonRequest(categories, time_of_day, pairs, execution.worker_count(), execution.in_process)
+    return compare(Path(run), read_dataset(against, reading), folder, request, on_progress)

@@ -1,0 +1,56 @@
+"""What the package ships: models, recipes and the shader; whether this machine can run it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from infrablend.assets import catalogue
+from infrablend.assets.model import ObjectModel
+from infrablend.config import loading
+from infrablend.pipeline.models import ready_model, run_once
+
+if TYPE_CHECKING:
+    from infrablend.report.doctor import Diagnosis
+
+
+def list_models() -> dict[str, str]:
+    """Return the shipped models and their descriptions."""
+    return {name: catalogue.load_model(name).description for name in catalogue.list_models()}
+
+
+def describe_model(name: str) -> ObjectModel:
+    """Return a model, shipped or your own .yaml: description, options, and the temperatures of its parts.
+
+    >>> describe_model("drone").options["layout"]
+    'one of x, h, plus, deadcat, or a list of several'
+    """
+    return ready_model(name)
+
+
+def show_model(name: str, out: str | Path, seed: int = 0) -> Path:
+    """Render a model from all sides onto one sheet, a PNG; return its path."""
+    ready_model(name)
+    return Path(run_once("infrablend.blender.turntable:make_turntable", (name, str(out), seed), f"show {name}"))
+
+
+def list_recipes() -> dict[str, str]:
+    """Return the shipped recipes and their descriptions."""
+    return {name: loading.load_recipe(name).description for name in loading.list_recipes()}
+
+
+def show_recipe(name: str) -> str:
+    """Return the YAML text of a shipped recipe."""
+    return loading.recipe_text(name)
+
+
+def write_infrared_effect(path: str | Path) -> Path:
+    """Write the InfraredEffect node group as a .blend file to append from; return its path."""
+    return Path(run_once("infrablend.blender.node_group_file:make_node_group_writer", str(path), "infrared-effect"))
+
+
+def diagnose() -> Diagnosis:
+    """Check whether this machine can run InfraBlend: Python, Blender, libraries, devices, disk."""
+    from infrablend.report.doctor import diagnose as survey
+
+    return survey()
