@@ -19,7 +19,6 @@ from infrablend.cli.options import (
     key_values,
     make_reading,
 )
-from infrablend.core.yaml_text import read_yaml
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -140,6 +139,8 @@ def _used(prepared: dict[str, Any]) -> dict[str, str]:
 
 
 def _value(key: str, text: str) -> Any:
+    from infrablend.core.yaml_text import read_yaml
+
     try:
         return read_yaml(text)
     except ValueError as error:
