@@ -19,7 +19,7 @@ class Number:
     Attributes:
         drawn: Range to draw from unless an option sets another.
         allowed: Range that options and parameters may use.
-        log: Whether its logarithm is drawn evenly, for sizes.
+        log: Whether the logarithm is drawn evenly instead of the number; used for sizes.
     """
 
     drawn: Range
@@ -57,8 +57,8 @@ class Dials:
     def sample(self, rng: np.random.Generator, options: Params) -> dict[str, Any]:
         """Draw one individual, JSON values only.
 
-        Every call takes one value per parameter from `rng`, so fixing one option leaves the others as they would have
-        been.
+        Every call takes the same number of values from `rng`, so setting one option does not change the values of the
+        others.
 
         Raises:
             ModelError: An option is unknown or its value is invalid.

@@ -1,6 +1,6 @@
 """Mixed drone model: every object is one of the drones that people fly, from a folding quadrotor to a fixed wing.
 
-Each shape is another model with options of its own, so a drawn object is exactly one that this model would draw.
+Each shape is one of the other drone models with certain options, and gives exactly the objects of that model.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Shape:
 
     Attributes:
         model: Model that draws and builds it.
-        odds: Share of the objects that are of this kind, by default.
-        options: Options of that model that make it this kind.
+        odds: Default share of this kind among the objects.
+        options: Options of the model for this kind.
     """
 
     model: ObjectModel
@@ -101,7 +101,7 @@ def _own(params: Params) -> dict[str, Any]:
 
 
 def _typical_parts() -> dict[str, PartRange]:
-    """Return every part of any shape; where shapes share a name, the more common shape decides."""
+    """Return the parts of all shapes; if several shapes have a part of the same name, the first shape's is used."""
     parts: dict[str, PartRange] = {}
     for shape in SHAPES.values():
         parts = {**shape.model.parts, **parts}

@@ -74,7 +74,7 @@ class Tube:
         count = len(self.path) - 1
         start, step = self.path[:-1], np.diff(self.path, axis=0)
         length2 = np.einsum("ij,ij->i", step, step)
-        # Squared distance to every segment, less |point|^2, which is the same for all: three matrix products.
+        # |point|^2 is left out of the squared distances, as it is equal for all segments; the rest is three products.
         run = points @ step.T - np.einsum("ij,ij->i", start, step)
         t = np.clip(run / length2, 0.0, 1.0)
         d2 = t * (t * length2 - 2.0 * run) - 2.0 * (points @ start.T) + np.einsum("ij,ij->i", start, start)
@@ -88,7 +88,7 @@ class Tube:
         a = np.einsum("ij,ij->i", rel, tangents[index])
         v = np.einsum("ij,ij->i", rel, sides[index])
         u = np.einsum("ij,ij->i", rel, heights[index])
-        # Beyond the ends, the overrun is relative to the length of the dome; between them, kinks of the path cause it.
+        # `a` is not zero beyond the ends, where it is divided by the length of the dome, and at kinks of the path.
         cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
         across, above, over = v / w, u / h, a / cap
         k0 = np.sqrt(across**2 + above**2 + over**2)
@@ -233,7 +233,7 @@ class Body:
         return np.maximum(d, -points[:, 2]) if self.floor else d
 
     def parts(self, points: FloatArray, names: Sequence[str]) -> IntArray:
-        """Return the (N,) parts of points near the surface, of the nearest primitive each, as indices into `names`."""
+        """Return the (N,) part of each point near the surface, that of its nearest primitive, as index into `names`."""
         nearest = self.nearest(points)
         part = np.array([names.index(p.part) for p in self.primitives], np.int32)[nearest]
         for i, p in enumerate(self.primitives):
@@ -261,7 +261,8 @@ class Body:
     def sample_grid(self, cell: float, shift: float) -> tuple[FloatArray, FloatArray]:
         """Return signed distances (X, Y, Z) on a grid around the body, and its first node (3,).
 
-        Values are exact in all blocks that the surface may cross; others have one value of the right sign.
+        In blocks that the surface may cross, every node has its own value. All nodes of any other block have the same
+        value, which has the right sign.
         """
         corners = [p.bounds() for p in self.primitives]
         widest = max(p.blend for p in self.primitives)
@@ -275,7 +276,7 @@ class Body:
         index = np.stack(np.meshgrid(*(np.arange(n) for n in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
         centres = low + (index + 0.5 * (BLOCK - 1) / BLOCK) * side
         radius = 0.5 * np.sqrt(3.0) * (BLOCK - 1) * cell
-        # The distances are approximate, at worst wrong by the aspect ratio of the sections: leave slack.
+        # The slack allows for approximate distances, which are off by up to the aspect ratio of the sections.
         slack = 1.6 * radius + 2.0 * cell
         own = [p.distance(centres) for p in self.primitives]
         coarse = np.full(len(centres), FAR)
@@ -325,10 +326,14 @@ _EDGE_NUMBER = {pair: i for i, pair in enumerate(_EDGES)}
 
 
 def _sheets_table() -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """Return the sheet that crosses each edge per pattern of inside corners (256, 12), and the number of sheets (256,).
+    """Return, for all 256 patterns of inside corners of a cell, the sheet of each edge and the number of sheets.
 
-    The two crossed edges of a face belong to the same sheet; where all four are crossed, the two at the same inside
-    corner do. Both cells of a face follow this rule, so two sheets within a cell get separate vertices.
+    A sheet is a connected piece of the surface in a cell. If two edges of a face are crossed, both belong to the same
+    sheet. If all four are crossed, the two edges at an inside corner do. Both cells of a face follow this rule, so two
+    sheets in a cell get separate vertices.
+
+    Returns:
+        (256, 12) index of the sheet that crosses the edge, or -1, and (256,) number of sheets.
     """
     sheet = np.full((256, 12), -1, np.int8)
     sheets = np.zeros(256, np.int8)

@@ -65,7 +65,7 @@ class Checks:
         return float(value)
 
     def number_range(self, where: str, value: object, low: float, high: float) -> Range:
-        """Return the range that a number or [low, high] stands for, within the limits."""
+        """Return an option's value as a range, from a number or [low, high] within the limits."""
         if not isinstance(value, list | tuple):
             single = self.number(where, value, low, high)
             return single, single
@@ -85,7 +85,15 @@ class Checks:
     def choose(
         self, name: str, options: Mapping[str, Any], allowed: Sequence[T], odds: Sequence[float], share: float
     ) -> T:
-        """Return one of the allowed values at `share` in [0, 1), by the odds, or evenly among those an option lists."""
+        """Return one of the allowed values, or of those that the option lists.
+
+        Args:
+            name: Name of the option.
+            options: All options given; values that it lists have equal odds.
+            allowed: All values.
+            odds: Odds of the values if the option is not given.
+            share: Random number in [0, 1) that selects the value.
+        """
         if name not in options:
             return pick(allowed, odds, share)
         found = self.some_of(f"option {name}", options[name], allowed)
@@ -93,6 +101,6 @@ class Checks:
 
 
 def pick(values: Sequence[T], odds: Sequence[float], share: float) -> T:
-    """Return the value at `share` in [0, 1) of the cumulative odds."""
+    """Return one of the values by their odds; the random number `share` in [0, 1) selects it."""
     edges = np.cumsum(odds) / float(np.sum(odds))
     return values[min(int(np.searchsorted(edges, share, side="right")), len(values) - 1)]

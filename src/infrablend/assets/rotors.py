@@ -189,7 +189,7 @@ class Rotors:
         if not self.propeller.spinning:
             return []
         flat, rise = _rings(self.propeller.radius)
-        # Like the blades: above the hub.
+        # The disc is above the hub, like the blades.
         z = self.seat_z + self.motor_height + 0.18 * self.motor_radius + rise
         height = np.broadcast_to(z[:, None, None], (*flat.shape[:2], 1))
         return [np.concatenate([flat + xy, height], axis=2).reshape(-1, 3) for xy in self.xy]
@@ -204,12 +204,12 @@ def _rings(radius: float) -> tuple[FloatArray, FloatArray]:
     edges = np.array([DISC_RINGS[rings[0]][0], *(DISC_RINGS[name][1] for name in rings)])
     turn = np.arange(_DISC_SIDES) * (2 * math.pi / _DISC_SIDES)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    # Like the blades: bent up slightly.
+    # The disc is bent up slightly, like the blades.
     return radius * edges[:, None, None] * around, 0.03 * radius * edges**2
 
 
 def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
-    """Return the mesh with discs added: sheets of rings that share vertices, so that shading runs on across them."""
+    """Return the mesh with discs added; neighbouring rings share vertices, so that shading is continuous."""
     if not discs:
         return mesh
     rings, n = list(DISC_RINGS), _DISC_SIDES
@@ -233,7 +233,7 @@ def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
 def assembled(
     pieces: Pieces, discs: Sequence[FloatArray], *, attitude: FloatArray, size: float, outside: Collection[str]
 ) -> Mesh:
-    """Return the mesh of an aircraft: origin at the centre of its bounding box, counting neither discs nor `outside`.
+    """Return the mesh of an aircraft, with the origin at the centre of its bounding box without discs and `outside`.
 
     Args:
         pieces: Closed solids of the level aircraft.

@@ -1,7 +1,8 @@
 """Closed triangle solids in pure numpy: lofts, boxes, plates, lathes, sweeps and propeller blades.
 
 The triangles of every solid are counter-clockwise seen from outside. At edges that should look sharp on a smoothly
-shaded solid, each vertex exists twice (same position, different index), so a solid is closed by position, not by index.
+shaded solid, each vertex exists twice (same position, different index). A solid is therefore closed only if vertices at
+the same position count as one.
 Lengths are in the unit of the caller, angles in radians.
 """
 
@@ -32,10 +33,10 @@ def loft(
     end: ArrayLike | None = None,
     wrap: bool = False,
 ) -> Solid:
-    """Return the skin over a row of rings.
+    """Return the solid whose surface connects consecutive rings of points.
 
     Args:
-        rings: (R, N, 3) rings of N points, counter-clockwise seen from the side towards which the row proceeds.
+        rings: (R, N, 3) rings of N points, counter-clockwise seen from beyond the last ring, looking back at the first.
         sharp: (R,) whether a ring is a sharp edge.
         start: (3,) pole that closes the first ring smoothly; by default a flat cap closes it.
         end: (3,) pole that closes the last ring smoothly; by default a flat cap closes it.
@@ -96,7 +97,7 @@ def circle(n: int, exponent: float = 2.0) -> FloatArray:
     """Return (n, 2) read-only points of the superellipse |x|^e + |y|^e = 1, counter-clockwise from +x."""
     a = 2 * np.pi * np.arange(n) / n
     xy = np.stack([np.cos(a), np.sin(a)], axis=1)
-    # cos and sin give 1e-17 instead of 0; a root of that would be visible.
+    # cos and sin give 1e-17 instead of 0; for a large exponent, the power below would turn that into a visible offset.
     xy[np.abs(xy) < 1e-12] = 0.0
     out = np.asarray(np.sign(xy) * np.abs(xy) ** (2.0 / exponent))
     out.setflags(write=False)
@@ -350,7 +351,7 @@ def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> So
     Args:
         solid: Closed solid without degenerate triangles.
         angle_rad: Largest bend that stays smooth.
-        area: (T,) numbers; edges between triangles with different numbers are split, too.
+        area: (T,) number of the area of each triangle; edges between different areas are split as well.
     """
     t = solid.triangles
     corners = solid.vertices[t]

@@ -102,12 +102,12 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
 
 
 def object_material(slot: int, look: str = "artistic", *, translucent: bool = False) -> bpy.types.Material:
-    """Return the material of the k-th object of a scene, in which mesh attributes drive the node group of the look.
+    """Return the material of one object of a scene: the node group of the look, driven by mesh attributes.
 
-    Mesh attributes (per face corner): `temperature_c`, `emissivity`, `ior` and `label`; in the physical look also
-    `roughness` and `metal`; for translucent objects also `opacity`. Custom properties of the scene object: `cold_c`,
-    `hot_c` and `surroundings_c` in the artistic look, the names in `physical.SKY` in the physical one. `label` is
-    written to the AOV `coverage_<slot>`.
+    Attributes per face corner: `temperature_c`, `emissivity`, `ior` and `label`; in the physical look also `roughness`
+    and `metal`; for translucent objects also `opacity`. Custom properties of the object: `cold_c`, `hot_c` and
+    `surroundings_c` in the artistic look; those listed in `physical.SKY` in the physical look. The material writes
+    `label` to the AOV `coverage_<slot>`.
 
     Args:
         slot: Number of the object in the scene.
@@ -171,7 +171,7 @@ def _mixed_shaders(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -
 
 
 def aov_name(slot: int) -> str:
-    """Return the name of the pass with the coverage of the k-th object."""
+    """Return the name of the pass that contains the coverage of an object."""
     return f"coverage_{slot}"
 
 

@@ -28,7 +28,7 @@ from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
 
 ZERO_C_K = 273.15
-# A part mirrors another part, which mirrors the sky; further bounces add less than 1 % of 5 %.
+# A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
 PHYSICAL_BOUNCES = 2
 # One pixel more than the projected outline, so that rounding loses nothing.
 CROP_MARGIN_PX = 1
@@ -145,7 +145,7 @@ class BlenderRenderer:
             c.adaptive_threshold, c.adaptive_min_samples = how.adaptive_threshold, how.adaptive_min_samples
 
     def _set_light(self, scene: SceneSpec) -> None:
-        """Set what surfaces mirror: nothing in the artistic look; sky, ground and each other in the physical one."""
+        """Set the world: none in the artistic look; in the physical look, sky and ground, which surfaces mirror."""
         physical = scene.appearance.mode == "physical"
         if physical:
             if scene.weather is None:
@@ -255,7 +255,7 @@ def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> 
         columns["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
     opacity = np.array([s.opacity for s in states])
     if (opacity < 1).any():
-        # Translucent parts blend into each other, but never into an opaque one, which labels count in full.
+        # Opacity is averaged among translucent parts only: labels count opaque parts in full.
         columns["opacity"] = _corner_values(mesh, opacity, mesh.smooth & (opacity < 1)[mesh.part_of_triangle])
     for name, values in columns.items():
         data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
@@ -281,10 +281,10 @@ def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | N
 
 
 def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
-    """Return a (V,) slow temperature pattern over the body, within +-amplitude; no real surface is uniform.
+    """Return a (V,) temperature pattern in [-amplitude, amplitude] that varies slowly over the body.
 
-    The pattern is a sum of plane waves of about half the body's length in object coordinates, with phases from the
-    scene's seed.
+    No real surface has a uniform temperature. The pattern is a mean of plane waves of about half the body's length, in
+    object coordinates, with phases from the scene's seed.
     """
     phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
     extent = max(float(mesh.size_m.max()), 1e-9)

@@ -18,7 +18,7 @@ LINE_EVERY_S = 5.0
 
 
 def progress_line(p: Progress) -> str:
-    """`120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
+    """Return, for example, `120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
     parts = [f"{p.done}/{p.total} frames", f"{p.frames_per_s:.1f} frames/s"]
     if p.eta_s is not None and p.done < p.total:
         parts.append(f"{human_seconds(p.eta_s)} to go")
@@ -86,7 +86,7 @@ def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
 
 
 def fetch_line(p: FetchProgress, per_s: float = 0.0) -> str:
-    """`train.zip: 1.2 GiB of 2.1 GiB, 8.0 MiB/s, 2 min 03 s to go`, or `train.zip: 300 of 17434 files`."""
+    """Return, for example, `train.zip: 1.2 GiB of 2.1 GiB, 8.0 MiB/s, 2 min 03 s to go`, or unpacked files."""
     if p.step == "unpack":
         return f"{p.file}: {p.done}{'' if p.total is None else f' of {p.total}'} files unpacked"
     parts = [f"{p.file}: {human_bytes(p.done)}" + ("" if p.total is None else f" of {human_bytes(p.total)}")]

@@ -20,7 +20,7 @@ from infrablend.core.scene import ObjectSpec, View, Weather
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
 
-# This share of an object must stand out from the ground.
+# Share of an object's labelled area that must stand out from the ground.
 _SEEN_SHARE = 0.2
 
 
@@ -45,8 +45,8 @@ class Insert:
 
     Attributes:
         box_xyxy: (4,) box in pixels; may reach outside the frame.
-        range_m: Distance from the camera, or None with a virtual camera, which knows no real distances.
-        ground_range_m: Distance from the camera to the ground behind the object, or None if none is in sight.
+        range_m: Distance from the camera, or None with a virtual camera, whose distances are not real.
+        ground_range_m: Distance from the camera to the ground behind the object, or None if the camera sees none there.
         warm: Whether the object as a whole is warmer than the ground.
     """
 
@@ -134,14 +134,14 @@ def local_mapping(
     free = backdrop.free()
     anchors = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k)
     gains, gain_facts = {}, {}
-    for warm in (True, False):  # always draw both, so that no insert's gain depends on the others
+    for warm in (True, False):  # draw both in any case, so that the gain of an insert does not depend on other inserts
         gains[warm], gain_facts[warm] = draw_gain(anchors, weather, backdrop.grey_unit, settings.prior, warm, rng)
 
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
     grounds, places = [], []
     for insert in inserts:
         ground = ring_level(picture, insert.box_xyxy, free)
-        # The gain is that of ground contrasts seen through the air; a nearer object loses less contrast.
+        # The gain applies to the ground, seen through all the air; a nearer object loses less contrast to the air.
         clearer, hazier = _through_air(insert, weather)
         gain = gains[insert.warm]
         span = gain * clearer
@@ -181,7 +181,7 @@ def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> b
 def expected_contrast(
     item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ground_grey: float, weather: Weather
 ) -> float:
-    """Return the contrast to the ground that at least a fifth of an object's labelled surface has, in picture levels.
+    """Return the contrast to the ground, in picture levels, that a fifth of an object's labelled area reaches.
 
     Each part is assumed to reflect the ground or the zenith, whichever gives more contrast. The result is an upper
     estimate: an object that is too faint here is certainly too faint in the picture.
@@ -217,10 +217,11 @@ def _zenith(weather: Weather) -> float:
 
 
 def _through_air(insert: Insert, weather: Weather) -> tuple[float, float]:
-    """Return the factors on the object's radiance and on the air's path radiance, relative to the ground's contrast.
+    """Return the factors of the object's radiance and of the air's radiance that account for the air in between.
 
-    With tau(d) of the object's path and tau(R) of the ground's, grey is ground + gain / tau(R) * (tau(d) L +
-    (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air). For an object on the ground both paths are equal.
+    tau(d) is the transmittance of the path to the object, tau(R) that of the path to the ground. Then grey = ground +
+    gain / tau(R) * (tau(d) L + (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air), and the factors are
+    tau(d) / tau(R) and (tau(R) - tau(d)) / tau(R). For an object on the ground both paths are equal: 1 and 0.
     """
     if insert.range_m is None or insert.ground_range_m is None or insert.range_m >= insert.ground_range_m:
         return 1.0, 0.0

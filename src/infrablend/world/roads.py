@@ -27,7 +27,7 @@ class Road:
     markings: bool
 
     def along(self, x_m: NDArray[np.floating[Any]], y_m: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-        """Return arc length and offset to the left of the centre line, in metres, of ground points of any shape."""
+        """Return the arc length of ground points and their offset to the left of the centre line, in metres."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
         forward, left = dx * c + dy * s, dy * c - dx * s

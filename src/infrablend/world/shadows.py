@@ -20,9 +20,10 @@ Fill = Callable[[NDArray[np.float64], float], None]
 
 
 def shade(plan: WorldPlan, oversample: int) -> Field:
-    """Return the share in [0, 1] of the sun's heat that the ground lost to shadows, (h, w) times `oversample`, float32.
+    """Return the share in [0, 1] of the sun's heat that shadows kept from the ground, float32.
 
-    Moving cars and walking people leave no shadow: asphalt needs minutes to cool.
+    The shape is (h * `oversample`, w * `oversample`) for an image of (h, w). Moving cars and walking people leave no
+    shadow, because asphalt needs minutes to cool.
     """
     assert plan.sun is not None
     w, h = plan.camera.size_wh

@@ -54,7 +54,7 @@ class SurfaceBuilder:
     def add(
         self, solid: Solid, kelvin: ArrayLike, mirror: ArrayLike, solar_k: ArrayLike = 0.0, grain_k: ArrayLike = 0.2
     ) -> None:
-        """Add a solid; each value is that of `Surface`, one for all its triangles or one per triangle."""
+        """Add a solid; values are as in `Surface`, either one number for the solid or one per triangle."""
         n = len(solid.triangles)
         self.vertices.append(solid.vertices)
         self.triangles.append(solid.triangles + np.int32(self.count))

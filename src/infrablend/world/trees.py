@@ -54,7 +54,7 @@ def draw_tree(draws: Draws, weather: Weather, kind: TreeKind, x: float, y: float
 
 
 def tree_prototype(kind: str, index: int) -> Surface:
-    """Prototype `index` of a kind of tree, 1 m high and 1 m in radius; temperatures are relative to the tree's."""
+    """Return prototype `index` of a kind of tree, 1 m high, of radius 1 m; temperatures are relative to the tree's."""
     # Prototypes are part of the program, like a model file: the same in every world.
     rng = np.random.Generator(np.random.PCG64([7, sorted(TREE_KINDS).index(kind), index]))
     if kind == "crown":
@@ -78,7 +78,7 @@ def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> 
     flatten = (1 - low) / 2
     trunk = shapes.capsule((0, 0, 0), (0, 0, 0.6), 0.06, 0.04, n=6)
     p.add(Solid(trunk.vertices * (1, 1, 1), trunk.triangles), 1.6, LEAF, 0.3, 0.3)
-    # Lobes make the outline uneven, clumps make the lobes.
+    # The crown consists of lobes, for an uneven outline; each lobe consists of clumps.
     lobes = rng.normal(size=(7, 3))
     lobes /= np.linalg.norm(lobes, axis=1, keepdims=True)
     for _ in range(clumps):

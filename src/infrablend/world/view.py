@@ -16,9 +16,9 @@ SENSOR_WIDTH_MM = 36.0
 
 
 def world_camera(pitch_deg: float, altitude_m: float, size_wh: tuple[int, int] = SIZE_WH) -> CameraSpec:
-    """HIT-UAV's camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down).
+    """Return HIT-UAV's camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down).
 
-    Another `size_wh` gives more or fewer pixels of the same horizontal field of view.
+    `size_wh` changes the number of pixels, but not the horizontal field of view.
     """
     pitch = math.radians(pitch_deg)
     return CameraSpec(
