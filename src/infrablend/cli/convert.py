@@ -150,14 +150,14 @@ def convert(
 def _selection_text(selection: Mapping[str, Any]) -> str:
     """Describe what was selected and what was left out."""
     named = selection["with_class"]
-    parts = [f"pictures that show {named}"] if named is not None else []
-    parts += [f"none that shows {' or '.join(selection['without'])}"] if selection["without"] else []
+    parts = [f"pictures with {named}"] if named is not None else []
+    parts += [f"no pictures with {' or '.join(selection['without'])}"] if selection["without"] else []
     if selection["images"] is not None:
         parts.append(f"{selection['images']} pictures drawn")
     if selection["objects"] is not None:
-        parts.append(f"{selection['objects_taken']} objects of {named}, {selection['objects']} asked for")
+        parts.append(f"{selection['objects_taken']} of {selection['objects']} requested objects of {named}")
     if selection["like"] is not None:
-        parts.append(f"as those of {selection['like']}, {selection['drawn_again']} drawn again")
+        parts.append(f"matched to those of {selection['like']}, {selection['drawn_again']} of them copies")
     parts += [f"seed {selection['seed']}"] if "drawn_again" in selection or selection["images"] is not None else []
     left_out = ", ".join(f"{n} {why}" for why, n in selection["left_out"].items())
     return ", ".join(parts) + (f"; left out: {left_out}" if left_out else "")

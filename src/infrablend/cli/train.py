@@ -119,7 +119,7 @@ def train(
         "classes": ", ".join(r["classes"]),
         "started from": start["model"] + (f" ({start['why']})" if start["why"] else ""),
         **_used(r["prepared"]),
-        "epochs": f"{r['epochs_done']} ({r['passes']} images passed)",
+        "epochs": f"{r['epochs_done']} ({r['passes']} images shown)",
         "time": human_seconds(r["seconds"]),
     }
     if r["left_out"]:

@@ -50,7 +50,7 @@ class Writer:
         lacks: What cannot be held: keys of `FIELDS`.
         fixed: Arguments of the module's `write` that select this variant.
         takes: Fields of `WriteSettings` that the function accepts, and `extra` (the source's own top-level fields).
-        layout: Where pictures may lie. `nested`: they keep their folders and names; `stems`: the same, but no two
+        layout: Where pictures may be. `nested`: they keep their folders and names; `stems`: the same, but no two
             pictures of a split may differ in the suffix alone; `unique`: the same over all splits; `flat`: no folders
             below a split; `shared`: one folder for all splits.
         table: Path of a picture in `metadata.csv`, for formats whose reader takes such a table; empty for the others.

@@ -29,7 +29,7 @@ class Capture:
 
     Attributes:
         pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
-        altitude_m: Above ground as the source says.
+        altitude_m: Height above ground according to the source.
         time_of_day: Day or night.
     """
 
@@ -107,8 +107,8 @@ class Captures:
     The most particular counts: a table's row for the picture, the annotation, the file name, a row for the sequence.
 
     Attributes:
-        table: Or None.
-        problems: Gets contradictions between the table and the rest, as warnings.
+        table: Table given by the user or found in the dataset, or None.
+        problems: List to which contradictions between the sources are appended, as warnings.
         sources: Pictures by source of the pitch.
     """
 
@@ -120,10 +120,10 @@ class Captures:
         """Return pitch, altitude and time of day of a picture.
 
         Args:
-            name: Relative path, by which a table may name it; the file name may say something itself.
-            where: For problems.
-            inside: What the annotation says.
-            sequence: By which a table may name many pictures at once.
+            name: Relative path, as in tables; the file name itself may contain the values, too.
+            where: Name of the picture in problems.
+            inside: Values in the annotation.
+            sequence: Sequence of the picture, for tables with one row per sequence.
         """
         facts = facts_from_name(name)
         sources = [("annotation", inside or Capture()), ("file names", facts.capture if facts else Capture())]
@@ -131,7 +131,7 @@ class Captures:
             row = self.table.find(name)
             if row is not None:
                 for conflict in row.conflicts(sources[0][1].over(sources[1][1])):
-                    found = f"{conflict} (table, annotation or file name); the table counts"
+                    found = f"{conflict} (table, annotation or file name); the table is used"
                     self.problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
                 sources.insert(0, (f"table {self.table.name} per file", row))
             of_sequence = self.table.rows.get(sequence or "")

@@ -75,8 +75,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         if name not in known
     ]
     if table is not None and not getattr(module, "TAKES_TABLE", True):
-        says = f"{chosen.name} already contains pitch and altitude"
-        problems.append(Problem(table.name, "table-unused", says, "no table", "leave it out"))
+        message = f"{chosen.name} already contains pitch and altitude"
+        problems.append(Problem(table.name, "table-unused", message, "no table", "leave it out"))
     if problems:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:

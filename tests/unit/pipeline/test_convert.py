@@ -210,9 +210,9 @@ def test_the_source_is_never_written_to(data: Path) -> None:
     ("words", "said"),
     [
         (["--images", "2", "--seed", "3"], "2 pictures drawn, seed 3; left out:"),
-        (["--with-class", "Car"], "pictures that show Car"),
-        (["--without", "Car"], "none that shows Car"),
-        (["--with-class", "Car", "--objects", "1", "--images", "1"], "1 asked for, seed 0"),
+        (["--with-class", "Car"], "pictures with Car"),
+        (["--without", "Car"], "no pictures with Car"),
+        (["--with-class", "Car", "--objects", "1", "--images", "1"], "1 of 1 requested objects of Car, seed 0"),
     ],
 )
 def test_selection_is_described_in_words(words: list[str], said: str, data: Path, tmp_path: Path) -> None:
