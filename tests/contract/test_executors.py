@@ -309,8 +309,8 @@ from infrablend.execution import PoolSettings, ProcessPool, Serial, process_pool
 kind, folder, grace_s = sys.argv[1], sys.argv[2], float(sys.argv[3])
 
 class Run(process_pool._Run):
-    def _wind_down(self):
-        super()._wind_down()
+    def _finish_running_tasks(self):
+        super()._finish_running_tasks()
         Path(folder, "winding-down").touch()
 
 process_pool._Run = Run
@@ -372,7 +372,7 @@ def test_first_signal_lets_running_tasks_finish(program, tmp_path, kind, number)
     *finished, last = out.splitlines()
     assert last.startswith("INTERRUPTED")
     assert "--resume" in last
-    # What ran, not what waited; in the pool perhaps also what was in a worker's inbox before the request reached it.
+    # Only tasks that had started finish; in the pool, perhaps also those that were already in a worker's inbox.
     assert len(finished) in {"serial": [1], "pool": [2, 3, 4]}[kind]
     assert "FAILED" not in out  # what was dropped has not failed
     assert not psutil.wait_procs(workers, timeout=WAIT_S)[1]
