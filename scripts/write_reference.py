@@ -268,7 +268,7 @@ def formats_page() -> str:
         "",
         "## Written",
         "",
-        f"`infrablend convert --to NAME`, `infrablend generate --format NAME,...`, `output.formats`; `{NATIVE}` is the",
+        f"`infrablend convert --to NAME`, `infrablend generate --to NAME,...`, `output.formats`; `{NATIVE}` is the",
         "format of the input. What a format does not hold is counted when it is written, under the name given in the",
         "table: in `run.json` as `<format>.<loss>`, in `convert.json` and on the screen.",
         "",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from infrablend.assets.model import ObjectModel
-from infrablend.assets.user_model import SUFFIXES, load_user_model
 from infrablend.core.registry import resolve
 from infrablend.errors import ModelError
+
+if TYPE_CHECKING:
+    from infrablend.assets.model import ObjectModel
 
 # name -> module and name of its ObjectModel; one file per model.
 MODELS = {
@@ -33,6 +35,10 @@ def load_model(name: str) -> ObjectModel:
     Raises:
         ModelError: There is no such model, or its description is invalid.
     """
+    # Imported here: shell completion lists the names without loading numpy.
+    from infrablend.assets.model import ObjectModel
+    from infrablend.assets.user_model import SUFFIXES, load_user_model
+
     if name in MODELS:
         model = resolve(MODELS[name])
         assert isinstance(model, ObjectModel)

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from infrablend.cli.options import JsonOption, ReadingOption, comma_list, key_values, make_reading
+from infrablend.cli.completion import complete_written_format
+from infrablend.cli.options import (
+    FormatOption,
+    FormOption,
+    JsonOption,
+    MetadataOption,
+    ReadingOption,
+    SplitsOption,
+    comma_list,
+    key_values,
+    make_reading,
+)
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -47,15 +58,19 @@ def convert(
     ctx: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder of the dataset to read.")],
     out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
-    to: Annotated[str, typer.Option(metavar="FORMAT", help="Format to write: yolo, coco, ... or native.")],
-    split: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Splits to read, from train,val,test [default: all].")
-    ] = None,
-    format_in: Annotated[str | None, typer.Option(metavar="FORMAT", help="Format of SRC [default: detected].")] = None,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="Format to write: yolo, coco, ... or native.",
+            autocompletion=complete_written_format,
+        ),
+    ],
+    split: SplitsOption = None,
+    format: FormatOption = None,
+    form: FormOption = None,
+    metadata: MetadataOption = None,
     options: ReadingOption = None,
-    metadata: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="CSV or JSON table of pitch and altitude.")
-    ] = None,
     rename: Annotated[
         list[str] | None,
         typer.Option(metavar="OLD=NEW,...", help="Rename classes; several may become one; repeatable."),
@@ -125,7 +140,7 @@ def convert(
         source,
         out,
         to,
-        reading=make_reading(split, format_in, metadata=metadata, options=options),
+        reading=make_reading(split, format, form, metadata, options),
         classes=ClassChanges(key_values(pairs, "--rename"), comma_list(drop, "--drop-class") or (), only),
         selection=Selection(with_class, comma_list(without, "--without") or (), images, objects, like, seed),
         loosen=loosen,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from infrablend.cli.completion import complete_experiment
 from infrablend.cli.options import JsonOption, SeedOption, WorkersOption, key_values
 
 if TYPE_CHECKING:
@@ -27,7 +28,12 @@ class ScaleName(StrEnum):
 def experiment(
     ctx: typer.Context,
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Name of a shipped experiment (see --list), or a YAML file.")
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="Name of a shipped experiment (see --list), or a YAML file.",
+            autocompletion=complete_experiment,
+        ),
     ] = None,
     data: Annotated[
         list[Path] | None,

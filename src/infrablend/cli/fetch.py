@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_source
 from infrablend.cli.options import JsonOption, comma_list
 
 if TYPE_CHECKING:
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
 def fetch(
     ctx: typer.Context,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Dataset, see --list.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Dataset, see --list.", autocompletion=complete_source)
+    ] = None,
     out: Annotated[Path | None, typer.Argument(metavar="DST", help="Output folder, new or empty.")] = None,
     part: Annotated[
         str | None, typer.Option("--part", metavar="LIST", help="Parts to fetch, see --list [default: all].")

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_recipe, complete_written_formats
 from infrablend.cli.options import (
     Device,
     DeviceOption,
+    FormatOption,
     FormOption,
     JsonOption,
     MetadataOption,
@@ -30,7 +32,12 @@ if TYPE_CHECKING:
 def generate(
     ctx: typer.Context,
     recipe: Annotated[
-        str, typer.Argument(metavar="RECIPE", help="Name of a shipped recipe (see `recipes list`) or a YAML file.")
+        str,
+        typer.Argument(
+            metavar="RECIPE",
+            help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
+            autocompletion=complete_recipe,
+        ),
     ],
     data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write the run to.")],
@@ -39,14 +46,15 @@ def generate(
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     device: DeviceOption = Device.AUTO,
-    formats: Annotated[
+    to: Annotated[
         str | None,
         typer.Option(
-            "--format",
             metavar="LIST",
             help="Label formats to write: yolo,coco,dota,... or native [default: those of the recipe].",
+            autocompletion=complete_written_formats,
         ),
     ] = None,
+    format: FormatOption = None,
     form: FormOption = None,
     metadata: MetadataOption = None,
     options: ReadingOption = None,
@@ -65,8 +73,8 @@ def generate(
     session: Session = ctx.obj
     session.json = as_json
     existing = earlier_output(resume, overwrite)
-    reading = make_reading(split, form=form, metadata=metadata, options=options)
-    names = comma_list(formats, "--format")
+    reading = make_reading(split, format, form, metadata, options)
+    names = comma_list(to, "--to")
     fields = [*(settings or []), *([] if names is None else [f"output.formats=[{', '.join(names)}]"])]
 
     from infrablend import api

@@ -7,6 +7,13 @@ from typing import Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_model
+
+ModelArgument = Annotated[
+    str,
+    typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.", autocompletion=complete_model),
+]
+
 
 def list_models() -> None:
     """List the object models."""
@@ -17,7 +24,7 @@ def list_models() -> None:
 
 
 def describe_model(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.")],
+    name: ModelArgument,
 ) -> None:
     """List the options, parts and temperatures of a model that a recipe can set."""
     from infrablend import api
@@ -36,7 +43,7 @@ def describe_model(
 
 
 def show_model(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a model, or path of your own .yaml.")],
+    name: ModelArgument,
     out: Annotated[
         Path | None, typer.Option(metavar="PNG", help="File to write [default: NAME.png in the current folder].")
     ] = None,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_read_format
+
 if TYPE_CHECKING:
     from infrablend.core.output import Existing
     from infrablend.formats.reading import Reading
@@ -35,7 +37,13 @@ ReadingOption = Annotated[
 ]
 DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
 FormatOption = Annotated[
-    str | None, typer.Option("--format", metavar="NAME", help="Format of the dataset [default: detected].")
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="Format of the dataset to read [default: detected].",
+        autocompletion=complete_read_format,
+    ),
 ]
 FormOption = Annotated[str | None, typer.Option(help="Annotation form to read, e.g. rotate_json [default: all].")]
 MetadataOption = Annotated[Path | None, typer.Option(metavar="FILE", help="CSV or JSON table of pitch and altitude.")]
@@ -109,7 +117,16 @@ def make_reading(
     metadata: Path | None = None,
     options: list[str] | None = None,
 ) -> Reading:
-    """Return the reading settings from the options `--split`, `--format`, `--form`, `--metadata` and `--read`."""
+    """Return the reading settings from the options `--split`, `--format`, `--form`, `--metadata` and `--read`.
+
+    Raises:
+        typer.BadParameter: A value is not what its option expects.
+    """
     from infrablend.formats.reading import Reading
 
+    if format is not None and "," in format:
+        raise typer.BadParameter(
+            f"{format!r}: name the one format of the dataset to read; --to lists the formats to write",
+            param_hint="--format",
+        )
     return Reading(split_list(split), format, form, metadata, key_values(options, "--read"))

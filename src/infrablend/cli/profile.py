@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.options import JsonOption, ReadingOption, SplitsOption, make_reading
+from infrablend.cli.options import FormatOption, JsonOption, ReadingOption, SplitsOption, make_reading
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -32,6 +32,7 @@ def profile(
     against: Annotated[
         str | None, typer.Option(metavar="PROFILE", help="Shipped profile to compare with, e.g. hit-uav.")
     ] = None,
+    format: FormatOption = None,
     options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -52,7 +53,7 @@ def profile(
             time=None if time is None else time.value,
             name=name,
             against=against,
-            reading=make_reading(split, options=options),
+            reading=make_reading(split, format, options=options),
             on_progress=on_progress,
         )
     if as_json:

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from infrablend.cli.options import JsonOption, ReadingOption, RunArgument, WorkersOption, comma_list, make_reading
+from infrablend.cli.options import (
+    FormatOption,
+    JsonOption,
+    ReadingOption,
+    RunArgument,
+    WorkersOption,
+    comma_list,
+    make_reading,
+)
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -36,6 +44,7 @@ def realism(
     time: Annotated[TimeOfDay, typer.Option(help="Time of day of the images.")] = TimeOfDay.ALL,
     pairs: Annotated[int, typer.Option(min=10, help="Largest number of pairs per class.")] = 1000,
     workers: WorkersOption = None,
+    format: FormatOption = None,
     options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -57,7 +66,7 @@ def realism(
             categories=chosen,
             time_of_day=time.value,
             pairs=pairs,
-            reading=make_reading(options=options),
+            reading=make_reading(format=format, options=options),
             execution=Execution(workers),
             on_progress=on_progress,
         )

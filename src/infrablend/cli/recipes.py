@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_shipped_recipe
+
 
 def list_recipes() -> None:
     """List the shipped recipes."""
@@ -15,7 +17,11 @@ def list_recipes() -> None:
     print_result(table(api.list_recipes()))
 
 
-def show_recipe(name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a shipped recipe.")]) -> None:
+def show_recipe(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of a shipped recipe.", autocompletion=complete_shipped_recipe)
+    ],
+) -> None:
     """Print a recipe, to save and edit."""
     from infrablend import api
     from infrablend.cli.results import print_result

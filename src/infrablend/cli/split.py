@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from infrablend.cli.completion import complete_written_format
 from infrablend.cli.options import (
     DatasetArgument,
     FormatOption,
@@ -43,7 +44,12 @@ def split(
     shares: Annotated[str, typer.Option(metavar="LIST", help="Shares of train, val and test.")] = "0.7,0.1,0.2",
     seed: SeedOption = 0,
     to: Annotated[
-        str | None, typer.Option(metavar="FORMAT", help="Format to write [default: that of the dataset].")
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="Format to write [default: that of the dataset].",
+            autocompletion=complete_written_format,
+        ),
     ] = None,
     lists: Annotated[bool, typer.Option("--list", help="Write only three lists of pictures and split.json.")] = False,
     form: FormOption = None,

@@ -67,7 +67,7 @@ def train(
             help="Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.",
         ),
     ] = None,
-    format_in: FormatOption = None,
+    format: FormatOption = None,
     options: ReadingOption = None,
     plan: Annotated[bool, typer.Option("--plan", help="Show images, epochs, time and disk without training.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the training in DIR.")] = False,
@@ -91,7 +91,7 @@ def train(
         seed=seed,
         classes=comma_list(classes, "--classes"),
     )
-    reading = make_reading(format=format_in, options=options)
+    reading = make_reading(format=format, options=options)
     existing = earlier_output(resume, overwrite)
     if plan:
         p = api.plan_train(dataset, request, reading=reading, out=out, existing=existing)

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from infrablend.core.dataset import SPLITS, Split
+from infrablend.core.shipped import shipped_names
 from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
@@ -348,8 +349,7 @@ class Experiment(Strict):
 
 def list_experiments() -> list[str]:
     """Return the names of the shipped experiments, sorted."""
-    folder = resources.files("infrablend.config") / "experiments"
-    return sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml"))
+    return shipped_names("experiments")
 
 
 def load_experiment(experiment: str | Path) -> Experiment:

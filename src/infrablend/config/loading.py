@@ -23,6 +23,7 @@ from infrablend.config.modes import (
 )
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
+from infrablend.core.shipped import shipped_names
 from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
@@ -34,8 +35,7 @@ Settings = Sequence[str] | Mapping[str, Any]
 
 def list_recipes() -> list[str]:
     """Return the names of the shipped recipes, sorted."""
-    folder = resources.files("infrablend.config") / "recipes"
-    return sorted(p.name.removesuffix(".yaml") for p in folder.iterdir() if p.name.endswith(".yaml"))
+    return shipped_names("recipes")
 
 
 def recipe_text(name: str) -> str:

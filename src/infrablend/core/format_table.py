@@ -44,7 +44,7 @@ class Writer:
     """One way to write a format.
 
     Attributes:
-        name: Name in `--to`, `--format` and `output.formats`.
+        name: Name in `--to` and `output.formats`.
         reader: Name of the format that reads the result back; the row in which this writer stands.
         title: One line that describes what is written.
         lacks: What cannot be held: keys of `FIELDS`.
@@ -80,7 +80,7 @@ class Format:
     """One dataset format that can be read.
 
     Attributes:
-        name: Name in `--from-format`, in reports and in run records.
+        name: Name in `--format`, in reports and in run records.
         module: Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`.
         title: One line that describes the format.
         writers: Ways to write it; none if it is only read.

@@ -118,7 +118,8 @@ EVERY_COMMAND = [
 
 
 def test_generate_passes_its_options_on(api, capsys):
-    options = "--limit 5 --split test,train --seed 0 --workers 2 --device cpu --format coco,yolo-obb --form rotate_json"
+    options = "--limit 5 --split test,train --seed 0 --workers 2 --device cpu --to coco,yolo-obb"
+    options += " --format hit-uav --form rotate_json"
     sets = ["--set", "output.image=png", "--set", "camera.pitch={fixed_deg: 0}"]
     assert main([*GENERATE, *options.split(), *sets, "--resume"]) == 0
     args, kwargs = api.calls["generate"]
@@ -128,7 +129,7 @@ def test_generate_passes_its_options_on(api, capsys):
         "limit": 5,
         "seed": 0,
         "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}", "output.formats=[coco, yolo-obb]"],
-        "reading": Reading(("test", "train"), form="rotate_json"),
+        "reading": Reading(("test", "train"), "hit-uav", "rotate_json"),
         "execution": Execution(2, "cpu"),
         "existing": "resume",
     }
@@ -148,7 +149,8 @@ def test_generate_defaults(api):
     [
         (["--resume", "--overwrite"], "exclude each other"),
         (["--split", "trian"], "trian: no such split; choose from train,val,test"),
-        (["--format", "coco,,yolo"], "empty item"),
+        (["--to", "coco,,yolo"], "empty item"),
+        (["--format", "coco,yolo"], "--to lists the formats to write"),
         (["--device", "gpu"], "'gpu' is not one of"),
         (["--limit", "0"], "--limit"),
         (["--no-such"], "No such option"),

@@ -1,0 +1,12 @@
+"""Names of the recipes and experiments that come with InfraBlend; light, because shell completion imports it."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Literal
+
+
+def shipped_names(folder: Literal["recipes", "experiments"]) -> list[str]:
+    """Return the names of the shipped YAML files of one folder, sorted."""
+    files = (resources.files("infrablend") / "config" / folder).iterdir()
+    return sorted(p.name.removesuffix(".yaml") for p in files if p.name.endswith(".yaml"))
