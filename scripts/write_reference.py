@@ -81,6 +81,7 @@ def recipe_page() -> str:
 def _section(section: str) -> list[str]:
     """Return the lines on one section: the fields of all modes, those of single modes, and the models inside."""
     from infrablend.config.modes import CHOICES, Modes, all_modes, sections_of
+    from infrablend.config.recipe import Sensor
 
     prefix = f"{section}.N." if section == "objects" else f"{section}."
     modes_of_field: dict[tuple[str, str, str], list[Modes]] = {}
@@ -102,7 +103,7 @@ def _section(section: str) -> list[str]:
     lines = [
         f"## `{section}`",
         "",
-        _first(plain.__doc__ if len(groups) > 1 and section != "sensor" else base.__doc__),
+        _first(Sensor.__doc__ if section == "sensor" else plain.__doc__ if len(groups) > 1 else base.__doc__),
         "",
     ]
     for words, group in groups.items():

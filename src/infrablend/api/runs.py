@@ -63,6 +63,7 @@ def generate(
 def plan(
     recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse",
 ) -> PlanReport:  # fmt: skip
     """Return what `generate` with the same arguments would write, without writing it.
 
@@ -70,7 +71,8 @@ def plan(
     8
     """
     folder = None if out is None else Path(out)
-    return PlanReport(describe_run(RunRequest(recipe, Path(data), folder, limit, seed, settings, reading, execution)))
+    request = RunRequest(recipe, Path(data), folder, limit, seed, settings, reading, execution, existing)
+    return PlanReport(describe_run(request))
 
 
 def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:

@@ -85,7 +85,15 @@ def generate(
     execution = Execution(workers, device.value)
     if plan:
         planned = api.plan(
-            recipe, data, out, limit=limit, seed=seed, settings=fields, reading=reading, execution=execution
+            recipe,
+            data,
+            out,
+            limit=limit,
+            seed=seed,
+            settings=fields,
+            reading=reading,
+            execution=execution,
+            existing=existing,
         ).to_json()
         if as_json:
             print_json(planned)

@@ -84,6 +84,8 @@ def _fact(key: str, value: Any) -> tuple[str, str]:
     if numeric and stem and unit == "s" and not stem.endswith("_per"):
         return _words(stem), human_seconds(value)
     if isinstance(value, Mapping):
+        if any(isinstance(v, Mapping) for v in value.values()):
+            return _words(key), "; ".join(f"{k}: {_fact(str(k), v)[1] or 'none'}" for k, v in value.items())
         return _words(key), ", ".join(f"{k} {_fact(str(k), v)[1]}" for k, v in value.items())
     if isinstance(value, list | tuple):
         if all(isinstance(v, str | int | float) for v in value) and len(value) <= 8:

@@ -8,5 +8,5 @@ from typing import Literal
 
 def shipped_names(folder: Literal["recipes", "experiments"]) -> list[str]:
     """Return the names of the shipped YAML files of one folder, sorted."""
-    files = (resources.files("infrablend") / "config" / folder).iterdir()
-    return sorted(p.name.removesuffix(".yaml") for p in files if p.name.endswith(".yaml"))
+    shipped = resources.files("infrablend") / "config" / folder
+    return sorted(p.name.removesuffix(".yaml") for p in shipped.iterdir() if p.name.endswith(".yaml"))

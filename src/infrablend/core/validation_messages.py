@@ -24,7 +24,16 @@ _EXPECTED = {
     "tuple_type": "a list",
     "list_type": "a list",
     "missing": "a value",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "text",
 }
+_MAPPING_TYPES = ("model_type", "model_attributes_type", "dict_type")
 _SPACE = "write a space after the colon: {key: value}"
 
 
@@ -92,7 +101,7 @@ def field_problems(
             for path, e in intended:
                 add(path, e)
         else:
-            found.append(_union_problem(at, members, _value(data, at), code, see))
+            found.append(_union_problem(at, members, _value(data, at), code, see, _mapping_text(model, at)))
     # A list may be "too short" only because its items are wrong; then the items' own problems are clearer.
     wrong = {p.where for p in found}
     return sorted(
@@ -145,7 +154,12 @@ def _errors_of_intended_member(
 
 
 def _union_problem(
-    at: Path, members: Mapping[str, list[tuple[Path, ErrorDetails]]], value: Any, code: str, see: str
+    at: Path,
+    members: Mapping[str, list[tuple[Path, ErrorDetails]]],
+    value: Any,
+    code: str,
+    see: str,
+    mapping: str,
 ) -> Problem:
     """Return the problem of a value that fits no member of a union; it lists the allowed values."""
     errors = [(path, e) for m in members.values() for path, e in m]
@@ -156,7 +170,7 @@ def _union_problem(
             expected = "a mapping with " + " or ".join(fields) + (" alone" if len(fields) > 1 else "")
             todo = _SPACE if any(":" in k and v is None for k, v in value.items()) else see
             return Problem(_dotted(at), f"{code}-value", f"found {shorten(value)}", expected, todo)
-    texts = dict.fromkeys(_expected(e) for path, e in errors if path == at)
+    texts = dict.fromkeys(mapping if e["type"] in _MAPPING_TYPES else _expected(e) for path, e in errors if path == at)
     return Problem(_dotted(at), f"{code}-value", f"found {shorten(value)}", " or ".join(texts))
 
 
@@ -176,13 +190,29 @@ def _expected(e: ErrorDetails) -> str:
     return re.sub(r"^String should match ", "a text of the ", text)
 
 
+def _mapping_text(model: type[BaseModel], path: Path) -> str:
+    """Return `a mapping with values` for a field that takes a mapping: with the keys that it must have."""
+    parents = _parents(model, path)
+    fields = [f for m in parents if (f := m.model_fields.get(str(path[-1]))) is not None] if path else []
+    inner = dict.fromkeys(m for f in fields for m in models_in(f.annotation))
+    keys = dict.fromkeys(
+        " and ".join(needed) for m in inner if (needed := [n for n, f in m.model_fields.items() if f.is_required()])
+    )
+    return "a mapping" + (f" with {' or '.join(keys)}" if keys else "")
+
+
 def _known_names(model: type[BaseModel], path: Path) -> set[str]:
     """Return the names of the fields at the parent of `path`."""
+    return {name for m in _parents(model, path) for name in m.model_fields}
+
+
+def _parents(model: type[BaseModel], path: Path) -> list[type[BaseModel]]:
+    """Return the models that can stand at the parent of `path`."""
     models = [model]
     for step in path[:-1]:
         inner = [m for o in models if step in o.model_fields for m in models_in(o.model_fields[str(step)].annotation)]
         models = inner or models  # an item of a list or a key of a mapping leads no deeper
-    return {name for m in models for name in m.model_fields}
+    return models
 
 
 def _value(data: Any, path: Path) -> Any:

@@ -61,6 +61,28 @@ class RunFolder(RunLayout):
         shutil.rmtree(self.log_folder, ignore_errors=True)
         self.run_file.unlink(missing_ok=True)
 
+    def outlook(self, existing: Existing) -> str | None:
+        """Return what a run would do with the present contents of the folder; None if there are none.
+
+        Nothing is touched.
+        """
+        output = self.output
+        try:
+            entries = output.entries()
+            if not entries:
+                return None
+            if RUN_FILE not in entries:
+                raise output.refuse_not_ours()
+            status = self.read_run().get("status", "unknown")
+        except OutputError as error:
+            return f"would be refused: {error.message}"
+        then = {
+            "refuse": "would be refused without --resume (finish it) or --overwrite (replace it)",
+            "resume": "--resume would keep its finished frames and make the missing ones",
+            "overwrite": "--overwrite would delete it first",
+        }[existing]
+        return f"has a run already (status {status}): {then}"
+
     def prepare(self, existing: Existing) -> dict[str, Any] | None:
         """Prepare the folder; return the record of the run to resume, or None for a new run.
 

@@ -11,6 +11,7 @@ from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
 from infrablend.formats import detection
+from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
@@ -33,6 +34,7 @@ def describe_run(request: RunRequest) -> dict[str, Any]:
     return {
         **plan.estimate(request.execution.worker_count()),
         "device": request.execution.device,
+        "out": None if request.out is None else RunFolder(request.out).outlook(request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],

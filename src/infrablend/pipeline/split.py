@@ -28,6 +28,8 @@ SHARES = (0.7, 0.1, 0.2)
 RECORD = "split.json"
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
+# A class is scarce in a split that has less than this part of its share of the class's objects.
+_SCARCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +253,10 @@ def _improve(
 def _warnings(
     images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping
 ) -> tuple[Problem, ...]:
-    """Return warnings for splits without images and for classes missing from a split."""
+    """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""
     problems = []
+    smaller = "try another --seed" + (", or --by gap, whose groups are smaller" if by != "gap" else "")
+    total = Counter(o.category for i in images for o in i.instances)
     for split, share in zip(SPLITS, wanted, strict=True):
         if share == 0:
             continue
@@ -262,17 +266,14 @@ def _warnings(
             todo = "use a smaller --gap if possible" if by == "gap" else "use --by gap"
             problems.append(Problem(split, "split-empty", found, "more and smaller groups", todo, "warning"))
             continue
-        lacking = [
-            n
-            for n in names
-            if any(o.category == n for i in images for o in i.instances)
-            and not any(o.category == n for i in here for o in i.instances)
-        ]
-        if lacking:
+        held = Counter(o.category for i in here for o in i.instances)
+        if lacking := [n for n in names if total[n] and not held[n]]:
             found = f"no object of {', '.join(lacking)}"
-            problems.append(
-                Problem(split, "class-absent", found, "objects of every class", "try another --seed", "warning")
-            )
+            problems.append(Problem(split, "class-absent", found, "objects of every class", smaller, "warning"))
+        if scarce := [n for n in names if held[n] and held[n] < _SCARCE * share * total[n]]:
+            found = "only " + ", ".join(f"{held[n]} of {total[n]} objects of {n}" for n in scarce)
+            expected = f"about {100 * share:.0f} % of the objects of every class"
+            problems.append(Problem(split, "class-scarce", found, expected, smaller, "warning"))
     return tuple(problems)
 
 

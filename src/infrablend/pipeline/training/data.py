@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,7 +44,8 @@ def select_training_data(
     unknown = [c for c in classes or () if c not in known]
     if unknown:
         expected = f"classes of the dataset ({', '.join(known) or 'it has none'})"
-        problems.append(Problem("--classes", "category-unknown", ", ".join(unknown), expected))
+        todo = _classes_line([c for c in known if c in (classes or ())])
+        problems.append(Problem("--classes", "category-unknown", ", ".join(unknown), expected, todo))
     keep = [c for c in known if classes is None or c in classes]
     dropped = [c.name for c in dataset.categories if c.name not in keep]
     left_out = Counter(o.category for i in dataset.images for o in i.instances if o.category in dropped)
@@ -66,7 +68,7 @@ def select_training_data(
     for name in keep:
         if splits["train"] and not found[name]:
             problem = Problem(f"class {name}", "class-empty", "no object in split train", "at least one",
-                              "leave the class out: --classes with the others")  # fmt: skip
+                              _classes_line([c for c in keep if found[c]]))  # fmt: skip
             problems.append(replace(problem, severity="warning") if preset.name == "smoke" else problem)
     if task == "obb":
         bare = Counter(o.category for i in wanted.images for o in i.instances if o.corners_xy is None)
@@ -74,8 +76,9 @@ def select_training_data(
                              "train --task detect") for k, n in bare.items()]  # fmt: skip
     if task == "segment":
         bare = Counter(o.category for i in wanted.images for o in i.instances if o.mask is None)
+        with_masks = _classes_line([c for c in keep if found[c] and not bare[c]])
         problems += [Problem(f"class {k}", "mask-missing", f"{n} objects without mask", "one for each",
-                             "train --task detect, or only classes with masks: --classes")
+                             f"train --task detect{f', or {with_masks}' if with_masks else ''}")
                      for k, n in bare.items()]  # fmt: skip
     rejected = [p for p in dataset.problems if p.severity == "error"]
     if rejected or any(p.severity == "error" for p in problems):
@@ -92,6 +95,11 @@ def select_training_data(
     for p in problems:
         log.warning("%s", p)
     return _checked(wanted), dict(sorted(left_out.items()))
+
+
+def _classes_line(names: Sequence[str]) -> str:
+    """Return the option that trains on these classes alone, ready to paste; empty for no class."""
+    return f"add --classes {shlex.quote(','.join(names))}" if names else ""
 
 
 def _checked(dataset: Dataset) -> Dataset:
