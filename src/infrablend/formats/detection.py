@@ -13,6 +13,7 @@ from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match, shorten
 from infrablend.formats.pictures import check_link
+from infrablend.formats.radiometric import radiometric_warnings
 from infrablend.formats.reading import READ_ALL, Reading
 
 
@@ -81,7 +82,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:
         given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
-    return _without_links(module.read(root, splits=reading.splits, **given))
+    dataset = _without_links(module.read(root, splits=reading.splits, **given))
+    return replace(dataset, problems=(*dataset.problems, *radiometric_warnings(dataset)))
 
 
 def _without_links(dataset: Dataset) -> Dataset:

@@ -19,6 +19,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.report.card import write_card
+from infrablend.sampling.calibration import FACTOR_BOUNDS
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
     problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
     problems += absent_warnings(finished.draws)
+    problems += limit_warnings([r for _, r in records])
     if images:
         problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
     # The three YOLO formats warn alike of a missing split.
@@ -112,6 +114,37 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     todo = "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
     found = f"{absent} of {wanted} objects were not inserted ({why})"
     return [Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning")]
+
+
+def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning per estimate that is at its limit in at least a fifth of its frames, so that it may be wrong.
+
+    The estimates are the height of the camera (metric placement) and the gain (physical look).
+    """
+    heights, gains = [], []
+    for r in records:
+        view = None if r.scene is None else r.scene.view
+        if view is not None and view.anchors:
+            factor = view.camera_height_m / view.stated_height_m
+            heights.append(any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS))
+        for gain in r.facts.get("matching", {}).get("gain", {}).values():
+            low, high = gain["bounds"]
+            gains.append(not low < gain["posterior"][0] < high)
+    problems = []
+    if heights and 5 * sum(heights) >= len(heights):
+        low, high = FACTOR_BOUNDS
+        found = (
+            f"the corrected height of the camera is at its limit, {low:.2f} or {high:.2f} times the stated one, in "
+            f"{sum(heights)} of {len(heights)} frames with annotated objects of known size"
+        )
+        todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
+        problems.append(Problem("camera", "height-at-limit", found, "a height between the limits", todo, "warning"))
+    if gains and 5 * sum(gains) >= len(gains):
+        found = f"the estimated gain is at a limit in {sum(gains)} of {len(gains)} cases"
+        expected = "a gain within matching.gain_grey_per_k"
+        todo = "check matching.polarity and the weather, or set matching.gain_grey_per_k for this camera"
+        problems.append(Problem("matching", "gain-at-limit", found, expected, todo, "warning"))
+    return problems
 
 
 def summarize(

@@ -167,7 +167,7 @@ def split_dataset(
         leakage(dataset.images),
         leakage(images),
         "list" if lists or native is None else native.name,
-        problems=_warnings(images, names, wanted, by),
+        problems=split_warnings(images, names, wanted, by),
     )
     report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
     write_json(out / RECORD, report.to_json())
@@ -250,7 +250,7 @@ def _improve(
             return
 
 
-def _warnings(
+def split_warnings(
     images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping
 ) -> tuple[Problem, ...]:
     """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""

@@ -431,6 +431,7 @@ def test_progress_line():
     line = progress_line(Progress(120, 3738, 9.8, 369.2, {"inserted": 118, "skipped": 2, "failed": 0}))
     assert line == "120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2, failed 0"
     assert progress_line(Progress(0, 5)) == "0/5 frames, 0.0 frames/s"
+    assert progress_line(Progress(2, 5, 0.07, 43.0)) == "2/5 frames, 4.2 frames/min, 43.0 s to go"
 
 
 def test_lines_come_every_few_seconds_and_at_the_end_once():
@@ -486,6 +487,10 @@ def test_facts_read_units_from_names():
         "zero": "0",
         "on": "yes",
         "m": "x 1, y 2",
+    }
+    per_split = {"test": {"Car": 4, "Person": 2}, "train": {"Car": 7}, "val": {}}
+    assert facts({"labels_per_split": per_split}) == {
+        "labels per split": "test: Car 4, Person 2; train: Car 7; val: none"
     }
     assert facts({"frames_per_s": 9.5, "rows": [{}] * 3}) == {"frames per s": "9.5", "rows": "3"}
 

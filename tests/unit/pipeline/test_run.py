@@ -1,5 +1,6 @@
 """The pipeline with the flat renderer, on a small dataset in HIT-UAV's layout."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -12,8 +13,10 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
+from infrablend.core.scene import View
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
+from infrablend.pipeline.label_files import limit_warnings
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.record import FrameRecord, read_record
 
@@ -372,6 +375,45 @@ def test_limit_splits_and_plan(dataset, tmp_path):
     assert "train: images/val" in yaml
     with pytest.raises(DatasetError):
         api.plan("hit-uav-drone", tmp_path / "nothing")
+
+
+def test_a_plan_shows_what_would_happen_to_an_earlier_run(dataset, tmp_path):
+    def outlook(existing="refuse"):
+        before = hashes(tmp_path)
+        found = api.plan("hit-uav-drone", dataset, tmp_path / "out", existing=existing).facts["out"]
+        assert hashes(tmp_path) == before
+        return found
+
+    assert outlook() is None
+    generate(dataset, tmp_path / "out")
+    assert "status complete" in outlook() and "would be refused without --resume" in outlook()
+    assert "would keep its finished frames" in outlook("resume")
+    assert "would delete it first" in outlook("overwrite")
+    (tmp_path / "out" / "run.json").unlink()
+    assert "would be refused" in outlook("overwrite") and "not a run of InfraBlend" in outlook("overwrite")
+
+
+def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
+    generate(dataset, tmp_path / "run", settings=[])
+    record = next(r for r in records(tmp_path / "run") if r.scene is not None)
+
+    assert record.scene is not None
+    scene = record.scene
+
+    def with_estimates(height_m, centre):
+        view = View(height_m, 100.0, 0.0, {"car": 3}, 0.1)
+        gain = {"grey_per_k": 6.0, "posterior": [centre, 1.0], "bounds": [2.5, 12.0]}
+        facts = {**record.facts, "matching": {"gain": {"warm": gain}}}
+        return dataclasses.replace(record, scene=dataclasses.replace(scene, view=view), facts=facts)
+
+    good, bad = with_estimates(115.0, 6.0), with_estimates(100 / 0.65, 14.0)
+    assert limit_warnings([record] * 3 + [good] * 5 + [bad]) == []
+    found = limit_warnings([good] * 4 + [bad])
+    assert [(p.where, p.code, p.severity) for p in found] == [
+        ("camera", "height-at-limit", "warning"),
+        ("matching", "gain-at-limit", "warning"),
+    ]
+    assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 cases" in str(found[1])
 
 
 def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from typer.testing import CliRunner, Result
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.split import assign_groups, check_shares
+from infrablend.pipeline.split import assign_groups, check_shares, split_warnings
 from tests.samples import SAMPLES, picture
 
 
@@ -62,6 +63,30 @@ def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
     assert record["groups"] == report.groups and record["image_shares"] == report.shares(report.images)
     api.split(root, tmp_path / "second", api.SplitRule(by="gap", shares=(5, 2, 3)))
     assert tree(tmp_path / "out") == tree(tmp_path / "second")
+
+
+def test_a_split_with_hardly_any_object_of_a_class_is_a_warning(tmp_path: Path) -> None:
+    """The day with the ten pictures for test holds one hare; that with most pictures all others."""
+    root = tmp_path / "data"
+    for day, hares, pictures in (("20200101", 39, 40), ("20200102", 0, 4), ("20200103", 1, 10)):
+        for n in range(pictures):
+            path = picture(root / "images" / "train" / f"{day}_{n:03}.png", n)
+            label = root / "labels" / "train" / f"{path.stem}.txt"
+            label.parent.mkdir(parents=True, exist_ok=True)
+            label.write_text("0 0.5 0.5 0.1 0.1\n" + ("1 0.5 0.2 0.1 0.1\n" if n < hares else ""))
+    (root / "data.yaml").write_text("train: images/train\nnames: [fox, hare]\n")
+    images = api.read_dataset(root).images
+    of_day = {"20200101": "train", "20200102": "val", "20200103": "test"}
+    dealt = [replace(i, split=of_day[i.name[:8]]) for i in images]  # type: ignore[arg-type]
+    found = split_warnings(dealt, ["fox", "hare"], (0.7, 0.1, 0.2), "date")
+    assert [(p.where, p.code, p.severity) for p in found] == [
+        ("val", "class-absent", "warning"),
+        ("test", "class-scarce", "warning"),
+    ]
+    assert "only 1 of 40 objects of hare; expected about 20 % of the objects" in str(found[1])
+    assert "--by gap" in found[0].todo and "--by gap" in found[1].todo
+    assert split_warnings([replace(i, split=s) for i in images for s in ("train", "val", "test")],
+                           ["fox", "hare"], (0.4, 0.3, 0.3), "gap") == ()  # fmt: skip
 
 
 def test_lists_only(tmp_path: Path) -> None:
