@@ -59,20 +59,33 @@ def main(out: Path) -> None:
             draw.text((GAP, top + PANEL_WH[1] + 3), caption, fill=FAINT, font=font)
     out.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(out, optimize=True)
+    print(out)
 
 
 def generate(folder: Path, world_options: tuple[str, ...], recipe: str) -> Path:
     """Render a virtual world and a run on it; returns the run folder."""
     world, run = folder / "world", folder / "run"
-    subprocess.run([COMMAND, "-q", "world", "--out", str(world), *world_options], check=True)
-    command = [COMMAND, "-q", "generate", recipe, "--data", str(world), "--out", str(run), "--seed", "0"]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    call([COMMAND, "-q", "world", "--out", str(world), *world_options])
+    # Some images of the virtual MONET have no telemetry, as in the real one; a run without them exits with 1.
+    call([COMMAND, "-q", "generate", recipe, "--data", str(world), "--out", str(run), "--seed", "0"], accepted=(0, 1))
     return run
+
+
+def call(command: list[str], accepted: tuple[int, ...] = (0,)) -> None:
+    """Run a command; exit with its messages if its exit code is not accepted."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in accepted:
+        text = f"{' '.join(command)}\nended with exit code {done.returncode}; no picture was written:\n{done.stderr}"
+        raise SystemExit(text)
 
 
 def panels(run: Path, frame_id: str, window: tuple[int, int, int]) -> list[Image.Image]:
     """Background, generated picture, and the picture with its labels, all cropped to the window."""
-    record = json.loads((run / "scenes" / f"{frame_id}.json").read_text("utf-8"))
+    path = run / "scenes" / f"{frame_id}.json"
+    if not path.is_file():
+        there = ", ".join(sorted(p.stem for p in path.parent.glob("*.json"))) or "none"
+        raise SystemExit(f"{path}: no such frame in the run, so no picture was written; its frames: {there}")
+    record = json.loads(path.read_text("utf-8"))
     root = Path(json.loads((run / "run.json").read_text("utf-8"))["data"]["root"])
     before = Image.open(root / record["background"]["path"]).convert("RGB")
     after = Image.open(run / "images" / record["image"]).convert("RGB")

@@ -55,7 +55,7 @@ def complete(line: str, folder: Path) -> list[str]:
         ("infrablend recipes show monet", [r for r in list_recipes() if r.startswith("monet")]),
         ("infrablend experiment ", list_experiments()),
         ("infrablend models show ", list_models()),
-        ("infrablend models describe d", ["deer", "drone"]),
+        ("infrablend models describe d", [m for m in list_models() if m.startswith("d")]),
         ("infrablend fetch ", [s.name for s in SOURCES]),
         ("infrablend check data --format ", sorted(f.name for f in FORMATS)),
         ("infrablend convert a b --to ", [*sorted(written_names()), NATIVE]),
