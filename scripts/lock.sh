@@ -13,6 +13,6 @@ compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-
 "${compile[@]}" --universal --no-deps --constraints project.txt tools.in --output-file tools.txt
 "${compile[@]}" --universal --no-deps --constraints project.txt train.in --output-file train.txt
 
-# Requirements of torch that another file pins or that it does not need on this project's paths.
-unneeded=(triton sympy mpmath networkx jinja2 markupsafe fsspec filelock setuptools typing-extensions)
+# Requirements of torch and torchvision that another file pins or that it does not need on this project's paths.
+unneeded=(numpy pillow triton sympy mpmath networkx jinja2 markupsafe fsspec filelock setuptools typing-extensions)
 "${compile[@]}" --universal "${unneeded[@]/#/--no-emit-package=}" torch.in --output-file torch.txt
