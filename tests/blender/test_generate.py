@@ -149,8 +149,13 @@ def test_infrared_effect_asset(tmp_path):
 
 
 def test_turntable(tmp_path):
-    sheet = api.show_model("drone", tmp_path / "drone.png")
+    sheet = api.show_model("drone", tmp_path / "drone.png", options={"body": "shell"})
     with Image.open(sheet) as picture:
         pixels = np.array(picture.convert("L"))
     assert pixels.shape[0] > 1000
     assert pixels.std() > 8
+    # The first row looks up at the sky, the fifth down at the ground; the object is brighter than either.
+    height = pixels.shape[0] // 8
+    below, above = pixels[20 : height - 2, 5:215], pixels[4 * height + 20 : 5 * height - 2, 5:215]
+    assert np.median(below) < 60 < np.median(above)
+    assert below.max() > np.median(below) + 50 and above.max() > np.median(above) + 50

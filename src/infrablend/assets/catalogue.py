@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 # name -> module and name of its ObjectModel; one file per model.
 MODELS = {
+    "boar": "infrablend.assets.boar:MODEL",
     "car": "infrablend.assets.car:MODEL",
     "deer": "infrablend.assets.deer:MODEL",
     "drone": "infrablend.assets.drone:MODEL",

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from infrablend.cli.completion import complete_model
+from infrablend.cli.options import key_values
 
 ModelArgument = Annotated[
     str,
@@ -47,9 +48,18 @@ def show_model(
     out: Annotated[
         Path | None, typer.Option(metavar="PNG", help="File to write [default: NAME.png in the current folder].")
     ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Option of the model, e.g. propellers=spinning; repeatable."),
+    ] = None,
 ) -> None:
-    """Render a contact sheet of a model over pitch and yaw."""
+    """Render a contact sheet of a model: from below, level and from above, and at 8 to 60 pixels."""
     from infrablend import api
     from infrablend.cli.results import print_result
+    from infrablend.core.yaml_text import read_yaml
 
-    print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"))))
+    try:
+        settings = {key: read_yaml(text) for key, text in key_values(options, "--set").items()}
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--set") from error
+    print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"), options=settings)))

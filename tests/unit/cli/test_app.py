@@ -312,6 +312,13 @@ def test_small_commands_print_the_path_they_made(api, capsys, argv, name, args):
     assert capsys.readouterr().out == f"made/{name}\n"
 
 
+def test_models_show_takes_options_of_the_model(api, capsys):
+    assert main(["models", "show", "boar", "--set", "pose=standing", "--set", "shoulder_height_m=[0.7, 0.8]"]) == 0
+    assert api.calls["show_model"][1] == {"options": {"pose": "standing", "shoulder_height_m": [0.7, 0.8]}}
+    assert main(["models", "show", "boar", "--set", "pose"]) == 2
+    assert "write KEY=VALUE" in capsys.readouterr().err
+
+
 def test_lists(api, capsys):
     api.answers["list_models"] = {"deer": "A deer.", "drone": "A quadrotor."}
     api.answers["show_recipe"] = "name: x\n"
