@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
@@ -28,10 +29,14 @@ def describe_model(name: str) -> ObjectModel:
     return ready_model(name)
 
 
-def show_model(name: str, out: str | Path, seed: int = 0) -> Path:
-    """Render a model from all sides onto one sheet, a PNG; return its path."""
+def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, Any] | None = None) -> Path:
+    """Render a model from below, level and above onto one sheet, a PNG; return its path.
+
+    The options are those of a recipe (`objects.N.options`).
+    """
     ready_model(name)
-    return Path(run_once("infrablend.blender.turntable:make_turntable", (name, str(out), seed), f"show {name}"))
+    payload = (name, str(out), seed, dict(options or {}))
+    return Path(run_once("infrablend.blender.turntable:make_turntable", payload, f"show {name}"))
 
 
 def list_recipes() -> dict[str, str]:
