@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.errors import ModelError
 from infrablend.pipeline.models import ready_model
@@ -207,3 +208,19 @@ def test_unreadable_files(files, tmp_path):
         load_model("dron")
     with pytest.raises(ModelError, match="cannot be read"):
         load_model(str(tmp_path / "none.yaml"))
+
+
+def test_a_glb_is_added_by_the_names_of_its_objects(files, tmp_path):
+    """`models add` on a real file: Blender reads it, the description it writes is a model."""
+    survey = api.survey_model(files / "thing.glb", api.ModelAnswers("fox"))
+    assert dict(zip([g.object for g in survey.groups], survey.guess.roles, strict=True)) == {
+        "Body": "fur",
+        "Head": "fur",
+    }
+    assert survey.file_size == pytest.approx((1.5, 1.0, 1.3), abs=0.03)
+    answers = api.ModelAnswers("fox", 0.7, {"Head": "muzzle"})
+    model = ready_model(str(api.add_model(files / "thing.glb", answers, tmp_path)))
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    assert set(mesh.part_names) == {"fur", "muzzle"}
+    assert mesh.size_m.max() == pytest.approx(0.7)
+    assert mesh.vertices_m[:, 2].min() == pytest.approx(0, abs=1e-9)

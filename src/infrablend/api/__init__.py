@@ -31,17 +31,20 @@ from infrablend.api.detectors import compare_evaluations, evaluate, plan_train, 
 from infrablend.api.experiments import experiment, list_experiments, plan_experiment
 from infrablend.api.runs import PlanReport, generate, plan, preview, preview_ground, realism, rerender
 from infrablend.api.shipped import (
+    add_model,
     describe_model,
     diagnose,
     list_models,
     list_recipes,
     show_model,
     show_recipe,
+    survey_model,
     write_infrared_effect,
 )
 from infrablend.fetching.fetch import FetchReport, FetchRequest, SourceEntry
 from infrablend.formats.reading import Reading
 from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.compare_objects import RealismReport
 from infrablend.pipeline.convert import ClassChanges, ConvertReport
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
@@ -56,10 +59,12 @@ from infrablend.training.request import TrainRequest
 
 __all__ = [
     "ClassChanges", "ConvertReport", "EvaluationSettings", "Execution", "ExperimentRequest", "FetchReport",
-    "FetchRequest", "PlanReport", "Reading", "RealismReport", "RunReport", "Selection", "SourceEntry",
-    "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest", "WriteSettings",
-    "check", "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose", "evaluate",
-    "experiment", "fetch", "generate", "inspect", "list_experiments", "list_models", "list_recipes", "list_sources",
-    "make_world", "plan", "plan_experiment", "plan_train", "preview", "preview_ground", "profile", "read_dataset",
-    "realism", "rerender", "show_model", "show_recipe", "split", "train", "write_infrared_effect",
+    "FetchRequest", "ModelAnswers", "ModelSurvey", "PlanReport", "Reading", "RealismReport", "RunReport",
+    "Selection", "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest",
+    "WriteSettings",
+    "add_model", "check", "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose",
+    "evaluate", "experiment", "fetch", "generate", "inspect", "list_experiments", "list_models", "list_recipes",
+    "list_sources", "make_world", "plan", "plan_experiment", "plan_train", "preview", "preview_ground", "profile",
+    "read_dataset", "realism", "rerender", "show_model", "show_recipe", "split", "survey_model", "train",
+    "write_infrared_effect",
 ]  # fmt: skip

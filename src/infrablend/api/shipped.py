@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
 from infrablend.config import loading
+from infrablend.pipeline import add_model as adding
+from infrablend.pipeline.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.models import ready_model, run_once
 
 if TYPE_CHECKING:
@@ -37,6 +39,16 @@ def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, 
     ready_model(name)
     payload = (name, str(out), seed, dict(options or {}))
     return Path(run_once("infrablend.blender.turntable:make_turntable", payload, f"show {name}"))
+
+
+def survey_model(file: str | Path, answers: ModelAnswers | None = None) -> ModelSurvey:
+    """Read a 3D file and guess what its parts are; `missing` of the result lists what only you can know."""
+    return adding.survey_model(Path(file), answers or ModelAnswers())
+
+
+def add_model(file: str | Path, answers: ModelAnswers, out: str | Path | None = None) -> Path:
+    """Describe a 3D file of your own as a model; return the path of the YAML, in `out` or beside the file."""
+    return adding.add_model(Path(file), None if out is None else Path(out), answers)
 
 
 def list_recipes() -> dict[str, str]:

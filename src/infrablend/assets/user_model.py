@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
@@ -184,6 +185,23 @@ def geometry_file(file: Path) -> Path:
     return cache_folder() / "models" / f"{digest}.npz"
 
 
+def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str, NDArray[Any]]]:
+    """Return the named pieces of an imported file and its arrays: vertices, triangles, their pieces and smoothness.
+
+    Raises:
+        ModelError: The cached file is damaged; the message starts with `where`.
+    """
+    try:
+        with np.load(cached, allow_pickle=False) as data:
+            groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
+            arrays = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(
+            f"model {where}: the imported geometry in {cached} is damaged ({error}); remove that file and run again"
+        ) from error
+    return groups, arrays
+
+
 def load_user_model(path: Path) -> ObjectModel:
     """Return the model that a YAML describes; its geometry must have been imported.
 
@@ -194,14 +212,7 @@ def load_user_model(path: Path) -> ObjectModel:
     cached = geometry_file(file)
     if not cached.is_file():
         raise ModelError(f"model {path}: {file.name} has not been imported yet", [])
-    try:
-        with np.load(cached, allow_pickle=False) as data:
-            groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
-            mesh_data = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ModelError(
-            f"model {path}: the imported geometry in {cached} is damaged ({error}); remove that file and run again"
-        ) from error
+    groups, mesh_data = read_geometry(cached, str(path))
     part_of_group, parts = assign_parts(described, groups, str(path))
     mesh = _mesh(described, mesh_data, part_of_group, str(path))
     digest = cached.stem

@@ -118,7 +118,12 @@ def build_app() -> typer.Typer:
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
         (
             "models",
-            {"list": models.list_models, "describe": models.describe_model, "show": models.show_model},
+            {
+                "list": models.list_models,
+                "describe": models.describe_model,
+                "show": models.show_model,
+                "add": models.add_model,
+            },
             "Object models.",
         ),
         ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Shipped recipes."),

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from infrablend.cli.completion import complete_model
 from infrablend.cli.options import key_values
+
+if TYPE_CHECKING:
+    from infrablend.pipeline.add_model import ModelAnswers
 
 ModelArgument = Annotated[
     str,
@@ -63,3 +67,55 @@ def show_model(
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--set") from error
     print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"), options=settings)))
+
+
+def add_model(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="3D file: .glb, .gltf, .obj, .fbx, .usd* or .blend.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the description and the sheet [default: of FILE].")
+    ] = None,
+    category: Annotated[str | None, typer.Option(metavar="NAME", help="Class of its labels, e.g. drone.")] = None,
+    size_m: Annotated[float | None, typer.Option(metavar="METRES", help="Length of its longest side.")] = None,
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=ROLE", help="Role of an object or a material of the file, e.g. Mesh1=motor; repeatable."
+        ),
+    ] = None,
+) -> None:
+    """Describe a 3D file as a model: guess its parts from their names, ask for the rest, and render a sheet.
+
+    On a terminal the command asks for what it cannot know; elsewhere it lists everything that is missing at once.
+    """
+    import sys
+
+    from infrablend import api
+    from infrablend.cli.results import print_result
+    from infrablend.pipeline.add_model import ModelAnswers
+
+    answers = ModelAnswers(category, size_m, key_values(part, "--part"))
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        answers = _ask(file, answers)
+    description = api.add_model(file, answers, out)
+    print_result(str(description))
+    print_result(str(api.show_model(str(description), description.with_suffix(".png"))))
+
+
+def _ask(file: Path, answers: ModelAnswers) -> ModelAnswers:
+    """Ask for everything that the names in the file and the options do not say."""
+    from infrablend import api
+    from infrablend.assets.part_roles import ROLES
+
+    if not answers.category:
+        answers = replace(answers, category=typer.prompt("Class of its labels (e.g. drone)", err=True))
+    survey = api.survey_model(file, answers)
+    if answers.size_m is None:
+        size = " x ".join(f"{s:.3g}" for s in survey.file_size)
+        question = f"Length of its longest side in metres (the file has {size} units)"
+        answers = replace(answers, size_m=typer.prompt(question, type=float, err=True))
+    for name in survey.unknown_parts:
+        role = ""
+        while role not in ROLES:
+            role = typer.prompt(f"What is {name!r}? One of {', '.join(ROLES)}", err=True)
+        answers = replace(answers, parts={**answers.parts, name: role})
+    return answers

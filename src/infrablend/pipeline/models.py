@@ -23,17 +23,26 @@ def ready_model(name: str) -> ObjectModel:
         ModelError: The model does not exist, its description is invalid, or Blender cannot read its file.
     """
     if is_description(name):
-        _, file = read_description(Path(name))
-        target = geometry_file(file)
-        if not target.is_file():
-            try:
-                run_once("infrablend.blender.importer:make_importer", (str(file), str(target)), f"import {file.name}")
-            except WorkerDiedError as error:
-                raise ModelError(
-                    f"model file {file}: Blender crashed or hung on it ({error.message}); expected a valid "
-                    f"{file.suffix} file. Open it in Blender, save it again, and use the new file."
-                ) from error
+        import_geometry(read_description(Path(name))[1])
     return load_model(name)
+
+
+def import_geometry(file: Path) -> None:
+    """Read a 3D file with Blender and cache its geometry, unless that was done before.
+
+    Raises:
+        ModelError: Blender cannot read the file.
+    """
+    target = geometry_file(file)
+    if target.is_file():
+        return
+    try:
+        run_once("infrablend.blender.importer:make_importer", (str(file), str(target)), f"import {file.name}")
+    except WorkerDiedError as error:
+        raise ModelError(
+            f"model file {file}: Blender crashed or hung on it ({error.message}); expected a valid "
+            f"{file.suffix} file. Open it in Blender, save it again, and use the new file."
+        ) from error
 
 
 def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = IMPORT_TIMEOUT_S) -> Any:

@@ -25,6 +25,7 @@ from infrablend.cli.session import LOG_SIZE_BYTES, Session
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
 from infrablend.formats.reading import Reading
+from infrablend.pipeline.add_model import ModelAnswers
 from infrablend.pipeline.request import Execution
 
 
@@ -110,6 +111,7 @@ EVERY_COMMAND = [
     ["rerender", "runs/a", "test/x_c0"],
     ["models", "list"],
     ["models", "show", "drone"],
+    ["models", "add", "quad.glb"],
     ["recipes", "list"],
     ["recipes", "show", "hit-uav-drone"],
     ["world", "--out", "w"],
@@ -319,6 +321,25 @@ def test_models_show_takes_options_of_the_model(api, capsys):
     assert "write KEY=VALUE" in capsys.readouterr().err
 
 
+def test_models_add_passes_the_answers_and_asks_on_a_terminal(api, capsys, monkeypatch):
+    api.answers["add_model"] = Path("o/q.yaml")
+    api.answers["show_model"] = Path("o/q.png")
+    argv = ["models", "add", "q.glb", "--out", "o", "--part", "A=motor"]
+    assert main([*argv, "--category", "drone", "--size-m", "0.4"]) == 0
+    assert capsys.readouterr().out == "o/q.yaml\no/q.png\n"
+    args, _ = api.calls["add_model"]
+    assert args == (Path("q.glb"), ModelAnswers("drone", 0.4, {"A": "motor"}), Path("o"))
+    assert api.calls["show_model"][0] == ("o/q.yaml", Path("o/q.png"))
+
+    api.answers["survey_model"] = types.SimpleNamespace(file_size=(4.0, 2.0, 1.0), unknown_parts=["B"])
+    typed = iter(["drone", 0.3, "sponge", "wood"])
+    monkeypatch.setattr("typer.prompt", lambda *_, **__: next(typed))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    assert main(argv) == 0
+    assert api.calls["add_model"][0][1] == ModelAnswers("drone", 0.3, {"A": "motor", "B": "wood"})
+
+
 def test_lists(api, capsys):
     api.answers["list_models"] = {"deer": "A deer.", "drone": "A quadrotor."}
     api.answers["show_recipe"] = "name: x\n"
@@ -376,8 +397,9 @@ def test_calls_fit_the_real_api(monkeypatch, capsys, argv):
     if argv[:2] == ["recipes", "show"]:
         fake.answers["show_recipe"] = ""
     assert main(argv) == 0
-    ((name, (args, kwargs)),) = fake.calls.items()
-    inspect.signature(getattr(real, name)).bind(*args, **kwargs)
+    assert fake.calls
+    for name, (args, kwargs) in fake.calls.items():
+        inspect.signature(getattr(real, name)).bind(*args, **kwargs)
 
 
 def test_help_imports_no_heavy_package():

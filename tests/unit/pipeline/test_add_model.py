@@ -1,0 +1,87 @@
+"""`models add`: what is guessed, what is asked for, and the description that is written; without Blender."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infrablend.assets.catalogue import load_model
+from infrablend.assets.user_model import geometry_file
+from infrablend.errors import ModelError
+from infrablend.pipeline.add_model import ModelAnswers, add_model, survey_model
+
+PIECES = [("Body", "Grey"), ("Motor_1", "Grey"), ("Motor_2", "Grey"), ("Thing", "Grey"), ("Other", "Warm")]
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A 3D file whose geometry is already in the cache: one tetrahedron per piece, 2 x 1 x 1 units each."""
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "files" / "My quad (v2).glb"
+    path.parent.mkdir()
+    path.write_bytes(b"glTF, as far as this test is concerned")
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    facts: list[dict[str, object]] = [{"object": o, "material": m} for o, m in PIECES]
+    facts[-1] |= {"temperature_c": 30.0, "emissivity": 0.9}  # an InfraredEffect material says what it is
+    target = geometry_file(path)
+    target.parent.mkdir(parents=True)
+    n = len(PIECES)
+    np.savez(
+        target,
+        vertices_m=np.concatenate([corners] * n),
+        triangles=np.concatenate([faces + 4 * k for k in range(n)]).astype(np.int32),
+        group_of_triangle=np.repeat(np.arange(n), 4).astype(np.int32),
+        smooth=np.zeros(4 * n, bool),
+        groups=np.array(json.dumps(facts)),
+    )
+    return path
+
+
+def test_survey_lists_all_that_is_missing_at_once(file: Path) -> None:
+    survey = survey_model(file, ModelAnswers())
+    assert survey.guess.roles == ("shell", "motor", "motor", None, None)
+    assert survey.file_size == (2.0, 1.0, 1.0)
+    assert survey.unknown_parts == ["Thing"]
+    with pytest.raises(ModelError, match="3 thing") as caught:
+        add_model(file, None, ModelAnswers())
+    text = "\n".join(map(str, caught.value.problems))
+    for expected in ("--category NAME", "the file has 2 x 1 x 1 units", "--size-m METRES", "--part Thing=ROLE"):
+        assert expected in text
+    assert list(file.parent.iterdir()) == [file]
+
+
+def test_written_description_loads_as_a_model(file: Path, tmp_path: Path) -> None:
+    answers = ModelAnswers("drone", 0.5, {"Thing": "antenna"})
+    path = add_model(file, tmp_path / "out", answers)
+    assert path == tmp_path / "out" / "My-quad-v2.yaml"
+    model = load_model(str(path))
+    assert set(model.parts) == {"shell", "motor", "antenna", "Warm"}
+    assert model.parts["motor"].delta_t_k == (10, 40)
+    assert (model.category, model.stands) == ("drone", False)
+    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    # The front of a glTF is -Y in Blender and becomes +X.
+    assert mesh.size_m == pytest.approx([0.25, 0.5, 0.25])
+    with pytest.raises(ModelError, match="exists already; expected a new file"):
+        add_model(file, tmp_path / "out", answers)
+
+
+def test_animals_stand_on_the_ground(file: Path, tmp_path: Path) -> None:
+    model = load_model(str(add_model(file, None, ModelAnswers("fox", 0.7, {"Thing": "eye"}))))
+    assert model.stands
+    assert model.parts["fur"].kind == "fur"
+    assert (file.parent / "My-quad-v2.yaml").exists()
+
+
+def test_wrong_answers_are_named_together(file: Path) -> None:
+    with pytest.raises(ModelError, match="3 answer") as caught:
+        survey_model(file, ModelAnswers("drone", -1.0, {"Nothing": "motor", "Thing": "warmth"}))
+    text = "\n".join(map(str, caught.value.problems))
+    assert "--part Nothing=motor: no object or material has this name; expected one of Body, Grey, Motor_1" in text
+    assert "--part Thing=warmth: unknown role; expected one of motor, battery" in text
+    assert "--size-m -1" in text
+    with pytest.raises(ModelError, match=r"unknown type; expected one of \.glb"):
+        survey_model(file.with_suffix(".stl"), ModelAnswers())
