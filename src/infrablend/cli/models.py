@@ -54,7 +54,9 @@ def show_model(
     ] = None,
     options: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Option of the model, e.g. propellers=spinning; repeatable."),
+        typer.Option(
+            "--option", metavar="KEY=VALUE", help="Option of the model, e.g. propellers=spinning; repeatable."
+        ),
     ] = None,
 ) -> None:
     """Render a contact sheet of a model: from below, level and from above, and at 8 to 60 pixels."""
@@ -63,9 +65,9 @@ def show_model(
     from infrablend.core.yaml_text import read_yaml
 
     try:
-        settings = {key: read_yaml(text) for key, text in key_values(options, "--set").items()}
+        settings = {key: read_yaml(text) for key, text in key_values(options, "--option").items()}
     except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--set") from error
+        raise typer.BadParameter(str(error), param_hint="--option") from error
     print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"), options=settings)))
 
 

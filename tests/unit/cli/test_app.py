@@ -315,9 +315,11 @@ def test_small_commands_print_the_path_they_made(api, capsys, argv, name, args):
 
 
 def test_models_show_takes_options_of_the_model(api, capsys):
-    assert main(["models", "show", "boar", "--set", "pose=standing", "--set", "shoulder_height_m=[0.7, 0.8]"]) == 0
+    assert (
+        main(["models", "show", "boar", "--option", "pose=standing", "--option", "shoulder_height_m=[0.7, 0.8]"]) == 0
+    )
     assert api.calls["show_model"][1] == {"options": {"pose": "standing", "shoulder_height_m": [0.7, 0.8]}}
-    assert main(["models", "show", "boar", "--set", "pose"]) == 2
+    assert main(["models", "show", "boar", "--option", "pose"]) == 2
     assert "write KEY=VALUE" in capsys.readouterr().err
 
 
