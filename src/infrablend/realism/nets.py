@@ -42,8 +42,8 @@ def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int
     y = np.repeat([0, 1], [len(real), len(other)])
     groups = group_numbers([*real, *other])
     predictions = np.zeros(len(y))
-    before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
-    torch.use_deterministic_algorithms(True)
+    before, threads = torch.get_deterministic_debug_mode(), torch.get_num_threads()
+    torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
     torch.set_num_threads(1)  # rounding of sums depends on the number of threads
     try:
         for fold, (train, test) in enumerate(group_folds(groups)):
@@ -52,7 +52,7 @@ def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int
                 out = [net(torch.from_numpy(crops[part])) for part in np.array_split(test, max(1, len(test) // 256))]
             predictions[test] = torch.cat(out).numpy().ravel().astype(np.float64)
     finally:
-        torch.use_deterministic_algorithms(before)
+        torch.set_deterministic_debug_mode(before)
         torch.set_num_threads(threads)
     return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions, len(real))
 

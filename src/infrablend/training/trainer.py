@@ -10,6 +10,7 @@ Ultralytics' own output goes to standard error.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import random
@@ -170,9 +171,12 @@ def _train(job: Job, say: Any) -> None:
     import numpy as np
     import torch
     import ultralytics
+    from ultralytics.data import utils as data_utils
     from ultralytics.models import yolo
     from ultralytics.utils import torch_utils
 
+    torch.use_deterministic_algorithms = functools.partial(_use_deterministic_algorithms, torch)
+    data_utils.check_font = lambda font: None  # would download one for plots, of which there are none
     base = {"detect": yolo.detect.DetectionTrainer, "obb": yolo.obb.OBBTrainer,
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
@@ -186,6 +190,11 @@ def _train(job: Job, say: Any) -> None:
             super().set_model_attributes()
             if on_cpu:
                 self.model: Any = self.model.to(memory_format=torch.channels_last)
+
+        def final_eval(self) -> None:
+            # It validates the best epoch, which counts only if it was to decide when to stop.
+            if job.patience:
+                super().final_eval()
 
     overrides: dict[str, Any] = {
         "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
@@ -265,6 +274,11 @@ def _train(job: Job, say: Any) -> None:
         batch=min(trainer.batch_size, job.images) if loader is None else loader.batch_size,
         short_of_memory=trainer.batch_size != job.batch, threads=torch.get_num_threads(),
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+
+
+def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = False) -> None:
+    """Do what torch's function of this name does, except for its compiler, whose import takes as long as torch's."""
+    torch.set_deterministic_debug_mode("default" if not mode else "warn" if warn_only else "error")
 
 
 def _loaded(loader: Any) -> tuple[int, int]:
