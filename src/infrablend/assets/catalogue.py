@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 # name -> module and name of its ObjectModel; one file per model.
 MODELS = {
     "boar": "infrablend.assets.boar:MODEL",
+    "camera-quad": "infrablend.assets.camera_quad:MODEL",
     "car": "infrablend.assets.car:MODEL",
     "deer": "infrablend.assets.deer:MODEL",
     "drone": "infrablend.assets.drone:MODEL",

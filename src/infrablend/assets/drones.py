@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.assets import drone, fixed_wing, hexacopter, racer
+from infrablend.assets import camera_quad, drone, fixed_wing, hexacopter, racer
 from infrablend.assets.model import ObjectModel, Params, PartRange
 from infrablend.assets.params import Checks
 from infrablend.assets.rotors import PROPELLERS
@@ -39,17 +39,18 @@ class Shape:
 SHAPES: Mapping[str, Shape] = {
     "folding-quad": Shape(
         drone.MODEL,
-        0.40,
+        0.34,
         {
             "size_m": [0.21, 0.42], "body": "shell", "arm": "moulded", "layout": ["x", "deadcat"], "legs": "feet",
             "batteries": 1, "antennas": 0, "mast": False, "camera": True,
         },
     ),
-    "quad": Shape(drone.MODEL, 0.20, {"size_m": [0.42, 0.75]}),
+    "camera-quad": Shape(camera_quad.MODEL, 0.16),
+    "quad": Shape(drone.MODEL, 0.14, {"size_m": [0.42, 0.75]}),
     "large-quad": Shape(
-        drone.MODEL, 0.12, {"size_m": [0.85, 1.25], "body": "industrial", "layout": ["x", "deadcat"], "arm": "tube"}
+        drone.MODEL, 0.10, {"size_m": [0.85, 1.25], "body": "industrial", "layout": ["x", "deadcat"], "arm": "tube"}
     ),
-    "hexacopter": Shape(hexacopter.MODEL, 0.10),
+    "hexacopter": Shape(hexacopter.MODEL, 0.08),
     "racer": Shape(racer.MODEL, 0.08),
     "fixed-wing": Shape(fixed_wing.MODEL, 0.10),
 }  # fmt: skip
@@ -111,7 +112,7 @@ def _typical_parts() -> dict[str, PartRange]:
 MODEL = ObjectModel(
     name="drones",
     category="drone",
-    description="A drone of any shape: folding, medium or large quadrotor, hexacopter, FPV racer or fixed wing.",
+    description="A drone of any shape: folding, moulded, medium or large quadrotor, hexacopter, racer or fixed wing.",
     origin="the centre of its bounding box without propellers and antennas",
     stands=False,
     parts=_typical_parts(),

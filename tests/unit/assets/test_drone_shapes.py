@@ -1,4 +1,4 @@
-"""Hexacopter, racer, fixed wing and the mixed model: sound meshes, honoured options, named errors."""
+"""Camera quad, hexacopter, racer, fixed wing and the mixed model: sound meshes, honoured options, named errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infrablend.assets import drones, fixed_wing, hexacopter, racer
+from infrablend.assets import camera_quad, drones, fixed_wing, hexacopter, racer
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.dials import Choice, Number
 from infrablend.assets.rotors import DISC_RINGS
@@ -18,7 +18,7 @@ from infrablend.core.rng import stream
 from infrablend.errors import ModelError
 from tests.meshes import signed_volume
 
-SHAPES = (hexacopter, racer, fixed_wing)
+SHAPES = (camera_quad, hexacopter, racer, fixed_wing)
 NAMES = [module.MODEL.name for module in SHAPES]
 each_shape = pytest.mark.parametrize("module", SHAPES, ids=NAMES)
 
@@ -67,9 +67,14 @@ def test_drawn_mesh_is_sound_and_centred(module: ModuleType, k: int) -> None:
 
 
 def test_size_is_the_motor_diagonal_or_the_wingspan() -> None:
-    for module, count, layouts in ((hexacopter, 6, ("x", "plus")), (racer, 4, ("x", "stretched", "wide"))):
-        for layout in layouts:
-            params = {**drawn(module, 1, layout=layout, size_m=0.5, lean_deg=0)}
+    every = (
+        (hexacopter, 6, "layout", ("x", "plus")),
+        (racer, 4, "layout", ("x", "stretched", "wide")),
+        (camera_quad, 4, "form", ("round", "slim", "flat")),
+    )
+    for module, count, option, values in every:
+        for value in values:
+            params = drawn(module, 1, **{option: value}, size_m=0.5, lean_deg=0)
             if "arm_rise_deg" in params:
                 params["arm_rise_deg"] = 0.0
             stators = np.split(points(module.MODEL.build(params), "winding"), count)
@@ -81,7 +86,7 @@ def test_size_is_the_motor_diagonal_or_the_wingspan() -> None:
         assert np.ptp(points(fixed_wing.MODEL.build(params), "wing")[:, 1]) == pytest.approx(1.6, rel=1e-6)
 
 
-@pytest.mark.parametrize("module", [hexacopter, racer], ids=["hexacopter", "racer"])
+@pytest.mark.parametrize("module", SHAPES[:3], ids=NAMES[:3])
 def test_propellers_clear_one_another(module: ModuleType) -> None:
     for k in range(30):
         rotors = module._rotors(drawn(module, k))
@@ -90,7 +95,7 @@ def test_propellers_clear_one_another(module: ModuleType) -> None:
 
 
 def test_lean_lowers_the_nose_and_bank_lowers_the_right_wing() -> None:
-    for module in (hexacopter, racer):
+    for module in SHAPES[:3]:
         level, leaning = (module.MODEL.build(drawn(module, 3, lean_deg=a)) for a in (0, 30))
         front = [points(m, "winding") for m in (level, leaning)]
         slope = [np.polyfit(v[:, 0], v[:, 2], 1)[0] for v in front]
@@ -155,8 +160,8 @@ def test_bad_options_and_parameters_are_named(module: ModuleType) -> None:
         drawn(module, 0, size=1)
     with pytest.raises(ModelError, match=r"option size_m: found -1; expected a number from"):
         drawn(module, 0, size_m=-1)
-    with pytest.raises(ModelError, match=r"option layout: found 'y'; expected one of"):
-        drawn(module, 0, layout="y")
+    with pytest.raises(ModelError, match=r"option blades: found 'many'; expected one of 2, 3"):
+        drawn(module, 0, blades="many")
     params = drawn(module, 0)
     with pytest.raises(ModelError, match="parameter blades: found 4; expected one of 2, 3"):
         module.MODEL.build({**params, "blades": 4})
