@@ -177,6 +177,14 @@ def _has_module_fixture(item: pytest.Item) -> bool:
     return any(one.scope == "module" for found in definitions for one in found)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Share the cores among parallel workers, which inherit this: waiting threads of torch and OpenBLAS spin."""
+    if workers := getattr(config.option, "numprocesses", None):
+        from infrablend.core.cores import available_cores
+
+        os.environ.setdefault("OMP_NUM_THREADS", str(max(1, available_cores() // workers)))
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """Return the workers of `-n auto`: one per usable core, as far as the memory allows."""
     from infrablend.core.machine import usable_cores, usable_memory_bytes

@@ -1,6 +1,7 @@
 """Realism measures on synthetic pictures: a known disc, the controls and the classifiers."""
 
 import builtins
+import functools
 import json
 
 import cv2
@@ -13,7 +14,7 @@ from infrablend.compositing.sensor import Sensor, grain
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, MissingDependencyError
-from infrablend.realism import classify, controls, features, nets
+from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, reason_not_measured
@@ -317,7 +318,13 @@ def test_figures_are_valid_only_with_plausible_controls():
     ]
 
 
-def test_a_comparison_ranks_the_separating_features():
+@pytest.fixture
+def short_training(monkeypatch):
+    """Train the small network for two epochs instead of twelve, where its score does not matter."""
+    monkeypatch.setattr(class_comparison, "score_crops", functools.partial(nets.score_crops, epochs=2))
+
+
+def test_a_comparison_ranks_the_separating_features(short_training):
     real, inserted = made_up(120, 0, 1), made_up(120, 1.5, 2)
     v = compare_class("Person", real, inserted, list(zip(real, inserted, strict=True)), {"floor": real})
     assert v.facts["separating_features"][0]["feature"] == "std"
@@ -410,7 +417,7 @@ def crowd(tmp_path_factory):
     return run, data.parent
 
 
-def test_a_run_is_compared(crowd, tmp_path):
+def test_a_run_is_compared(crowd, tmp_path, short_training):
     run, data = crowd
     seen = []
     report = api.realism(run, data, tmp_path / "a", execution=api.Execution(in_process=True), on_progress=seen.append)
