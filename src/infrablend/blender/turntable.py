@@ -128,7 +128,7 @@ def _small(
     noise = grain(shape, SMALL_SENSOR.noise_grey, SMALL_SENSOR.noise_grain_px, 1)
     behind = np.round(_behind(one.model, pitch_deg) + noise).astype(np.uint8)
     layer = make_layer(renderer.render(scene), MAPPING, SMALL_SENSOR.layer_sigma_px(0.8))
-    half = size_px // 2 + 8
+    half = round(0.62 * size_px) + 8
     cut = slice(CELL_PX // 2 - half, CELL_PX // 2 + half)
     picture = apply_sensor(behind, layer, SMALL_SENSOR)[cut, cut]
     return np.asarray(cv2.resize(picture, shape, interpolation=cv2.INTER_NEAREST), np.uint8)
