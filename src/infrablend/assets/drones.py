@@ -5,13 +5,14 @@ Each shape is one of the other drone models with certain options, and gives exac
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from infrablend.assets import camera_quad, drone, fixed_wing, hexacopter, racer
+from infrablend.assets import camera_quad, drone, fixed_wing, hexacopter, racer, shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange
 from infrablend.assets.params import Checks
 from infrablend.assets.rotors import PROPELLERS
@@ -54,6 +55,8 @@ SHAPES: Mapping[str, Shape] = {
     "racer": Shape(racer.MODEL, 0.08),
     "fixed-wing": Shape(fixed_wing.MODEL, 0.10),
 }  # fmt: skip
+# Attitude of level models, in cruise or moving sideways: nose down by `lean_deg`, right side down by `bank_deg`.
+TILT_DEG: Mapping[str, tuple[float, float]] = {"lean_deg": (-4.0, 18.0), "bank_deg": (-10.0, 10.0)}
 OPTIONS: Mapping[str, str] = {
     "shape": "one of " + ", ".join(SHAPES) + ", or a list of several with equal odds; by default folding quads are "
     "the most common",
@@ -75,16 +78,27 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     own = {k: v for k, v in options.items() if k != "shape"}
     if "propellers" in own:
         _CHECKS.some_of("option propellers", own["propellers"], PROPELLERS)
-    return {"shape": name, **shape.model.sample(rng, {**shape.options, **own})}
+    params = {"shape": name, **shape.model.sample(rng, {**shape.options, **own})}
+    tilt = {key: low + (high - low) * float(rng.random()) for key, (low, high) in TILT_DEG.items()}
+    return {**params, **tilt} if _is_level(shape) else params
 
 
 def build(params: Params) -> Mesh:
-    """Build the mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
+    """Build the mesh of one drone.
+
+    Its origin is the centre of its bounding box without propellers and antennas, before it is tilted.
 
     Raises:
         ModelError: A parameter is missing, unknown or out of range.
     """
-    return _shape(params).model.build(_own(params))
+    shape = _shape(params)
+    mesh = shape.model.build(_own(params))
+    if not _is_level(shape):
+        return mesh
+    _CHECKS.complete(params, tuple(TILT_DEG))
+    lean, bank = (math.radians(_CHECKS.number(f"parameter {key}", params[key], -45, 45)) for key in TILT_DEG)
+    turn = shapes.turn_y(lean) @ shapes.turn_x(bank)
+    return replace(mesh, vertices_m=np.ascontiguousarray(mesh.vertices_m @ turn.T))
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
@@ -97,8 +111,13 @@ def _shape(params: Params) -> Shape:
     return SHAPES[_CHECKS.one_of("parameter shape", params["shape"], tuple(SHAPES))]
 
 
+def _is_level(shape: Shape) -> bool:
+    return shape.model is drone.MODEL
+
+
 def _own(params: Params) -> dict[str, Any]:
-    return {k: v for k, v in params.items() if k != "shape"}
+    other = {"shape", *(TILT_DEG if _is_level(_shape(params)) else ())}
+    return {k: v for k, v in params.items() if k not in other}
 
 
 def _typical_parts() -> dict[str, PartRange]:

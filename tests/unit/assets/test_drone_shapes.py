@@ -186,12 +186,34 @@ def test_mixed_model_draws_every_shape_as_its_own_model_does() -> None:
         assert shares[name] == pytest.approx(shape.odds, abs=0.08)
         params = next(d for d in draws if d["shape"] == name)
         own = {k: v for k, v in params.items() if k != "shape"}
-        assert drones.MODEL.build(params).vertices_m.tobytes() == shape.model.build(own).vertices_m.tobytes()
+        tilted = name in ("folding-quad", "quad", "large-quad")
+        if tilted:
+            own = {k: v for k, v in own.items() if k not in drones.TILT_DEG}
+        level = drones.MODEL.build({**params, "lean_deg": 0.0, "bank_deg": 0.0} if tilted else params)
+        assert level.vertices_m.tobytes() == shape.model.build(own).vertices_m.tobytes()
         assert drones.MODEL.roles(params) == shape.model.roles(own)
         assert set(drones.MODEL.roles(params)) <= set(drones.MODEL.parts)
     assert sum(s.odds for s in drones.SHAPES.values()) == pytest.approx(1)
     sizes = {n: [d["size_m"] for d in draws if d["shape"] == n] for n in drones.SHAPES}
     assert max(sizes["folding-quad"]) <= 0.42 <= min(sizes["quad"]) and min(sizes["large-quad"]) >= 0.85
+
+
+def test_mixed_model_tilts_the_level_quadrotors() -> None:
+    params = drones.MODEL.sample(stream(1, "tilt"), {"shape": "folding-quad"})
+    assert -4 <= params["lean_deg"] <= 18 and -10 <= params["bank_deg"] <= 10
+    level, leaning, banked = (
+        points(drones.MODEL.build({**params, "lean_deg": lean, "bank_deg": bank}), "winding")
+        for lean, bank in ((0.0, 0.0), (20.0, 0.0), (0.0, 20.0))
+    )
+    assert np.ptp(level[:, 2]) < 0.02 < np.ptp(leaning[:, 2])
+    assert leaning[leaning[:, 0].argmax(), 2] < leaning[leaning[:, 0].argmin(), 2]  # nose down
+    assert banked[banked[:, 1].argmin(), 2] < banked[banked[:, 1].argmax(), 2]  # right side down
+    with pytest.raises(
+        ModelError, match="drones model, parameter lean_deg: found 60; expected a number from -45 to 45"
+    ):
+        drones.MODEL.build({**params, "lean_deg": 60})
+    with pytest.raises(ModelError, match="parameter bank_deg: is missing"):
+        drones.MODEL.build({k: v for k, v in params.items() if k != "bank_deg"})
 
 
 def test_mixed_model_takes_a_shape_a_size_and_the_state_of_the_propellers() -> None:
