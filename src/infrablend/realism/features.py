@@ -342,22 +342,26 @@ def edge(window: Picture, found: Outline) -> tuple[float, float]:
     if not keep.any():
         return math.nan, math.nan
     profiles = (relative[keep] - low[keep, None]) / step[keep, None]
-    widths = [w for w in (_width_10_90(p) for p in profiles) if w is not None]
+    widths = _widths_10_90(profiles)
     under = -float(np.median(relative[keep], axis=0)[t <= -0.5].min())
-    return (float(np.median(widths)) if widths else math.nan), under
+    return (float(np.median(widths)) if len(widths) else math.nan), under
 
 
-def _width_10_90(profile: NDArray[np.float64]) -> float | None:
-    """Return the distance, px, from the last crossing of 10 % before the first one of 50 % to the next of 90 %."""
-    half = int(np.argmax(profile >= 0.5))
-    above = np.flatnonzero(profile[half:] >= 0.9)
-    below = np.flatnonzero(profile[: half + 1] <= 0.1)
-    if half == 0 or not len(above) or not len(below):
-        return None
-    i, j = half + int(above[0]), int(below[-1])
-    right = i - (profile[i] - 0.9) / (profile[i] - profile[i - 1])
-    left = j + (0.1 - profile[j]) / (profile[j + 1] - profile[j])
-    return float(0.25 * (right - left))
+def _widths_10_90(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances, px, from the last crossing of 10 % before the first one of 50 % to the next of 90 %.
+
+    Takes (n, k) profiles; those without all three crossings have no width and are left out.
+    """
+    count = profiles.shape[1]
+    column, half = np.arange(count), np.argmax(profiles >= 0.5, axis=1)
+    above = (profiles >= 0.9) & (column >= half[:, None])
+    below = (profiles <= 0.1) & (column <= half[:, None])
+    crossing = (half > 0) & above.any(axis=1) & below.any(axis=1)
+    p, row = profiles[crossing], np.arange(np.count_nonzero(crossing))
+    i, j = np.argmax(above[crossing], axis=1), count - 1 - np.argmax(below[crossing, ::-1], axis=1)
+    right = i - (p[row, i] - 0.9) / (p[row, i] - p[row, i - 1])
+    left = j + (0.1 - p[row, j]) / (p[row, j + 1] - p[row, j])
+    return np.asarray(0.25 * (right - left), np.float64)
 
 
 def _quadratic_basis(side: int) -> NDArray[np.float64]:
