@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import json
+import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -179,6 +180,7 @@ def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the recipe in a run's record without the fields that have no meaning in its modes.
 
     Records of earlier versions contain every field in every mode, and fields that have since been moved or removed.
+    Where they have null for "the default of this mode", the field is left to its default.
     """
     upgraded: dict[str, Any] = json.loads(json.dumps(data))
     for old, place in MOVED.items():
@@ -187,10 +189,16 @@ def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:
             value = upgraded[section].pop(field)
             new_section, new_field = place.split(".")
             upgraded.setdefault(new_section, {})[new_field] = value
-    fields = fields_of(modes_of(upgraded))
+    modes = modes_of(upgraded)
+    fields = fields_of(modes)
     for section, _, values in _sections(upgraded):
-        for field in [f for f in values if (section, f) not in fields and (_is_known((section, f)))]:
-            del values[field]
+        for field, value in list(values.items()):
+            if (section, field) in fields:
+                refused = value is None and not _allows_null(sections_of(modes)[section], field)
+            else:
+                refused = _is_known((section, field))
+            if refused:
+                del values[field]
     return upgraded
 
 
@@ -233,6 +241,10 @@ def all_modes() -> Iterator[Modes]:
     """Yield every combination of modes."""
     for placement, look, sensor in itertools.product(*CHOICES.values(), ("off", "on")):
         yield Modes(placement, look, sensor)
+
+
+def _allows_null(section: type[BaseModel], field: str) -> bool:
+    return type(None) in typing.get_args(section.model_fields[field].annotation)
 
 
 def _is_known(field: Field) -> bool:

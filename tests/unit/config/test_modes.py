@@ -1,6 +1,7 @@
 """Each mode has its own fields: fields of other modes are errors, and a change of mode drops and lists them."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -232,6 +233,23 @@ def test_records_of_earlier_versions_are_read():
     recorded["matching"] |= {"mode": "local", "low_percentile": 1}
     recorded["placement"] |= {"on_miss": "redraw", "min_contrast_grey": recorded["matching"].pop("min_contrast_grey")}
     assert recipe_from_json(json.dumps(upgrade_recorded(recorded))) == recipe
+
+
+# The shipped recipes as run.json recorded them before each mode had its own classes of sections.
+RECORDED = json.loads((Path(__file__).parent / "recorded_recipes.json").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_recorded_shipped_recipes_are_read(name):
+    recorded = RECORDED[name]
+    upgraded = upgrade_recorded(recorded)
+    recipe = recipe_from_json(json.dumps(upgraded))
+    assert modes_of(upgraded) == modes_of(recorded)
+    # null was the mode's default: the paper does not keep clear of ignore regions.
+    assert recorded["placement"]["clear_of_ignored"] is None
+    assert recipe.placement.clear_of_ignored == (recorded["placement"]["mode"] == "metric")
+    assert json.loads(recipe.model_dump_json())["labels"] == recorded["labels"]
+    assert recipe.placement.attempts == recorded["placement"]["attempts"]
 
 
 def test_scenes_of_earlier_versions_are_read(tmp_path, write_tiny_hit_uav):
