@@ -6,6 +6,7 @@ InfraBlendError
  │   └─ UnknownFormatError            no reader recognises the folder
  ├─ ModelError (ValueError)           an object model that cannot be found or used
  ├─ OutputError (OSError)             the output folder cannot be used, or the disk is full
+ │   └─ OtherSettingsError            what is to be resumed was started with other settings
  ├─ FetchError (OSError)              a download failed: the network, the server, its certificate
  ├─ RenderError (RuntimeError)        Blender failed on a frame
  │   └─ WorkerDiedError               a worker process crashed or hung
@@ -118,6 +119,10 @@ class ModelError(InfraBlendError, ValueError):
 
 class OutputError(InfraBlendError, OSError):
     """The output folder cannot be used, or writing failed."""
+
+
+class OtherSettingsError(OutputError):
+    """The output folder holds a result that was started with other settings, so it cannot be resumed."""
 
 
 class FetchError(InfraBlendError, OSError):

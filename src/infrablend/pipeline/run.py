@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import time
 from collections import Counter
@@ -11,13 +12,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from infrablend import __version__
 from infrablend.compositing.mapping import measure_levels
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.files import output_error
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.output import Existing
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
-from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RenderError
+from infrablend.errors import (
+    DatasetError,
+    Interrupted,
+    MissingDependencyError,
+    OtherSettingsError,
+    Problem,
+    RenderError,
+)
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
 from infrablend.formats.images import load_background
@@ -102,6 +113,7 @@ def run_plan(
 
     Raises:
         OutputError: The folder cannot be used, another run is writing to it, or the disk is full.
+        OtherSettingsError: The run to resume was started with another recipe, data or seed.
         Interrupted: The user stopped the run; `resume` continues it.
         RenderError: The renderer cannot start.
     """
@@ -310,7 +322,7 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
     """Refuse to resume if frames would differ; warn if they might."""
     machine = previous.get("machine", {})
     if machine.get("renderer", renderer) != renderer:
-        raise OutputError(f"{out}: was rendered with {machine['renderer']}, not {renderer}; use another --out")
+        raise OtherSettingsError(f"{out}: was rendered with {machine['renderer']}, not {renderer}; use another --out")
     if machine.get("device", device) != device:
         log.warning(
             "%s: started with --device %s, resumed with %s; devices may differ by one grey level",
@@ -318,23 +330,36 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
             machine["device"],
             device,
         )
-    versions, now = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
-    for name in sorted(n for n in now if versions.get(n, now[n]) != now[n]):
-        log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], now[name])
-    was = previous.get("key", {})
-    differing = sorted(k for k in plan.key if was.get(k) != plan.key[k])
+    versions, installed = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
+    for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
+        log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
+    was, now = _comparable(previous.get("key", {})), _comparable(plan.key)
+    differing = sorted(k for k in now if was.get(k) != now[k])
     if differing:
         texts = []
         for k in differing:
-            if isinstance(plan.key[k], Mapping):
-                fields = _differing_fields(was.get(k, {}), plan.key[k], k)
+            if isinstance(now[k], Mapping):
+                fields = _differing_fields(was.get(k, {}), now[k], k)
                 texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
             else:
-                texts.append(f"{k} was {was.get(k)!r}, is {plan.key[k]!r}")
-        raise OutputError(
+                texts.append(f"{k} was {was.get(k)!r}, is {now[k]!r}")
+        raise OtherSettingsError(
             f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
             "Use the same recipe, data, seed, splits and limit, or --overwrite, or another --out."
         )
+
+
+def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run's key with the recipe as this version records it, without its description."""
+    comparable = dict(key)
+    if isinstance(key.get("recipe"), Mapping):
+        recipe = upgrade_recorded(key["recipe"])
+        with contextlib.suppress(ValidationError):  # an invalid recipe is compared as it is recorded
+            upgraded = recipe_from_json(json.dumps(recipe))
+            recipe = json.loads(upgraded.model_dump_json(exclude={"output": {"formats"}}))
+        recipe.pop("description", None)
+        comparable["recipe"] = recipe
+    return comparable
 
 
 def _differing_fields(was: Any, now: Any, path: str) -> Iterator[tuple[str, Any, Any]]:

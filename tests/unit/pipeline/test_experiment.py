@@ -20,7 +20,14 @@ from infrablend.cli import main
 from infrablend.config.experiment import Check, list_experiments, load_experiment, parse_experiment
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
-from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, RecipeError
+from infrablend.errors import (
+    DatasetError,
+    Interrupted,
+    MissingDependencyError,
+    OtherSettingsError,
+    OutputError,
+    RecipeError,
+)
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments import makers, training_setup
 from infrablend.pipeline.experiments.conclusions import check_claim
@@ -346,6 +353,34 @@ def test_killed_run_resumes(bench: Bench, data: Path, tmp_path: Path, at: str) -
     assert {k: report.facts[k] for k in figures} == {k: whole.facts[k] for k in figures}
     keys = [[s["key"] for s in r.facts["stages"]] for r in (report, whole)]
     assert keys[0] == keys[1]
+
+
+def test_interrupted_stage_of_an_earlier_version_starts_again(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = tmp_path / "work"
+    before = run("hit-uav-drone", data, work)
+    for kind in ("generate", "train"):
+        (folder,) = (p for p in (work / kind).iterdir() if _name(p) == "aligned")
+        record = json.loads((folder / RECORD).read_text())
+        (folder / RECORD).write_text(json.dumps({**record, "status": "interrupted"}))
+        if kind == "generate":
+            path = folder / "out" / "run.json"
+            made = json.loads(path.read_text())
+            made["key"]["recipe"]["camera"]["distance_m"] = [2.0, 3.0]
+            path.write_text(json.dumps(made))
+    train = bench.train
+
+    def refuse(dataset: Dataset, out: Path, request: TrainRequest, **options: Any) -> Any:
+        if options["existing"] == "resume":
+            raise OtherSettingsError(f"{out}: was started with other settings")
+        assert not out.exists()
+        return train(dataset, out, request, **options)
+
+    monkeypatch.setattr(makers, "train_dataset", refuse)
+    after = run("hit-uav-drone", data, work)
+    assert after.status == "complete" and {"generate:aligned", "train:aligned"} <= set(after.made)
+    assert after.facts["evaluations"] == before.facts["evaluations"]
 
 
 def test_interrupted_run_counts_all_finished_frames(bench: Bench, data: Path, tmp_path: Path) -> None:

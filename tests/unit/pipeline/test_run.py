@@ -210,6 +210,42 @@ def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
         generate(dataset, tmp_path / "run", existing="resume", seed=5)
 
 
+RECORDED = Path(__file__).parents[1] / "config" / "recorded_recipes.json"
+
+
+def record_recipe_of_earlier_version(run: Path, **camera: object) -> None:
+    """Put the recipe that an earlier version recorded into a run's record."""
+    recipe = json.loads(RECORDED.read_text("utf-8"))["hit-uav-drone"]
+    recipe["output"]["image"] = "png"
+    recipe["camera"].update(camera)
+    recipe["description"] = "Worded differently."
+    record = json.loads((run / "run.json").read_text())
+    record["recipe"] = record["key"]["recipe"] = recipe
+    (run / "run.json").write_text(json.dumps(record))
+
+
+def test_run_of_an_earlier_version_is_resumed(dataset, tmp_path):
+    run = tmp_path / "run"
+    generate(dataset, run)
+    whole = hashes(run)
+    record_recipe_of_earlier_version(run)
+    sorted((run / "scenes").rglob("*.json"))[0].unlink()
+    generate(dataset, run, existing="resume")
+    assert hashes(run) == whole
+    record_recipe_of_earlier_version(run, roll_deg=[0.0, 1.0])
+    with pytest.raises(OutputError, match=r"run: recipe\.camera\.roll_deg was \[0\.0, 1\.0\], is \[-10\.0, 10\.0\]\. "):
+        generate(dataset, run, existing="resume")
+
+
+def test_frame_of_a_run_of_an_earlier_version_is_rerendered(dataset, tmp_path):
+    run = tmp_path / "run"
+    generate(dataset, run)
+    record_recipe_of_earlier_version(run)
+    frame = f"train/{NAMES[0]}_c0"
+    again = api.rerender(run, frame, tmp_path / "again.png")
+    assert again.read_bytes() == (run / "images" / f"{frame}.png").read_bytes()
+
+
 def test_output_folder_rules(dataset, tmp_path):
     out = tmp_path / "full"
     out.mkdir()

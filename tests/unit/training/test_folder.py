@@ -1,12 +1,23 @@
 """The folder of a training: only its own files are deleted, and never through a link."""
 
+import dataclasses
 import json
 import logging
 
+import pytest
+
 from infrablend.core.output import OutputFolder
-from infrablend.errors import OutputError
-from infrablend.pipeline.training.folder import JOB, RECORD, WORKING_FILES, begin_training, remove_working_files
+from infrablend.errors import OtherSettingsError, OutputError
+from infrablend.pipeline.training.folder import (
+    JOB,
+    RECORD,
+    WORKING_FILES,
+    begin_training,
+    remove_working_files,
+    require_same,
+)
 from infrablend.training import trainer
+from infrablend.training.request import TrainRequest
 
 
 def a_training(out):
@@ -56,3 +67,13 @@ def test_a_finished_training_succeeds_if_its_working_files_cannot_be_deleted(tmp
         remove_working_files(tmp_path)
     assert asked == [WORKING_FILES]
     assert "Device or resource busy" in caplog.text and "the training is complete" in caplog.text
+
+
+def test_resuming_compares_settings_but_not_their_summary(tmp_path):
+    settings = dataclasses.asdict(TrainRequest(preset="smoke").chosen_preset())
+    asked = {"preset": "smoke", "settings": settings, "data": str(tmp_path), "content": "0"}
+    # As recorded by an earlier version.
+    summary = "a few steps, to see that everything runs"
+    require_same(tmp_path, {**asked, "settings": {**settings, "summary": summary}}, asked)
+    with pytest.raises(OtherSettingsError, match=r"settings\.passes"):
+        require_same(tmp_path, {**asked, "settings": {**settings, "passes": 3}}, asked)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Training
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.output import Existing
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.core.tasks import OnProgress, paced
-from infrablend.errors import DatasetError, Problem, RenderError
+from infrablend.errors import DatasetError, OtherSettingsError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import ClassChanges, convert_dataset
@@ -31,6 +33,10 @@ from infrablend.pipeline.train import train_dataset
 from infrablend.pipeline.world import make_world
 from infrablend.training.request import TrainRequest
 from infrablend.world.dataset import WorldRequest
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,20 @@ class StageJob:
         if self.out.exists():
             shutil.rmtree(self.out)
         return self.out
+
+    def resume_or_restart(self, make: Callable[[Existing], T]) -> T:
+        """Call `make` to continue what an interrupted run left; start again if that had other settings.
+
+        The settings differ although the stage is the same if an earlier version of InfraBlend started it.
+        """
+        if not (self.out.is_dir() and any(self.out.iterdir())):
+            return make("refuse")
+        try:
+            return make("resume")
+        except OtherSettingsError as error:
+            log.warning("%s: starting again, because it cannot be resumed (%s)", self.stage.id, error)
+            self.empty_out()
+            return make("refuse")
 
     def relative(self, path: Path) -> str:
         """Return a path relative to the stage's folder, as records store it."""
@@ -93,19 +113,18 @@ def _make_run(job: StageJob) -> dict[str, Any]:
     if job.out.exists() and not (job.out / RUN_FILE).is_file():  # killed before its first record
         shutil.rmtree(job.out)
     execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
+    run = RunRequest(
+        spec.recipe,
+        source.dataset,
+        job.out,
+        seed=request.seed,
+        settings={**spec.settings, "output.formats": ["coco"]},
+        reading=Reading(splits=spec.splits, options=source.reader_options),
+        execution=execution,
+    )
     report = None
     for _ in range(2):
-        run = RunRequest(
-            spec.recipe,
-            source.dataset,
-            job.out,
-            seed=request.seed,
-            settings={**spec.settings, "output.formats": ["coco"]},
-            reading=Reading(splits=spec.splits, options=source.reader_options),
-            execution=execution,
-            existing="resume" if job.out.exists() else "refuse",
-        )
-        report = generate_run(run, job.on_progress)
+        report = job.resume_or_restart(lambda existing: generate_run(replace(run, existing=existing), job.on_progress))
         if not report.counts.get("failed_frames"):
             break
     else:
@@ -188,7 +207,7 @@ def _make_split(job: StageJob) -> dict[str, Any]:
 def _make_training(job: StageJob) -> dict[str, Any]:
     """Train a detector."""
     spec: Training = job.stage.spec
-    data, out = job.needs["data"], job.out
+    data = job.needs["data"]
     request = TrainRequest(
         preset=job.request.scale,
         settings=preset_settings(spec, job.request),
@@ -198,12 +217,9 @@ def _make_training(job: StageJob) -> dict[str, Any]:
         seed=job.stage.inputs["seed"],
         classes=spec.classes,
     )
-    report = train_dataset(
-        read_dataset(data.dataset, options=data.reader_options),
-        out,
-        request,
-        existing="resume" if out.is_dir() and any(out.iterdir()) else "refuse",
-        on_progress=job.on_progress,
+    dataset = read_dataset(data.dataset, options=data.reader_options)
+    report = job.resume_or_restart(
+        lambda existing: train_dataset(dataset, job.out, request, existing=existing, on_progress=job.on_progress)
     )
     weights = job.relative(report.weights)
     return {"record": dict(report.record), "weights": weights, "there": [weights]}

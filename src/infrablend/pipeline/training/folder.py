@@ -10,7 +10,7 @@ from typing import Any
 
 from infrablend.core.files import part_path
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.errors import OutputError, Problem
+from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.training import trainer
 
 RECORD = "train.json"
@@ -77,7 +77,7 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
 
 
 def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Raise OutputError if a training to resume was started with other data or settings."""
+    """Raise OtherSettingsError if a training to resume was started with other data or settings."""
     now, record = _flat(json.loads(json.dumps(asked))), _flat(record)
     # The data must be the same, not their folder; records of earlier versions have the folder only.
     now.pop("data" if "content" in record else "content")
@@ -92,12 +92,13 @@ def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any])
             else Problem(k, "resume-other", str(now.get(k)), f"{record.get(k)}, as at the start")
             for k in other
         ]  # fmt: skip
-        raise OutputError(f"{out}: was started with other settings; use the same, or another folder", problems)
+        raise OtherSettingsError(f"{out}: was started with other settings; use the same, or another folder", problems)
 
 
 def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record with flattened settings: `settings.passes`, `settings.arguments.lr0`."""
+    """Return a record with flattened settings (`settings.passes`, `settings.arguments.lr0`), without their summary."""
     flat = dict(record)
     settings = dict(flat.pop("settings", {}))
+    settings.pop("summary", None)  # prose, which may be reworded
     settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
     return flat | {f"settings.{k}": v for k, v in settings.items()}
