@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-import yaml
-
 from infrablend.annotation.merge import RemovalReason
-from infrablend.assets.user_model import is_description
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
+from infrablend.pipeline.origin import origin_of, run_inserts
 from infrablend.pipeline.plan import RunPlan
-from infrablend.report.card import INSERT_LIMITS, Card, Inserts, find_provenance
+from infrablend.report.card import Card
 
 REMOVAL_TEXTS: Mapping[RemovalReason, str] = {
     "covered": "original labels were removed because inserted objects cover them; `run.json` lists them",
     "category": "original labels were left out because the recipe does not keep their class",
     "labels": "labels were left out because the recipe asks for only the new or only the original ones",
 }
-_PLACED = {
-    "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
-    "above or on anything.",
-    "metric": "Inserted objects were placed over a flat ground, with the camera's height and lens taken from the "
-    "recipe and the metadata: some stand where no such object could be, and nothing in the picture occludes them.",
-}
-_NOT_RADIOMETRIC = (
-    "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels do not correspond to "
-    "temperatures."
-)
 
 
 def run_card(
@@ -40,13 +26,8 @@ def run_card(
     """Return the card of a finished run; `counts` and `losses` come from its record, `images` are those written."""
     recipe = plan.recipe
     classes = ", ".join(dict.fromkeys(o.category or plan.models[o.model].category for o in recipe.objects))
-    source = find_provenance(plan.dataset)
+    source = origin_of(plan.dataset, images, recipe.labels.rename, counts["labels_inserted"])
     short = source.title.partition(":")[0] or "a thermal aerial dataset"
-    limits = [*INSERT_LIMITS, _PLACED[recipe.placement.mode]]
-    if recipe.appearance.mode == "artistic":
-        limits.append(_NOT_RADIOMETRIC)
-    if recipe.camera.pitch != "metadata":
-        limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
     return Card(
         name=recipe.name,
         summary=f"Thermal aerial pictures of {short} with rendered objects ({classes}) and "
@@ -67,10 +48,7 @@ def run_card(
             ("seed", str(plan.seed)),
             ("all settings, versions and counts", f"`{RUN_FILE}`; `infrablend rerender` renders a single frame again"),
         ),
-        inserts=(
-            *source.inserts,
-            Inserts(recipe.name, plan.seed, _recipe_yaml(plan), dict(counts["labels_inserted"]), tuple(limits)),
-        ),
+        inserts=(*source.inserts, run_inserts(recipe, plan.seed, counts["labels_inserted"])),
         masks=any(i.mask is not None for image in images for i in image.instances),
     )
 
@@ -124,13 +102,3 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
         (f"{SCENES}/<split>/", "scene and labels, one JSON file per picture"),
         (RUN_FILE, "record of the run"),
     )
-
-
-def _recipe_yaml(plan: RunPlan) -> str:
-    """Return the settings that differ from the defaults, as YAML; user models appear without their local folder."""
-    data = json.loads(plan.recipe.model_dump_json(exclude_defaults=True))
-    for o in data["objects"]:
-        if is_description(o["model"]):
-            o["model"] = Path(o["model"]).name
-    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
-    return text

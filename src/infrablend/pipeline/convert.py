@@ -24,6 +24,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card, written_layout
 
@@ -187,7 +188,7 @@ def convert_dataset(
                 "the border of the picture, because hand-drawn boxes have a margin."
             )
         card = dataset_card(
-            dataset,
+            origin_of(dataset, images, rename),
             images,
             wanted.categories,
             changes=changes,

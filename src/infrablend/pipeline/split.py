@@ -22,6 +22,7 @@ from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
+from infrablend.pipeline.origin import origin_of
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 SHARES = (0.7, 0.1, 0.2)
@@ -294,7 +295,7 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
     written = writing.write(to, report.out, records, source.categories, source=source)
     done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{RECORD}`."
     card = dataset_card(
-        source,
+        origin_of(source, records, {}),
         records,
         source.categories,
         changes=[done],

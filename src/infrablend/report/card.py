@@ -90,7 +90,8 @@ class Inserts:
         recipe: Name of the recipe.
         seed: Seed of the run, or None if it is not known.
         settings: YAML of the settings that the recipe changes, or empty.
-        labels: Number of labels of inserted objects in the run, by category.
+        labels: Number of labels of these objects in the dataset, by category; without a category whose number is not
+            known because the dataset's format does not mark them.
         limits: Known limits of the inserted objects, a sentence each.
     """
 
@@ -545,7 +546,7 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
 
 
 def dataset_card(
-    source: Dataset,
+    origin: Provenance,
     images: Sequence[ImageRecord],
     categories: Sequence[Category],
     *,
@@ -559,7 +560,7 @@ def dataset_card(
     Objects that an earlier run inserted stay in its pictures: the card names them, with their recipe and its limits.
 
     Args:
-        source: Dataset as read.
+        origin: Origin of the pictures.
         images: Images that were written.
         categories: Their categories.
         changes: Changes, a sentence each.
@@ -571,7 +572,6 @@ def dataset_card(
     labels: dict[str, Counter[str]] = {s: Counter() for s in per_split}
     for image in images:
         labels[image.split].update(i.category for i in image.instances)
-    origin = find_provenance(source)
     short = origin.title.partition(":")[0] or "A dataset"
     holds_masks = not to or "masks" not in find_writer(to).lacks
     what = "with rendered objects in its pictures" if origin.inserts else "no object was inserted"

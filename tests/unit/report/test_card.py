@@ -52,7 +52,7 @@ def table(text: str) -> dict[str, dict[str, str]]:
 
 def bare(root: Path, name: str = "folder") -> Card:
     """The card of a dataset without images."""
-    return dataset_card(Dataset(root, name, (), ()), (), (), changes=["converted"])
+    return dataset_card(find_provenance(Dataset(root, name, (), ())), (), (), changes=["converted"])
 
 
 @pytest.fixture
@@ -131,14 +131,14 @@ def test_the_card_says_nothing_of_machine_or_time_and_repeats(data, tmp_path):
 
 def test_user_models_folder_is_not_recorded(data, tmp_path):
     from infrablend.config.loading import load_recipe
-    from infrablend.pipeline.card import _recipe_yaml
+    from infrablend.pipeline.origin import _recipe_yaml
     from infrablend.pipeline.plan import make_plan
 
     plan = make_plan(load_recipe("hit-uav-drone"), api.read_dataset(data), 0)
     own = plan.recipe.objects[0].model_copy(update={"model": str(tmp_path / "secret" / "kite.yaml")})
     changed = plan.recipe.model_copy(update={"objects": (own,)})
     object.__setattr__(plan, "recipe", changed)
-    text = _recipe_yaml(plan)
+    text = _recipe_yaml(plan.recipe)
     assert "kite.yaml" in text
     assert "secret" not in text
 
@@ -226,7 +226,7 @@ def test_own_output_is_not_taken_for_the_original(tmp_path):
     (tmp_path / "world.json").write_text("{}")
     world = find_provenance(ours)
     assert world.own
-    assert "choose one" in card_text(dataset_card(ours, (), (), changes=["c"]))
+    assert "choose one" in card_text(dataset_card(find_provenance(ours), (), (), changes=["c"]))
 
 
 def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
@@ -275,6 +275,63 @@ def test_the_card_counts_the_labels_that_are_marked_as_inserted(data, tmp_path):
         assert table(text)["drone"]["inserted"] == "8"
         assert "Inserted objects are rendered" in text
     assert "recipe `" not in text
+
+
+def labels_of_inserts(folder):
+    """Return the inserts that a `SOURCE.json` lists: recipe, seed and number of labels by category."""
+    told = json.loads((folder / "SOURCE.json").read_text())["inserts"]
+    return [(one["recipe"], one["seed"], one["labels"]) for one in told]
+
+
+def without_inserts(run):
+    """Rewrite the records of a run as earlier versions wrote them: `SOURCE.json` does not list the inserts."""
+    told = json.loads((run / "SOURCE.json").read_text())
+    del told["inserts"]
+    (run / "SOURCE.json").write_text(json.dumps(told))
+    recorded = Path(__file__).parents[1] / "config" / "recorded_recipes.json"
+    record = json.loads((run / "run.json").read_text())
+    record["recipe"] = record["key"]["recipe"] = json.loads(recorded.read_text("utf-8"))["hit-uav-drone"]
+    (run / "run.json").write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize("folder", ["coco", "native", "yolo"])
+def test_the_inserts_of_a_run_of_an_earlier_version_are_read_from_its_record(data, tmp_path, folder):
+    generate(data, tmp_path / "run", seed=3)
+    without_inserts(tmp_path / "run")
+    api.convert(tmp_path / "run" / folder, tmp_path / "again", "coco")
+    assert labels_of_inserts(tmp_path / "again") == [("hit-uav-drone", 3, {"drone": 8})]
+    assert "by the recipe `hit-uav-drone` with seed 3, 8 labels (8 drone)" in card(tmp_path / "again")
+
+
+@pytest.mark.parametrize("folder", ["coco", "yolo"])  # yolo does not mark inserted objects
+@pytest.mark.parametrize(
+    ("change", "labels"),
+    [
+        ({}, {"drone": 8}),
+        ({"selection": api.Selection(images=2)}, {"drone": 2}),
+        ({"classes": api.ClassChanges(drop=("drone",))}, {}),
+        ({"classes": api.ClassChanges(rename={"drone": "uav"})}, {"uav": 8}),
+        ({"classes": api.ClassChanges(rename={"drone": "uav"}), "selection": api.Selection(images=3)}, {"uav": 3}),
+    ],
+    ids=["all", "subset", "dropped", "renamed", "renamed-subset"],
+)
+def test_inserts_count_the_labels_that_are_written(data, tmp_path, folder, change, labels):
+    generate(data, tmp_path / "run")
+    api.convert(tmp_path / "run" / folder, tmp_path / "again", "coco", **change)
+    assert labels_of_inserts(tmp_path / "again") == [("hit-uav-drone", 0, labels)]
+
+
+@pytest.mark.parametrize("folder", ["coco", "yolo"])
+def test_the_labels_of_two_runs_are_told_apart_by_class(data, tmp_path, folder):
+    generate(data, tmp_path / "first")
+    second = {"name": "two", "objects.0.category": "uav", "output.image": "png"}
+    generate(tmp_path / "first" / folder, tmp_path / "second", settings=second, limit=3)
+    # Each background is used twice.
+    assert labels_of_inserts(tmp_path / "second") == [("hit-uav-drone", 0, {"drone": 6} if folder == "coco" else {}),
+                                                      ("two", 0, {"uav": 6})]  # fmt: skip
+    api.convert(tmp_path / "second" / "coco", tmp_path / "part", "coco", selection=api.Selection(images=1))
+    first = {"drone": 1} if folder == "coco" else {}
+    assert labels_of_inserts(tmp_path / "part") == [("hit-uav-drone", 0, first), ("two", 0, {"uav": 1})]
 
 
 def test_a_run_on_a_run_names_both_recipes(data, tmp_path):

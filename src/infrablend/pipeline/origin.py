@@ -1,0 +1,127 @@
+"""Origin of a dataset's pictures, with the objects that earlier runs inserted and the labels of them that are left."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import yaml
+from pydantic import ValidationError
+
+from infrablend.assets.user_model import is_description
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.run_layout import RUN_FILE
+from infrablend.errors import OutputError
+from infrablend.pipeline.folder import RunFolder
+from infrablend.report.card import INSERT_LIMITS, SOURCE_FILE, Inserts, Provenance, find_provenance
+
+_PLACED = {
+    "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
+    "above or on anything.",
+    "metric": "Inserted objects were placed over a flat ground, with the camera's height and lens taken from the "
+    "recipe and the metadata: some stand where no such object could be, and nothing in the picture occludes them.",
+}
+_NOT_RADIOMETRIC = (
+    "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels do not correspond to "
+    "temperatures."
+)
+
+
+def origin_of(
+    source: Dataset, images: Sequence[ImageRecord], rename: Mapping[str, str], new: Mapping[str, int] | None = None
+) -> Provenance:
+    """Return the origin of pictures written from `source`; its inserts count the labels that were written.
+
+    Args:
+        source: Dataset as read.
+        images: Images written, with their labels.
+        rename: New names of classes, by old name.
+        new: Labels in `images` that this run inserted, by category; they belong to no earlier run.
+    """
+    origin = find_provenance(source)
+    inserts = origin.inserts
+    if not any(one.recipe for one in inserts):
+        inserts = _recorded_inserts(source.root) or inserts
+    marked = any(o.inserted for i in source.images for o in i.instances)
+    before, after = _count(source.images, marked), _count(images, marked)
+    after.subtract(new or {})
+    return replace(origin, inserts=_count_written(inserts, before, after, rename, marked))
+
+
+def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts:
+    """Return the description of the objects that a run inserted; `labels` counts theirs by category."""
+    limits = [*INSERT_LIMITS, _PLACED[recipe.placement.mode]]
+    if recipe.appearance.mode == "artistic":
+        limits.append(_NOT_RADIOMETRIC)
+    if recipe.camera.pitch != "metadata":
+        limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
+    return Inserts(recipe.name, seed, _recipe_yaml(recipe), dict(labels), tuple(limits))
+
+
+def _recipe_yaml(recipe: Recipe) -> str:
+    """Return the settings that differ from the defaults, as YAML; user models appear without their local folder."""
+    data = json.loads(recipe.model_dump_json(exclude_defaults=True))
+    for o in data["objects"]:
+        if is_description(o["model"]):
+            o["model"] = Path(o["model"]).name
+    text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+    return text
+
+
+def _recorded_inserts(root: Path) -> tuple[Inserts, ...]:
+    """Return the inserts of a run by its record: the `SOURCE.json` of earlier versions does not list them."""
+    for folder in (root.resolve(), root.resolve().parent):  # the dataset may be RUN/coco
+        if (folder / RUN_FILE).is_file():
+            try:
+                record = RunFolder(folder).read_run()
+                recipe = upgrade_recorded(record["recipe"])
+                recipe["output"]["formats"] = record["formats"]
+                labels = record.get("counts", {}).get("labels_inserted", {})
+                return (run_inserts(recipe_from_json(json.dumps(recipe)), record["seed"], labels),)
+            except (OutputError, ValidationError, KeyError, TypeError, AttributeError):
+                return ()  # no record of a run, or a damaged one
+        if (folder / SOURCE_FILE).is_file():
+            break  # what is beside it describes another dataset
+    return ()
+
+
+def _count(images: Iterable[ImageRecord], marked: bool) -> Counter[str]:
+    return Counter(o.category for i in images for o in i.instances if o.inserted or not marked)
+
+
+def _count_written(
+    inserts: Sequence[Inserts], before: Counter[str], after: Counter[str], rename: Mapping[str, str], marked: bool
+) -> tuple[Inserts, ...]:
+    """Return the inserts with the labels that were written; a class whose number cannot be known is left out.
+
+    Args:
+        inserts: Inserts as recorded for the source.
+        before: Labels of the source by category: those marked as inserted, or all if the format holds no mark.
+        after: The same of the labels written.
+        rename: New names of classes, by old name.
+        marked: True if the labels that are counted are marked as inserted.
+    """
+    recorded = [Counter[str]() for _ in inserts]
+    for one, counts in zip(inserts, recorded, strict=True):
+        for name, n in one.labels.items():
+            counts[rename.get(name, name)] += n
+    if marked and len(inserts) == 1:
+        return (replace(inserts[0], labels=dict(sorted((+after).items()))),)
+    read = Counter[str]()
+    for name, n in before.items():
+        read[rename.get(name, name)] += n
+    written: list[dict[str, int]] = [{} for _ in inserts]
+    for name in sorted({name for counts in recorded for name in counts}):
+        total = sum(counts[name] for counts in recorded)
+        owners = [k for k, counts in enumerate(recorded) if counts[name]]
+        if len(owners) == 1 and read[name] == total and after[name] > 0:  # all labels of the class are of one run
+            written[owners[0]][name] = after[name]
+        elif read[name] == after[name] and read[name] >= total:  # nothing of the class was left out
+            for k in owners:
+                written[k][name] = recorded[k][name]
+    return tuple(replace(one, labels=labels) for one, labels in zip(inserts, written, strict=True))
