@@ -2,6 +2,7 @@
 
 InfraBlendError
  ├─ RecipeError (ValueError)          a recipe that is incomplete or wrong
+ ├─ ArgumentError (ValueError)        an argument of the Python interface that is invalid
  ├─ DatasetError (ValueError)         a dataset that cannot be read at all
  │   └─ UnknownFormatError            no reader recognises the folder
  ├─ ModelError (ValueError)           an object model that cannot be found or used
@@ -103,6 +104,10 @@ class InfraBlendError(Exception):
 
 class RecipeError(InfraBlendError, ValueError):
     """A recipe that is incomplete or wrong; `problems` names every bad field."""
+
+
+class ArgumentError(InfraBlendError, ValueError):
+    """An argument of the Python interface that is invalid."""
 
 
 class DatasetError(InfraBlendError, ValueError):

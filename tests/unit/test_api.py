@@ -9,11 +9,16 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import infrablend
 from infrablend import api
+from infrablend.core.output import Existing
+from infrablend.errors import ArgumentError, InfraBlendError, OutputError, RecipeError
+from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.request import RunRequest
 
 
 def test_the_examples_in_the_docstrings_run(
@@ -45,3 +50,117 @@ def test_importing_the_package_is_light() -> None:
     code = "import infrablend, sys; print(sorted({'numpy', 'bpy', 'pydantic', 'infrablend.api'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+FLAT = api.Execution(renderer="flat", in_process=True)
+
+
+def _generate(tmp_path: Path, **options: Any) -> object:
+    return api.generate("hit-uav-drone", tmp_path, tmp_path / "out", **{"execution": FLAT, **options})
+
+
+CALLS: dict[str, tuple[Callable[[Path], object], type[InfraBlendError], str]] = {
+    "a negative limit": (lambda p: _generate(p, limit=-1), ArgumentError, "^limit: found -1, expected a whole number"),
+    "no background": (lambda p: _generate(p, limit=0), ArgumentError, "^limit: found 0, .* from 1 up$"),
+    "a limit as text": (lambda p: _generate(p, limit="2"), ArgumentError, "^limit: found '2'"),
+    "a seed as text": (lambda p: _generate(p, seed="a"), ArgumentError, "^seed: found 'a', expected a whole number$"),
+    "a choice in generate": (lambda p: _generate(p, existing="x"), OutputError, "^existing: found 'x', expected"),
+    "a choice in plan": (
+        lambda p: api.plan("hit-uav-drone", p, p / "out", existing="x"),  # type: ignore[arg-type]
+        OutputError,
+        "^existing: found 'x', expected",
+    ),
+    "settings as text": (lambda p: _generate(p, settings="output.image=png"), RecipeError, "^settings: .*a list of"),
+    "settings by number": (lambda p: _generate(p, settings={1: 2}), RecipeError, r"^settings: found {1: 2}, expected"),
+    "no settings": (lambda p: _generate(p, settings=None), RecipeError, "^settings: found None"),
+    "Blender in process": (
+        lambda p: _generate(p, execution=api.Execution(in_process=True)),
+        ArgumentError,
+        "^in_process: Blender renders in worker processes only",
+    ),
+    "an item of a list": (lambda p: _generate(p, settings={"objects.\u00b2.model": "car"}), RecipeError, "no item"),
+    "no worker": (lambda p: api.Execution(workers=0), ArgumentError, "^workers: found 0, .* from 1 up"),
+    "fewer workers": (lambda p: api.Execution(workers=-1), ArgumentError, "^workers"),
+    "workers as text": (lambda p: api.Execution(workers="2"), ArgumentError, "^workers"),  # type: ignore[arg-type]
+    "a device": (lambda p: api.Execution(device="tpu", renderer="flat"), ArgumentError, "^device: found 'tpu'"),
+    "a renderer": (lambda p: api.Execution(renderer="x"), ArgumentError, "^renderer: .*one of blender, flat"),
+    "ids": (lambda p: api.WriteSettings(ids="x"), ArgumentError, "^ids: .*new, source"),  # type: ignore[arg-type]
+    "ids of categories": (
+        lambda p: api.WriteSettings(category_ids="x"),  # type: ignore[arg-type]
+        ArgumentError,
+        "^category_ids",
+    ),
+    "ignored regions": (
+        lambda p: api.WriteSettings(dont_care="x"),  # type: ignore[arg-type]
+        ArgumentError,
+        "^dont_care",
+    ),
+    "a layout": (
+        lambda p: api.make_world(p / "out", 1, layout="x"),  # type: ignore[arg-type]
+        ArgumentError,
+        "^layout: found 'x'",
+    ),
+    "something to draw": (
+        lambda p: api.preview(p, p / "a.png", draw=("x",)),  # type: ignore[arg-type]
+        ArgumentError,
+        "^draw: found 'x', expected one of boxes",
+    ),
+    "a single thing to draw": (
+        lambda p: api.preview(p, p / "a.png", draw="boxes"),  # type: ignore[arg-type]
+        ArgumentError,
+        r"^draw: found the text 'boxes', .* Write \['boxes'\]",
+    ),
+    "an empty sheet": (lambda p: api.preview(p, p / "a.png", 0), ArgumentError, "^count"),
+    "an empty ground sheet": (lambda p: api.preview_ground(p, p / "a.png", 0), ArgumentError, "^count"),
+    "nothing to compare": (lambda p: api.compare_evaluations([], []), ArgumentError, "^ours: found no folder"),
+    "negative draws": (lambda p: api.compare_evaluations(p, p, bootstrap=-5), ArgumentError, "^bootstrap: found -5"),
+    "classes to compare": (
+        lambda p: api.compare_evaluations(p, p, classes="Car"),
+        ArgumentError,
+        "^classes: found the",
+    ),
+    "classes to train": (lambda p: api.TrainRequest(classes="Car"), ArgumentError, "^classes: found the text 'Car'"),
+    "classes to evaluate": (lambda p: api.EvaluationSettings(classes="Car"), ArgumentError, "^classes: found the"),
+    "classes to drop": (lambda p: api.ClassChanges(drop="Car"), ArgumentError, "^drop: found the text 'Car'"),
+    "classes to avoid": (lambda p: api.Selection(without="Car"), ArgumentError, "^without: found the text 'Car'"),
+    "splits": (lambda p: api.Reading(splits="train"), ArgumentError, r"^splits: .* Write \['train'\]"),
+    "parts": (lambda p: api.FetchRequest(parts="train"), ArgumentError, "^parts: found the text 'train'"),
+    "stages": (lambda p: ExperimentRequest("hit-uav", only="train"), ArgumentError, "^only: found the text 'train'"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_invalid_arguments_are_refused_before_anything_is_written(name: str, tmp_path: Path) -> None:
+    call, error, message = CALLS[name]
+    with pytest.raises(error, match=message):
+        call(tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+def test_categories_of_a_comparison_are_a_list(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
+    data = write_tiny_hit_uav(tmp_path / "data")
+    with pytest.raises(ArgumentError, match=r"^categories: found the text 'drone'"):
+        api.realism(tmp_path / "run", data, categories="drone")
+
+
+@pytest.mark.parametrize("existing", ["refuse", "resume", "overwrite"])
+def test_valid_choices_are_accepted(existing: Existing) -> None:
+    assert RunRequest("hit-uav-drone", Path("data"), limit=1, existing=existing).existing == existing
+
+
+def test_texts_are_accepted_as_paths(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
+    data, work = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "work"
+    of_paths = ExperimentRequest(
+        "hit-uav-drone", [data], work, tmp_path / "page", "smoke", adopt={"train:aligned": tmp_path}
+    )
+    of_texts: dict[str, Any] = {
+        "data": [str(data)], "work": str(work), "results": str(tmp_path / "page"), "scale": "smoke",
+        "adopt": {"train:aligned": str(tmp_path)},
+    }  # fmt: skip
+    for folders in ([str(data)], str(data), data):
+        assert ExperimentRequest("hit-uav-drone", **{**of_texts, "data": folders}) == of_paths
+    plan = api.plan_experiment(ExperimentRequest("hit-uav-drone", **{**of_texts, "adopt": {}}))
+    assert plan.facts["experiment"] == "hit-uav-drone"
+    archive: Any = str(tmp_path / "none.zip")
+    with pytest.raises(InfraBlendError, match="no such file"):
+        api.fetch("hit-uav", tmp_path / "out", api.FetchRequest(archive=archive))

@@ -23,7 +23,7 @@ from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene
-from infrablend.core.render import RenderResult, empty_result
+from infrablend.core.render import Device, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
 
@@ -39,7 +39,7 @@ class BlenderRenderer:
 
     def __init__(
         self,
-        device: session.Device = "cpu",
+        device: Device = "cpu",
         threads: int = 1,
         scratch: Path | None = None,
         *,

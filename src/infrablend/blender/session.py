@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from typing import Any, Literal
+from typing import Any
 
 import bpy
 
+from infrablend.core.render import Device
 from infrablend.errors import MissingDependencyError
 
 log = logging.getLogger(__name__)
 
-Device = Literal["auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"]
 # `auto` tries them in this order.
 GPU_BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
 # Parameter numbers from glibc's malloc.h. An eighth of this block size took 5 % more time and saved 4 MB.

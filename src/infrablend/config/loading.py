@@ -102,6 +102,7 @@ def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
     Raises:
         RecipeError: With every unknown key and bad value at once.
     """
+    _require_settings(settings)
     path = Path(recipe)
     folder: Path | None = None
     if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
@@ -195,6 +196,15 @@ def _is_path(model: str) -> bool:
     return model.lower().endswith((".yaml", ".yml"))
 
 
+def _require_settings(settings: Settings) -> None:
+    several = isinstance(settings, Sequence | Mapping) and not isinstance(settings, str)
+    if not several or not all(isinstance(key, str) for key in settings):  # a mapping yields its keys
+        raise RecipeError(
+            f"settings: found {settings!r}, expected a list of texts such as ['output.image=png'], or a mapping such "
+            "as {'output.image': 'png'}"
+        )
+
+
 def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]:
     if isinstance(settings, Mapping):
         return [(key, copy.deepcopy(value)) for key, value in settings.items()]
@@ -233,7 +243,7 @@ def _place(node: Any, step: str, key: str, problems: list[Problem]) -> Any:
     """Return the key or index that a step of a dotted key means; None, with a problem, for no item of a list."""
     if not isinstance(node, list):
         return step
-    if step.isdigit() and int(step) < len(node):
+    if step.isdecimal() and int(step) < len(node):
         return int(step)
     problems.append(Problem(f"--set {key}", "set-key", f"no item {step!r}", f"a number from 0 to {len(node) - 1}"))
     return None

@@ -34,6 +34,16 @@ Existing = Literal["refuse", "resume", "overwrite"]
 _SHOWN = 4
 
 
+def require_existing(existing: Existing) -> None:
+    """Check that a value is one of `Existing`.
+
+    Raises:
+        OutputError: It is not.
+    """
+    if existing not in get_args(Existing):
+        raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
+
+
 @dataclass(frozen=True)
 class OutputFolder:
     """The output folder of a command.
@@ -102,8 +112,7 @@ class OutputFolder:
         Raises:
             OutputError: It is not empty and `existing` is `refuse`.
         """
-        if existing not in get_args(Existing):
-            raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
+        require_existing(existing)
         entries = self.entries(ignore=ignore)
         if entries and existing == "refuse":
             options = ['Use --resume (existing="resume" in Python) to finish an interrupted one'] * self.can_resume

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.arguments import require_names, require_whole
 from infrablend.core.files import replace_atomically
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.evaluation.bootstrap import draw_images, paired
 from infrablend.evaluation.figures import Draws
 from infrablend.evaluation.matching import ClassMatches
@@ -68,7 +69,17 @@ def compare_evaluations(
     bootstrap: int = 1000,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Return the difference by class of two evaluations on the same images and labels; see `infrablend.api`."""
+    """Return the difference by class of two evaluations on the same images and labels; see `infrablend.api`.
+
+    Raises:
+        ArgumentError: A side has no evaluation, or another value is invalid.
+        DatasetError: The evaluations do not fit together.
+    """
+    for side, folders in (("ours", ours), ("theirs", theirs)):
+        if not folders:
+            raise ArgumentError(f"{side}: found no folder, expected that of at least one evaluation")
+    require_names("classes", classes)
+    require_whole("bootstrap", bootstrap, 0)
     record, first = read_evaluation(ours[0])
     read = {folder: read_evaluation(folder) for folder in [*ours[1:], *theirs]}
     for folder, (other, _) in read.items():

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
+from infrablend.core.arguments import require_names
 from infrablend.core.files import output_error, write_json
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
@@ -144,8 +145,11 @@ class FetchRequest:
         parts: Parts to fetch; None for all.
         url: Address to download the file from instead of the published one.
         sha256: SHA-256 that the file must have.
-        archive: File downloaded by hand, to unpack instead of downloading one.
+        archive: File downloaded by hand, to unpack instead of downloading one; a text becomes a path.
         keep_archive: Whether to keep the archive in the output folder.
+
+    Raises:
+        ArgumentError: `parts` is no list of names.
     """
 
     parts: Sequence[str] | None = None
@@ -153,6 +157,11 @@ class FetchRequest:
     sha256: str | None = None
     archive: Path | None = None
     keep_archive: bool = False
+
+    def __post_init__(self) -> None:
+        require_names("parts", self.parts)
+        if self.archive is not None:
+            object.__setattr__(self, "archive", Path(self.archive))
 
 
 FETCH_ALL = FetchRequest()

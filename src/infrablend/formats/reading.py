@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from infrablend.core.arguments import require_names
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -18,6 +20,9 @@ class Reading:
             rotate_xml); None reads all of them.
         metadata: CSV or JSON table of pitch and altitude, for formats whose own files do not contain them.
         options: Further options of the format's reader as text, e.g. `{"pitch_sign": "-1"}` for MONET.
+
+    Raises:
+        ArgumentError: `splits` is no list of names.
     """
 
     splits: Sequence[str] | None = None
@@ -25,6 +30,9 @@ class Reading:
     form: str | None = None
     metadata: str | Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_names("splits", self.splits)
 
 
 READ_ALL = Reading()

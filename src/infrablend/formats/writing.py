@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from infrablend.core.arguments import require_choice
 from infrablend.core.boxes import box_of_points
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import write_text
@@ -45,6 +46,9 @@ class WriteSettings:
         dont_care: YOLO and BIRDSAI: leave regions to ignore out, or keep them as a class.
         without_mask: yolo-seg: leave objects without a mask out, or write their oriented box (else their box).
         pictures: Whether to link the pictures too, for formats that work without.
+
+    Raises:
+        ArgumentError: A value is not one of these.
     """
 
     ids: Literal["new", "source"] = "new"
@@ -52,6 +56,12 @@ class WriteSettings:
     dont_care: Literal["drop", "keep"] = "drop"
     without_mask: Literal["omit", "obb"] = "omit"
     pictures: bool = True
+
+    def __post_init__(self) -> None:
+        require_choice("ids", self.ids, ("new", "source"))
+        require_choice("category_ids", self.category_ids, ("source", "from_one"))
+        require_choice("dont_care", self.dont_care, ("drop", "keep"))
+        require_choice("without_mask", self.without_mask, ("omit", "obb"))
 
 
 def load_writer(writer: Writer) -> Callable[..., Written]:

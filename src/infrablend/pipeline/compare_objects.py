@@ -14,10 +14,11 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from infrablend.annotation.classes import rename_classes
 from infrablend.config.modes import recipe_from_json
+from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.output import OutputFolder, require_replaceable
@@ -63,6 +64,9 @@ class ComparisonRequest:
         most_pairs: Largest number of pairs per class; this bounds the time.
         workers: Number of processes.
         in_process: Whether to use no processes at all; for tests.
+
+    Raises:
+        ArgumentError: A value is not one of these.
     """
 
     categories: Sequence[str] | None = None
@@ -70,6 +74,11 @@ class ComparisonRequest:
     most_pairs: int = 1000
     workers: int = 1
     in_process: bool = False
+
+    def __post_init__(self) -> None:
+        require_names("categories", self.categories)
+        require_choice("time_of_day", self.time_of_day, get_args(Time))
+        require_whole("pairs", self.most_pairs, 1)
 
 
 @dataclass(frozen=True, eq=False)

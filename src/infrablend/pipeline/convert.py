@@ -15,6 +15,7 @@ import numpy as np
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.config.recipe import CLASS_NAME
+from infrablend.core.arguments import require_names
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_json
@@ -74,11 +75,17 @@ class ClassChanges:
         rename: New names of classes, by old name; several classes may become one.
         drop: Classes to leave out, by their names after renaming.
         only: Single class to keep, instead of `drop`.
+
+    Raises:
+        ArgumentError: `drop` is no list of names.
     """
 
     rename: Mapping[str, str] = field(default_factory=dict)
     drop: Sequence[str] = ()
     only: str | None = None
+
+    def __post_init__(self) -> None:
+        require_names("drop", self.drop)
 
 
 KEEP_CLASSES = ClassChanges()

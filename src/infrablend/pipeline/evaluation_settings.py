@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from infrablend.core.arguments import require_names
 from infrablend.core.dataset import SPLITS
 from infrablend.errors import DatasetError
 from infrablend.formats.groups import GROUPINGS
@@ -30,7 +31,8 @@ class EvaluationSettings:
         seed: Seed of the draws.
 
     Raises:
-        DatasetError: A value is not one of these.
+        ArgumentError: `classes` is no list of names.
+        DatasetError: Another value is not one of these.
     """
 
     split: str = "test"
@@ -43,6 +45,7 @@ class EvaluationSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        require_names("classes", self.classes)
         if self.split not in SPLITS:
             raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.group not in GROUPS:

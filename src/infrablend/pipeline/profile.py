@@ -17,6 +17,7 @@ from PIL import Image
 
 from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Survey, SurveySummary, chain_readings, fit_profile
 from infrablend.config.sensor_profile import SensorProfile, find_profile
+from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.output import require_apart
@@ -85,10 +86,12 @@ def profile_dataset(
         on_progress: Called after each picture.
 
     Raises:
+        ArgumentError: `count` is below 1.
         DatasetError: No picture is usable, bit depths are mixed, contrast is too low, or there are too few clean edges.
         RecipeError: There is no shipped profile named `against`.
         OutputError: `out` cannot be written.
     """
+    require_whole("count", count, 1)
     require_apart(dataset.root, out)
     reference = None if against is None else find_profile(against)
     total = len(dataset.images)

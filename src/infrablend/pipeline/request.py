@@ -6,13 +6,17 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import psutil
 
+from infrablend.core.arguments import require_choice, require_whole
 from infrablend.core.cores import available_cores
-from infrablend.core.output import Existing
+from infrablend.core.output import Existing, require_existing
+from infrablend.core.render import Device
+from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)
 
@@ -31,12 +35,21 @@ class Execution:
         device: Device that Cycles renders on: auto, cpu, cuda, optix, hip, metal or oneapi.
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
         in_process: Compute all frames in the calling process; only with the flat renderer.
+
+    Raises:
+        ArgumentError: A value is not one of these.
     """
 
     workers: int | None = None
     device: str = "auto"
     renderer: str = "blender"
     in_process: bool = False
+
+    def __post_init__(self) -> None:
+        if self.workers is not None:
+            require_whole("workers", self.workers, 1)
+        require_choice("device", self.device, get_args(Device))
+        require_choice("renderer", self.renderer, RENDERERS)
 
     def worker_count(self) -> int:
         """Return the number of workers to start: the requested number, limited by free memory and cores.
@@ -72,6 +85,10 @@ class RunRequest:
         reading: How to read `data`.
         execution: How to compute the frames.
         existing: What to do if `out` already contains a run.
+
+    Raises:
+        ArgumentError: A value is not one of these.
+        OutputError: `existing` is not one of the choices.
     """
 
     recipe: str | Path
@@ -83,3 +100,13 @@ class RunRequest:
     reading: Reading = READ_ALL
     execution: Execution = DEFAULT_EXECUTION
     existing: Existing = "refuse"
+
+    def __post_init__(self) -> None:
+        if self.limit is not None:
+            require_whole("limit", self.limit, 1)
+        require_whole("seed", self.seed)
+        require_existing(self.existing)
+        if self.execution.in_process and self.execution.renderer == "blender":
+            raise ArgumentError(
+                "in_process: Blender renders in worker processes only. Use workers=1, or renderer='flat'"
+            )

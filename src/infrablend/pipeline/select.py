@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.annotation.classes import unknown_classes
+from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
@@ -34,6 +35,9 @@ class Selection:
         objects: Number of `with_class` objects that the pictures should contain in total, matched as closely as
             possible.
         seed: Seed of the random draw.
+
+    Raises:
+        ArgumentError: `without` is no list of names.
     """
 
     with_class: str | None = None
@@ -42,6 +46,9 @@ class Selection:
     objects: int | None = None
     like: str | None = None
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_names("without", self.without)
 
     def __bool__(self) -> bool:
         return self != Selection(seed=self.seed)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 from pycocotools import mask as coco_mask
 
+from infrablend.core.arguments import require_choices, require_whole
 from infrablend.core.dataset import SPLITS, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.masks import Mask
@@ -365,9 +366,11 @@ def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] 
     """Write the contact sheet of a run folder and return its path.
 
     Raises:
+        ArgumentError: `count` is below 1, or `draw` is not a list of `Draw`.
         DatasetError: The folder is not a run, or contains no frames.
         OutputError: The sheet cannot be written.
     """
+    require_choices("draw", draw, get_args(Draw))
     return contact_sheet(load_frames(run, count), out_png, draw=draw)
 
 
@@ -382,8 +385,11 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
         count: Largest number of frames, spread evenly over those with inserted objects, or over all if there are none.
 
     Raises:
+        ArgumentError: `count` is below 1.
         DatasetError: The folder is not a run, contains no frames, or a frame cannot be read.
     """
+    if count is not None:
+        require_whole("count", count, 1)
     layout = RunLayout(run)
     documents = [(s, layout.coco_file(s)) for s in SPLITS]
     entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from infrablend.core.arguments import require_names
 from infrablend.errors import OutputError, Problem
 from infrablend.training import weights
 from infrablend.training.presets import PRESETS, Preset
@@ -27,6 +28,9 @@ class TrainRequest:
         device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
         seed: Seed of weights, order, augmentation and tiles.
         classes: Classes to train on; None for all. The labels of other classes are left out and counted.
+
+    Raises:
+        ArgumentError: `classes` is no list of names.
     """
 
     preset: str = "small"
@@ -36,6 +40,9 @@ class TrainRequest:
     device: str = "auto"
     seed: int = 0
     classes: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        require_names("classes", self.classes)
 
     def chosen_preset(self) -> Preset:
         """Return the preset with `settings` applied; see `choose_preset`."""

@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
+from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import Split
 from infrablend.core.files import write_json
 from infrablend.core.output import OutputFolder
@@ -45,6 +46,9 @@ class WorldRequest:
         splits: Share of the frames in each split; MONET's sequences have splits of their own.
         pitches_deg: Camera depression angles to cover; 90 looks straight down.
         altitudes_m: Camera heights to cover; the defaults of the layout if None.
+
+    Raises:
+        ArgumentError: There is no such layout.
     """
 
     count: int
@@ -53,6 +57,9 @@ class WorldRequest:
     splits: Mapping[Split, float] | None = None
     pitches_deg: Sequence[int] = PITCHES_DEG
     altitudes_m: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        require_choice("layout", self.layout, get_args(Layout))
 
     def frames(self) -> tuple[FrameFacts, ...]:
         """Return the facts of all frames; frame k does not depend on how many follow.

@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.experiment import SCALES, Scale
+from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.errors import DatasetError
+from infrablend.rendering import RENDERERS
 
 DEFAULT_RESULTS = Path("results")
 
 
 @dataclass(frozen=True)
 class ExperimentRequest:
-    """A request to run or plan an experiment.
+    """A request to run or plan an experiment. Texts become paths, and a single folder of data becomes a list.
 
     Attributes:
         experiment: Name of a shipped experiment, or the path of a YAML file.
@@ -32,6 +34,7 @@ class ExperimentRequest:
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
 
     Raises:
+        ArgumentError: `only` is no list of names, or another value is not one of these.
         DatasetError: There is no such scale.
     """
 
@@ -51,6 +54,19 @@ class ExperimentRequest:
     def __post_init__(self) -> None:
         if self.scale not in SCALES:
             raise DatasetError(f"scale: found {self.scale!r}, expected one of {', '.join(SCALES)}")
+        require_names("only", self.only)
+        if self.workers is not None:
+            require_whole("workers", self.workers, 1)
+        require_choice("renderer", self.renderer, RENDERERS)
+        folders = [self.data] if isinstance(self.data, str | Path) else self.data
+        paths = {
+            "data": tuple(Path(folder) for folder in folders),
+            "work": Path(self.work),
+            "results": None if self.results is None else Path(self.results),
+            "adopt": {stage: Path(folder) for stage, folder in self.adopt.items()},
+        }
+        for name, value in paths.items():
+            object.__setattr__(self, name, value)
 
     @property
     def results_folder(self) -> Path:

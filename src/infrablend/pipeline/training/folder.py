@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import part_path
-from infrablend.core.output import Existing, OutputFolder
+from infrablend.core.output import Existing, OutputFolder, require_existing
 from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.training import trainer
 
@@ -54,6 +54,7 @@ def output_folder(out: Path) -> OutputFolder:
 
 def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | None, bool]:
     """Return an earlier call's record and whether it is damaged; refuse both without `resume` or `overwrite`."""
+    require_existing(existing)
     path = out / RECORD
     entries = output_folder(out).entries(ignore=[part_path(path).name])
     if not entries:
