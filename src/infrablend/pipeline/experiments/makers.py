@@ -73,7 +73,8 @@ class StageJob:
         try:
             return make("resume")
         except OtherSettingsError as error:
-            log.warning("%s: starting again, because it cannot be resumed (%s)", self.stage.id, error)
+            log.warning("%s: an earlier run started it with other settings; it starts again", self.stage.id)
+            log.info("%s", error)  # its advice (--overwrite) does not apply to experiments
             self.empty_out()
             return make("refuse")
 
