@@ -1,0 +1,83 @@
+"""Sky, horizon, noise and burnt-in text are found in pictures."""
+
+import cv2
+import numpy as np
+import pytest
+
+from infrablend.core.burnt_in import find_burnt_in
+from infrablend.core.skyline import find_skyline, noise_of
+
+SHAPE = (256, 320)
+
+
+def outlook(row=180, sky=95.0, land=210.0, noise=1.5, seed=0):
+    """A picture with sky above `row` and land below it, seen through optics."""
+    rng = np.random.default_rng(seed)
+    picture = np.where(np.arange(SHAPE[0])[:, None] < row, sky, land) * np.ones(SHAPE)
+    soft = cv2.GaussianBlur(picture, (0, 0), 0.8)
+    return np.clip(soft + rng.normal(0, noise, SHAPE), 0, 255).astype(np.float32)
+
+
+@pytest.mark.parametrize("row", [120, 180, 240])
+def test_the_horizon_is_the_lowest_sky(row):
+    found = find_skyline(outlook(row))
+    assert found.horizon_px == pytest.approx(row, abs=3)
+    assert found.step_grey == pytest.approx(115, abs=5)
+    assert found.sky[: row - 4].all()
+    assert found.land[row + 4 :].all()
+    assert not (found.sky & found.land).any()
+
+
+def test_trees_and_masts_do_not_raise_the_horizon():
+    picture = outlook()
+    picture[120:180, 40:70] = 215
+    picture[20:180, 200:203] = 230
+    found = find_skyline(picture)
+    assert found.horizon_px == pytest.approx(180, abs=3)
+    assert found.land[150, 55] and not found.sky[150, 55]
+    assert found.sky[60, 150]
+
+
+def test_clouds_and_aircraft_are_islands_in_the_sky():
+    picture = outlook()
+    picture[60:66, 100:110] = 250
+    found = find_skyline(picture)
+    assert found.horizon_px == pytest.approx(180, abs=3)
+    assert not found.land[100, 105]
+
+
+def test_sky_alone_has_no_horizon():
+    found = find_skyline(outlook(row=300))
+    assert found.horizon_px is None
+    assert found.step_grey == 0
+    assert found.sky.mean() > 0.95
+
+
+def test_land_that_is_no_warmer_than_the_sky_is_no_horizon():
+    """Nothing but a step towards warmer levels is taken for a skyline."""
+    assert find_skyline(outlook(sky=200, land=90)).horizon_px is None
+
+
+def test_levels_of_sixteen_bit_pictures_are_scaled():
+    eight = find_skyline(outlook())
+    sixteen = find_skyline(outlook() * 40, 40)
+    assert sixteen.horizon_px == eight.horizon_px
+    assert sixteen.step_grey == pytest.approx(40 * eight.step_grey)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 5.0, 20.0])
+def test_noise_is_measured(sigma):
+    rng = np.random.default_rng(1)
+    picture = np.clip(np.rint(120 + rng.normal(0, sigma, SHAPE)), 0, 255).astype(np.uint8)
+    assert noise_of(picture) == pytest.approx(sigma, rel=0.35)
+
+
+def test_text_is_found_and_nothing_else():
+    picture = outlook()
+    assert not len(find_burnt_in(picture))
+    picture[60:66, 100:110] = 255  # an aircraft
+    assert not len(find_burnt_in(picture))
+    cv2.putText(picture, "WHITE HOT", (30, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.3, 255.0, 1)
+    boxes = find_burnt_in(picture)
+    assert len(boxes)
+    assert (boxes[:, 1] < 25).all() and (boxes[:, 3] < 30).all()
