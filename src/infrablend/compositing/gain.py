@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage, grey_unit
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance, TimeOfDay
-from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 
 # A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.
@@ -32,8 +31,12 @@ _OTHER_SIDE = 2.0
 # on rendered people of 8 to 30 px through the HIT-UAV chain: median 0.79, at all of these sizes.
 _CLOTHING_SEEN = 0.8
 
-AnchorKind = Literal["clothing", "car_roof", "face_clipped", "clothing_clipped"]
+AnchorKind = Literal["clothing", "car_roof", "face_clipped", "clothing_clipped", "land", "land_clipped"]
 ANCHORS: tuple[AnchorKind, ...] = get_args(AnchorKind)
+Doubt = Literal["gain_negative", "gain_at_bound", "anchors_contradict", "no_anchor"]
+DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
+# Mean squared residual of the anchors, in units of their noise, above which they contradict each other.
+_MOST_MISFIT = 4.0
 
 
 @dataclass(frozen=True)
@@ -90,8 +93,9 @@ class Anchor:
     """An annotated object with a roughly known temperature.
 
     Attributes:
-        kind: `clothing`, `car_roof`, or `face_clipped`, `clothing_clipped` (lower bounds only).
-        grey: Level of the object minus that of the ground around it.
+        kind: `clothing`, `car_roof`, `land` (ground and trees, against the sky), or `face_clipped`,
+            `clothing_clipped`, `land_clipped` (lower bounds only).
+        grey: Level of the object minus that of what it is compared with: the ground around it, or the sky.
         kelvin: Assumed apparent temperature.
         sd_k: Standard deviation of that temperature.
     """
@@ -146,7 +150,8 @@ def find_anchors(
 
 def draw_gain(
     anchors: Sequence[Anchor],
-    weather: Weather,
+    air_k: float,
+    reference: float,
     scale: float,
     prior: GainPrior,
     warm: bool,
@@ -156,21 +161,23 @@ def draw_gain(
 
     Args:
         anchors: Readings of the picture.
-        weather: Air and ground temperature.
+        air_k: Air temperature.
+        reference: Radiance that the anchors' levels are relative to: that of the ground, or of the sky.
         scale: Levels of the picture per 8-bit level.
         prior: The gain expected beforehand.
-        warm: Whether the gain is for inserts warmer than the ground; anchors on the other side get less weight.
+        warm: Whether the gain is for inserts warmer than the reference; anchors on the other side get less weight.
         rng: Draws the gain.
 
     Returns:
-        The gain, and the posterior it was drawn from, in 8-bit levels per kelvin.
+        The gain; the posterior it was drawn from, in 8-bit levels per kelvin, with the number of anchors used and
+        `doubts`, the reasons not to trust it (`DOUBTS`).
     """
-    slope = float(band_radiance_slope(weather.air_k))
-    of_ground = float(band_radiance(weather.ground_k))
+    slope = float(band_radiance_slope(air_k))
     mean, variance = prior.mean * scale / slope, (prior.sd * scale / slope) ** 2
     weight, total = 1 / variance, mean / variance
+    used = []
     for a in anchors:
-        contrast = float(band_radiance(a.kelvin)) - of_ground
+        contrast = float(band_radiance(a.kelvin)) - reference
         if a.kind.endswith("clipped") or abs(contrast) < 1e-6:
             continue
         noise = math.hypot(_READING_GREY * scale, mean * slope * a.sd_k)
@@ -178,10 +185,11 @@ def draw_gain(
             noise *= _OTHER_SIDE
         weight += (contrast / noise) ** 2
         total += contrast * a.grey / noise**2
+        used.append((contrast, a.grey, noise))
     bounds = [prior.low * scale / slope, prior.high * scale / slope]
-    for kind in ("face_clipped", "clothing_clipped"):
+    for kind in ("face_clipped", "clothing_clipped", "land_clipped"):
         clipped = [a for a in anchors if a.kind == kind] if warm else []
-        hotter = float(band_radiance(clipped[0].kelvin)) - of_ground if clipped else 0.0
+        hotter = float(band_radiance(clipped[0].kelvin)) - reference if clipped else 0.0
         if hotter > 0:
             at_least = float(np.median([a.grey for a in clipped])) / hotter
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
@@ -192,7 +200,21 @@ def draw_gain(
         "grey_per_k": round(gain * unit, 4),
         "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
         "bounds": [round(b * unit, 4) for b in bounds],
+        "anchors_used": len(used),
+        "doubts": _doubts(centre, bounds, used),
     }
+
+
+def _doubts(centre: float, bounds: Sequence[float], used: Sequence[tuple[float, float, float]]) -> list[str]:
+    """Return the reasons in `DOUBTS` that hold for a posterior; `used` has contrast, level and noise of each anchor."""
+    misfit = [((grey - centre * contrast) / noise) ** 2 for contrast, grey, noise in used]
+    found = {
+        "gain_negative": centre <= 0,
+        "gain_at_bound": not bounds[0] < centre < bounds[1],
+        "anchors_contradict": len(used) > 1 and float(np.mean(misfit)) > _MOST_MISFIT,
+        "no_anchor": not used,
+    }
+    return [kind for kind in DOUBTS if found[kind]]
 
 
 def ring_level(picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free: NDArray[np.bool_]) -> float:

@@ -1,6 +1,14 @@
-"""Grey levels by physics: around each inserted object, grey = ground grey + gain * (radiance - ground radiance).
+"""Grey levels by physics: one map from radiance to grey for the whole picture, with a local share.
 
-The ground's grey is read from the picture around the object, the gain is estimated for the whole background (`gain`).
+A camera maps radiance to grey mostly by one curve for the whole picture; part of the result follows the neighbourhood
+(local contrast enhancement). With the local share s, an object of radiance L in front of something that the picture
+shows at `ring` is shown at
+
+    grey = level + gain * (L - L_reference) + s * (ring - level),
+
+where level and L_reference are those of the picture's ground, or of its sky for objects in front of it. With s = 1 an
+object is matched to the ring around it alone; with s = 0 its level follows its temperature and not the place where it
+is put. The gain is estimated for each picture (`gain`).
 """
 
 from __future__ import annotations
@@ -12,8 +20,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.gain import ANCHORS, Backdrop, GainPrior, draw_gain, find_anchors, ring_level
+from infrablend.compositing.behind import Behind, Kind, look_behind
+from infrablend.compositing.gain import (
+    ANCHORS,
+    CLIP_MARGIN,
+    Anchor,
+    Backdrop,
+    GainPrior,
+    draw_gain,
+    find_anchors,
+    ring_level,
+)
 from infrablend.compositing.mapping import GreyMapping, Place
+from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, View, Weather
@@ -22,6 +41,11 @@ from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittanc
 
 # Share of an object's labelled area that must stand out from the ground.
 _SEEN_SHARE = 0.2
+# Standard deviation of trees and ground near the horizon against the air, kelvin. That of the sky is not part of it:
+# the weather is drawn, and the gain follows from the weather that was drawn.
+_LAND_K = 4.0
+
+OnDoubt = Literal["use", "prior", "skip"]
 
 
 @dataclass(frozen=True)
@@ -32,11 +56,16 @@ class LocalSettings:
         prior: The gain expected beforehand; scaled by the range of the dataset's levels for 16-bit pictures.
         polarity: Polarity of the background; black-hot pictures are inverted on the way in and out.
         clothing_k: Assumed excess of people's clothes over the air temperature.
+        local_share: Share of the neighbourhood in the level of an object, 0 to 1.
+        on_untrusted: What to do with a gain that is not to be trusted: use it all the same, draw it from the prior
+            instead, or insert nothing.
     """
 
     prior: GainPrior = field(default_factory=GainPrior)
     polarity: Literal["white-hot", "black-hot"] = "white-hot"
     clothing_k: float = 6.0
+    local_share: float = 1.0
+    on_untrusted: OnDoubt = "use"
 
 
 @dataclass(frozen=True)
@@ -71,6 +100,11 @@ class LocalMatch:
     facts: dict[str, Any]
     contrasts: tuple[float, ...]
 
+    @property
+    def untrusted(self) -> bool:
+        """Whether there is a reason not to trust a gain that was used; the prior alone is no such reason."""
+        return any(set(gain["doubts"]) - {"no_anchor"} for gain in self.facts["gain"].values())
+
 
 def match_locally(
     scene: PlacedScene, backdrop: Backdrop, settings: LocalSettings, rng: np.random.Generator
@@ -87,11 +121,13 @@ def match_locally(
     if weather is None:
         raise ValueError(f"{scene.spec.frame_id}: local matching needs the weather")
     inserts = [describe_insert(placed, weather, scene.spec.view) for placed in scene.objects]
-    mapping, facts = local_mapping(backdrop, inserts, weather, settings, rng)
+    # The camera's pitch is that of the picture only where the placement is metric.
+    camera = None if scene.spec.view is None else scene.spec.camera
+    mapping, facts = local_mapping(backdrop, inserts, weather, settings, rng, camera)
     places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
     contrasts = [
-        expected_contrast(placed.spec, placed.part_areas_px, place, ground, weather)
-        for placed, place, ground in zip(scene.objects, places, facts["ground_grey"], strict=True)
+        expected_contrast(placed.spec, placed.part_areas_px, place, ring, weather)
+        for placed, place, ring in zip(scene.objects, places, facts["ring_grey"], strict=True)
     ]
     return LocalMatch(mapping, facts, tuple(contrasts))
 
@@ -113,18 +149,21 @@ def local_mapping(
     weather: Weather,
     settings: LocalSettings,
     rng: np.random.Generator,
+    camera: CameraSpec | None = None,
 ) -> tuple[GreyMapping, dict[str, Any]]:
     """Return the mapping for the inserts of one frame, and the estimates behind it.
 
-    Each insert is matched to the ground around it. Cameras apply different gains above and below
-    the ground's temperature, so the gain of warm inserts comes mainly from warm anchors, that of cold ones from cold.
+    Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
+    from warm anchors, that of cold ones from cold. In front of the sky the gain comes from the contrast between sky and
+    land, if the picture shows both.
 
     Args:
         backdrop: The background.
         inserts: At least one.
-        weather: Air and ground temperature.
-        settings: Prior, polarity and clothing.
-        rng: Draws the gain from its posterior.
+        weather: Air, sky and ground temperature.
+        settings: Prior, polarity, clothing and local share.
+        rng: Draws the gains from their posteriors.
+        camera: The picture's own camera; None if its horizon is unknown, then all is ground.
     """
     low, high = backdrop.levels
     black_hot = settings.polarity == "black-hot"
@@ -132,36 +171,87 @@ def local_mapping(
     if black_hot:
         picture = low + high - picture
     free = backdrop.free()
-    anchors = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k)
-    gains, gain_facts = {}, {}
-    for warm in (True, False):  # draw both in any case, so that the gain of an insert does not depend on other inserts
-        gains[warm], gain_facts[warm] = draw_gain(anchors, weather, backdrop.grey_unit, settings.prior, warm, rng)
-
+    behind = look_behind(picture, free, backdrop.grey_unit, camera, weather)
+    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k)
+    against_sky = _land_anchors(behind, backdrop, weather)
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
-    grounds, places = [], []
+    gains, gain_facts = {}, {}
+    for which in ("warm", "cold", "sky"):  # always draw all, so that no insert's gain depends on the others
+        reference, anchors = (behind.sky_radiance, against_sky) if which == "sky" else (of_ground, on_ground)
+        args = (weather.air_k, reference, backdrop.grey_unit, settings.prior, which != "cold")
+        gains[which], gain_facts[which] = draw_gain(anchors, *args, rng)
+        if settings.on_untrusted == "prior" and set(gain_facts[which]["doubts"]) - {"no_anchor"}:
+            doubts = gain_facts[which]["doubts"]
+            gains[which], gain_facts[which] = draw_gain((), *args, rng)
+            gain_facts[which].update(doubts=doubts, from_prior=True)
+
+    rings, kinds, places, used = [], [], [], set()
     for insert in inserts:
-        ground = ring_level(picture, insert.box_xyxy, free)
-        # The gain applies to the ground, seen through all the air; a nearer object loses less contrast to the air.
-        clearer, hazier = _through_air(insert, weather)
-        gain = gains[insert.warm]
+        kind = behind.kind_at(insert.box_xyxy)
+        which = "sky" if kind == "sky" else "warm" if insert.warm else "cold"
+        used.add(which)
+        gain = gains[which]
+        middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
+        ring = ring_level(picture, insert.box_xyxy, _like(behind, free, kind))
+        level, reference = _reference(behind, kind, weather, ring)
+        clearer, hazier = _through_air(insert, weather, kind)
+        level += settings.local_share * (ring - level)
+        dark = level - gain * reference + gain * hazier * of_air
         span = gain * clearer
-        dark = ground - gain * of_ground + gain * hazier * of_air
         if black_hot:
             dark, span = low + high - dark, -span
-        middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
         places.append(Place((float(middle[0]), float(middle[1])), dark, dark + span))
-        grounds.append(round(ground, 3))
+        rings.append(round(ring, 3))
+        kinds.append(kind)
     first = places[0]
     mapping = GreyMapping(first.dark, first.bright, (low, high), tuple(places) if len(places) > 1 else ())
-    used = {i.warm for i in inserts}
     facts = {
-        "ground_grey": grounds,
+        "ring_grey": rings,
+        "behind": kinds,
+        "behind_grey": {
+            k: None if v is None else round(v, 3)
+            for k, v in (("ground", behind.ground_grey), ("sky", behind.sky_grey), ("skyline", behind.skyline_grey))
+        },
         "warm": [i.warm for i in inserts],
-        "gain": {("warm" if w else "cold"): gain_facts[w] for w in (True, False) if w in used},
-        "anchors": {kind: sum(a.kind == kind for a in anchors) for kind in ANCHORS},
+        "local_share": settings.local_share,
+        "gain": {which: gain_facts[which] for which in gains if which in used},
+        "anchors": {kind: sum(a.kind == kind for a in (*on_ground, *against_sky)) for kind in ANCHORS},
         "levels": [low, high],
     }
     return mapping, facts
+
+
+def _land_anchors(behind: Behind, backdrop: Backdrop, weather: Weather) -> tuple[Anchor, ...]:
+    """Return the anchor of land against the sky: near the horizon, ground and trees look about as warm as the air.
+
+    The step at the skyline is used and not the levels of large areas, from which local enhancement takes the contrast.
+    """
+    if behind.sky_grey is None or behind.step_grey <= 0:
+        return ()
+    ceiling = backdrop.levels[1] - CLIP_MARGIN * backdrop.grey_unit
+    clipped = behind.sky_grey + behind.step_grey >= ceiling
+    return (Anchor("land_clipped" if clipped else "land", behind.step_grey, weather.air_k, _LAND_K),)
+
+
+def _like(behind: Behind, free: NDArray[np.bool_], kind: Kind) -> NDArray[np.bool_]:
+    """Return the free pixels of the same kind as what is behind an insert."""
+    if behind.sky_grey is None:
+        return free
+    return np.asarray(free & (behind.sky if kind == "sky" else behind.land))
+
+
+def _reference(behind: Behind, kind: Kind, weather: Weather, ring: float) -> tuple[float, float]:
+    """Return level and radiance of what an insert is compared with: the picture's ground, sky or skyline.
+
+    The sky counts as one surface: its model is too warm within a few degrees of the horizon, where real drones still
+    have two thirds of their contrast at 12 degrees (Halmstad, train).
+    """
+    if kind == "sky":
+        assert behind.sky_grey is not None
+        return behind.sky_grey, behind.sky_radiance
+    if kind == "skyline" and behind.skyline_grey is not None:
+        return behind.skyline_grey, float(band_radiance(weather.air_k))
+    return ring if behind.ground_grey is None else behind.ground_grey, float(band_radiance(weather.ground_k))
 
 
 def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> bool:
@@ -179,7 +269,7 @@ def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> b
 
 
 def expected_contrast(
-    item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ground_grey: float, weather: Weather
+    item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ring_grey: float, weather: Weather
 ) -> float:
     """Return the contrast to the ground, in picture levels, that a fifth of an object's labelled area reaches.
 
@@ -190,7 +280,7 @@ def expected_contrast(
         item: The object.
         areas: Visible area of each part, in any unit.
         place: The mapping there.
-        ground_grey: Level of the ground there.
+        ring_grey: Level of its background there.
         weather: Sky and ground.
     """
     around = (_zenith(weather), float(band_radiance(weather.ground_k)))
@@ -202,7 +292,7 @@ def expected_contrast(
                 place.dark + (place.bright - place.dark) * (own + (1 - part.emissivity) * mirrored)
                 for mirrored in around
             ]
-            found.append((max(abs(v - ground_grey) for v in levels), areas[name]))
+            found.append((max(abs(v - ring_grey) for v in levels), areas[name]))
     total, seen = sum(area for _, area in found), 0.0
     for contrast, area in sorted(found, reverse=True):
         seen += area
@@ -216,16 +306,21 @@ def _zenith(weather: Weather) -> float:
     return float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))
 
 
-def _through_air(insert: Insert, weather: Weather) -> tuple[float, float]:
-    """Return the factors of the object's radiance and of the air's radiance that account for the air in between.
+def _through_air(insert: Insert, weather: Weather, kind: Kind = "ground") -> tuple[float, float]:
+    """Return the factors on radiance and air's path radiance of an object, relative to its background's contrast.
 
-    tau(d) is the transmittance of the path to the object, tau(R) that of the path to the ground. Then grey = ground +
-    gain / tau(R) * (tau(d) L + (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air), and the factors are
-    tau(d) / tau(R) and (tau(R) - tau(d)) / tau(R). For an object on the ground both paths are equal: 1 and 0.
+    With tau(d) of the object's path and tau(R) of the ground's, grey is ground + gain / tau(R) * (tau(d) L +
+    (1 - tau(d)) L_air - tau(R) L_ground - (1 - tau(R)) L_air). For an object on the ground both paths are equal. The
+    sky's radiance already includes that of all the air in front of it.
     """
-    if insert.range_m is None or insert.ground_range_m is None or insert.range_m >= insert.ground_range_m:
+    if insert.range_m is None:
         return 1.0, 0.0
     humidity = relative_humidity(weather.air_k, weather.dew_point_k)
+    if kind == "sky":
+        near = float(transmittance(min(insert.range_m, 1_000.0), weather.air_k, humidity))
+        return near, 1 - near
+    if insert.ground_range_m is None or insert.range_m >= insert.ground_range_m:
+        return 1.0, 0.0
     near, far = (
         float(transmittance(d, weather.air_k, humidity)) for d in (insert.range_m, min(insert.ground_range_m, 1_000.0))
     )

@@ -30,8 +30,11 @@ from infrablend.core.validation_messages import models_in, shorten
 from infrablend.errors import Problem
 
 # Fields of older recipes, by `section.field`: what became of them. A dotted name is the field's new place.
-MOVED: Mapping[str, str] = {"placement.min_contrast_grey": "matching.min_contrast_grey"}
+MOVED: Mapping[str, str] = {}
+_MIN_CONTRAST = "the contrast is now measured in the finished picture; set placement.min_contrast"
 REMOVED: Mapping[str, str] = {
+    "placement.min_contrast_grey": _MIN_CONTRAST,
+    "matching.min_contrast_grey": _MIN_CONTRAST,
     "environment.wind_m_s": "it never had an effect; remove it",
     "matching.mode": "it follows from appearance.mode (physical is local, artistic is percentile); remove it",
 }

@@ -49,6 +49,16 @@ class RandomPitch(Strict):
     """Range of the depression angle, degrees."""
 
 
+class HorizonPitch(Strict):
+    """A pitch found in each background: the row where sky and ground meet. For cameras that look level or up."""
+
+    from_horizon: Literal[True]
+    """Take the pitch from the horizon in the picture."""
+    else_deg: range_of(-90, 100) | None = None  # type: ignore[valid-type]
+    """Range of the depression angle, degrees, where no horizon is found; it is drawn so that the horizon is below the
+    picture if that shows the sky alone. Without it, nothing is inserted into such backgrounds."""
+
+
 class FixedAltitude(Strict):
     """One height for all frames."""
 
@@ -66,8 +76,9 @@ class RandomAltitude(Strict):
 class Camera(Strict):
     """The virtual camera. It looks at the origin of the scene."""
 
-    pitch: Literal["metadata"] | FixedPitch | RandomPitch = "metadata"
-    """Depression angle: that of each background (`metadata`), `{fixed_deg: 0}` or `{random_deg: [0, 90]}`."""
+    pitch: Literal["metadata"] | FixedPitch | RandomPitch | HorizonPitch = "metadata"
+    """Depression angle: that of each background (`metadata`), `{fixed_deg: 0}`, `{random_deg: [0, 90]}`, or
+    `{from_horizon: true, else_deg: [-30, -10]}`."""
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Rotation about the optical axis, degrees. Paper: phi_min, phi_max = -10, 10."""
     focal_length_mm: float = Field(50.0, gt=0, le=10_000)
@@ -192,6 +203,16 @@ Object = PaperObject | MetricObject
 # ---- Placement
 
 
+class MinContrast(Strict):
+    """Least contrast of an inserted object in the finished picture."""
+
+    change_grey: float = Field(ge=0, le=255)
+    """Least change, 8-bit grey levels: of the object's pixels by its insertion, and of its box (5 or 95 % quantile)
+    against the ring around it."""
+    scr: float = Field(0.0, ge=0, le=100)
+    """Least signal to clutter: that change of the box over the standard deviation of the ring + 1."""
+
+
 class Placement(Strict):
     """Where objects go, and which placements are accepted."""
 
@@ -206,6 +227,10 @@ class Placement(Strict):
     min_visibility: float = Field(0.0, ge=0, le=1)
     """Least visible share of an object, after the frame's edge and nearer objects; objects below it are not
     inserted."""
+    min_contrast: Literal["real", "off"] | MinContrast | None = None
+    """Least contrast in the finished picture: what 99 of 100 real objects of the class show (`real`), or
+    `{change_grey: 20, scr: 1.5}`. By default `real` with `appearance.mode: physical`, else `off`. Objects below it are
+    drawn again elsewhere (`placement.mode: metric`), and left out if that does not help."""
 
 
 class PaperPlacement(Placement):
@@ -233,6 +258,11 @@ class MetricPlacement(Placement):
     max_relief_grey: float = Field(12.0, ge=0)
     """Models that stand: largest standard deviation of the background under the feet, 8-bit grey levels. Trees, roof
     edges and kerbs have more than level ground. 0 turns the check off."""
+    contrast_redraws: int = Field(4, ge=0, le=50)
+    """Number of times that the objects of a frame that fail `min_contrast` are drawn again elsewhere."""
+    max_noise_grey: float = Field(12.0, gt=0)
+    """Largest noise of a background, 8-bit grey levels; nothing is inserted into noisier ones. A camera that sees
+    nothing but an empty sky raises its gain until the picture is pure noise."""
 
 
 # ---- Environment, appearance and matching
@@ -313,7 +343,7 @@ class PercentileMatching(Matching):
 
 
 class LocalMatching(Matching):
-    """Matching of `appearance.mode: physical`: by radiance relative to the ground around the object.
+    """Matching of `appearance.mode: physical`: one map from radiance to grey per background, with a local share.
 
     The gain is estimated for each background.
     """
@@ -329,9 +359,14 @@ class LocalMatching(Matching):
     clothing_above_air_k: float = Field(6.0, ge=-10, le=40)
     """Assumed temperature of the clothes of annotated people minus air temperature, kelvin, within 3: +2 to +8 in
     winter, +3 to +10 in summer."""
-    min_contrast_grey: float = Field(4.0, ge=0)
-    """Least contrast to the ground, 8-bit grey levels; an object is left out if less than a fifth of it reaches this
-    contrast."""
+    local_share: float = Field(0.1, ge=0, le=1)
+    """Share of the neighbourhood in an object's grey level: 0 if the level follows the temperature alone, 1 if it
+    follows the grey of the place where the object is put. HIT-UAV by night: 0.0 (people) to 0.2 (cars)."""
+    local_share_day: float | None = Field(0.3, ge=0, le=1)
+    """The same by day; `local_share` if null. HIT-UAV: 0.24 (cars) to 0.41 (people)."""
+    on_untrusted: Literal["use", "prior", "skip"] = "use"
+    """What to do where the gain cannot be trusted (negative, at a bound, or anchors that contradict each other): `use`
+    it, draw it from the `prior` instead, or `skip` the background."""
 
 
 # ---- Overlay and sensor

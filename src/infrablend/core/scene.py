@@ -59,6 +59,7 @@ class ObjectSpec:
         position_m: Position of the object's origin in the world.
         yaw_rad: Heading, counter-clockwise seen from above, 0 along +X.
         scale: Extra factor on the model's size.
+        kind: Number of the recipe's entry, from 0.
     """
 
     model: str
@@ -68,6 +69,7 @@ class ObjectSpec:
     position_m: tuple[float, float, float]
     yaw_rad: float
     scale: float = 1.0
+    kind: int = 0
 
 
 @dataclass(frozen=True)

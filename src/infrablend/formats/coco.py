@@ -41,6 +41,8 @@ WithoutMask = Literal["polygon", "omit"]
 _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 # Far finer than a pixel, but short: sums such as 0.1 + 0.2 would otherwise be written with 17 digits.
 _DIGITS = 9
+# Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.inserts`.
+MEASURED = ("changed_grey", "contrast_grey", "scr")
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -172,6 +174,7 @@ def annotation_record(
         a["obb"] = _tidy(corners)
     a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
     a |= _known(track_id=instance.track_id)
+    a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
     if instance.mask is not None:
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
             raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")

@@ -20,7 +20,7 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, pe
 from infrablend.compositing.overlay import compose, flat_layer, make_layer
 from infrablend.compositing.sensor import Sensor, apply_sensor, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import LocalMatching, NoSensor, Overlay
+from infrablend.config.recipe import LocalMatching, MetricSections, NoSensor, Overlay
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.placed import PlacedScene
@@ -33,17 +33,19 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import (
     FrameDone,
     FrameSettings,
+    least_contrast,
     local_settings,
     merge_settings,
     percentile_settings,
     sensor_strength,
 )
+from infrablend.pipeline.inserts import faint_inserts, measure_inserts
 from infrablend.pipeline.original import copy_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts
 from infrablend.rendering import make_renderer
 from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene import move_objects, sample_scene
 
 
 class FrameMaker:
@@ -69,19 +71,33 @@ class FrameMaker:
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
 
-        # Scene: the objects, their places and temperatures, and the mapping of these to the picture's grey levels.
+        # Scene: the objects, their places and temperatures.
         key, site = frame.key(background.size_wh), self._site(frame, background)
         scene = sample_scene(key, recipe, self._models, self._settings.seed, site)
         scene = drop_barely_visible(scene, recipe.placement.min_visibility)
-        scene, mapping, matching_facts = self._match(scene, frame, background)
-        sensor = self._sensor(scene, background)
 
-        # Image.
-        rendered = self._renderer.render(scene)
-        pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, scene.spec.motion_px)
-
-        # Labels.
-        labels, label_report = annotate(scene, rendered, recipe.labels.obb)
+        # Image and labels. Objects that nobody can see in the finished picture are moved, or left out in the end.
+        moves = 0
+        first: list[dict[str, Any]] = []
+        while True:
+            scene, mapping, matching_facts, faint = self._match(scene, frame, background)
+            if not faint:
+                sensor = self._sensor(scene, background)
+                rendered = self._renderer.render(scene)
+                pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, scene.spec.motion_px)
+                labels, label_report = annotate(scene, rendered, recipe.labels.obb)
+                inserts = measure_inserts(label_report.kept, labels, rendered, background.pixels, pixels, site)
+                first = first or [i.to_json() for i in inserts]
+                faint = faint_inserts(inserts, recipe, source.time_of_day)
+            if not faint:
+                break
+            moves += 1
+            if isinstance(recipe, MetricSections) and moves <= recipe.placement.contrast_redraws:
+                scene = move_objects(scene, faint, recipe, self._models, self._settings.seed, site, moves)
+                scene = drop_barely_visible(scene, recipe.placement.min_visibility)
+            else:
+                scene = scene.without(faint, "low_contrast")
+        labels = tuple(i.labelled() for i in inserts)
         merged = merge(source.instances, labels, merge_settings(recipe))
 
         relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, recipe.output.image))
@@ -100,6 +116,8 @@ class FrameMaker:
             facts={
                 **label_report.to_json(),
                 **matching_facts,
+                **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
+                **({"contrast_first": first} if moves and first else {}),
                 **({} if sensor is None else {"sensor": sensor.to_json()}),
             },
             warnings=tuple(p.to_json() for p in background.problems),
@@ -114,33 +132,45 @@ class FrameMaker:
 
     def _site(self, frame: PlannedFrame, background: Background) -> Site:
         """Return the facts about the background that placement may use."""
-        source, levels = frame.as_read, self._settings.levels
-        unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
-        return Site(background.pixels, source.instances, frozenset(self._settings.ignored), source.altitude_m, unit)
+        source, levels, recipe = frame.as_read, self._settings.levels, self._recipe
+        return Site(
+            background.pixels,
+            source.instances,
+            frozenset(self._settings.ignored),
+            source.altitude_m,
+            1.0 if levels is None else grey_unit(background.pixels, levels),
+            recipe.matching.polarity == "black-hot",
+            recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
+        )
 
     def _match(
         self, scene: PlacedScene, frame: PlannedFrame, background: Background
-    ) -> tuple[PlacedScene, GreyMapping, dict[str, Any]]:
-        """Choose the grey levels, and remove objects that would hardly stand out from the ground.
+    ) -> tuple[PlacedScene, GreyMapping, dict[str, Any], list[int]]:
+        """Choose the grey levels.
 
         Returns:
-            The scene without those objects, its mapping, and the facts estimated from the background.
+            The scene, without objects if the gain cannot be trusted and the recipe skips such backgrounds; its mapping;
+            the facts estimated from the background; and the objects that are certainly too faint, before rendering.
         """
         matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
-        if isinstance(matching, LocalMatching):
+        facts: dict[str, Any] = {}
+        if isinstance(matching, LocalMatching) and scene.objects:
             assert levels is not None
             backdrop = Backdrop(background.pixels, source.instances, source.time_of_day, levels)
             settings = local_settings(matching, source.time_of_day)
-            least = matching.min_contrast_grey * backdrop.grey_unit
-            while scene.objects:
-                # A new stream each time, so that a removed object does not influence the levels of the others.
-                rng = stream(self._settings.seed, frame.frame_id, "matching")
-                match = match_locally(scene, backdrop, settings, rng)
-                faint = [k for k, contrast in enumerate(match.contrasts) if contrast < least]
-                if not faint:
-                    return scene, match.mapping, {"matching": match.facts}
-                scene = scene.without(faint, "low_contrast")
-        return scene, percentile_mapping(background.pixels, percentile_settings(matching)), {}
+            # The same stream at each attempt, so that a moved object does not influence the gain.
+            rng = stream(self._settings.seed, frame.frame_id, "matching")
+            match = match_locally(scene, backdrop, settings, rng)
+            facts = {"matching": match.facts}
+            if not (match.untrusted and matching.on_untrusted == "skip"):
+                faint = []
+                for k, (placed, contrast) in enumerate(zip(scene.objects, match.contrasts, strict=True)):
+                    least = least_contrast(self._recipe, placed.spec.category, source.time_of_day)
+                    if least is not None and contrast < least.change * backdrop.grey_unit:
+                        faint.append(k)
+                return scene, match.mapping, facts, faint
+            scene = scene.without(range(len(scene.objects)), "untrusted")
+        return scene, percentile_mapping(background.pixels, percentile_settings(matching)), facts, []
 
     def _sensor(self, scene: PlacedScene, background: Background) -> Sensor | None:
         """Return the sensor chain fitted to this background; None if there is none or no object."""

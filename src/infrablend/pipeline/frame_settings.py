@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infrablend.annotation.merge import MergeSettings
+from infrablend.compositing.contrast import Least, real_least
 from infrablend.compositing.gain import GainPrior
 from infrablend.compositing.local import LocalSettings
 from infrablend.compositing.mapping import PercentileSettings
 from infrablend.compositing.sensor import SensorStrength
-from infrablend.config.recipe import LocalMatching, MetricSensor, PercentileMatching, Recipe, Sensor
+from infrablend.config.recipe import LocalMatching, MetricSensor, MinContrast, PercentileMatching, Recipe, Sensor
 from infrablend.core.dataset import TimeOfDay
 
 
@@ -64,7 +65,21 @@ def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> Lo
     mean = m.gain_prior_grey_per_k
     if time_of_day == "day" and m.gain_prior_day_grey_per_k is not None:
         mean = m.gain_prior_day_grey_per_k
-    return LocalSettings(GainPrior(mean, mean * m.gain_prior_spread, low, high), m.polarity, m.clothing_above_air_k)
+    share = m.local_share
+    if time_of_day == "day" and m.local_share_day is not None:
+        share = m.local_share_day
+    prior = GainPrior(mean, mean * m.gain_prior_spread, low, high)
+    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, share, m.on_untrusted)
+
+
+def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None) -> Least | None:
+    """Return the least contrast of an inserted object of this class; None for no limit."""
+    wanted = recipe.placement.min_contrast
+    if wanted is None:
+        wanted = "real" if recipe.appearance.mode == "physical" else "off"
+    if isinstance(wanted, MinContrast):
+        return Least(wanted.change_grey, wanted.scr)
+    return real_least(category, time_of_day) if wanted == "real" else None
 
 
 def percentile_settings(matching: PercentileMatching | LocalMatching) -> PercentileSettings:

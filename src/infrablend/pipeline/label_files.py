@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from infrablend.compositing.gain import Doubt
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
 from infrablend.formats import writing
@@ -116,20 +117,49 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     return [Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning")]
 
 
+_TRUST = "set matching.on_untrusted to prior or skip for such frames"
+_DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
+    "gain_at_bound": (
+        "gain-at-limit",
+        "the estimated gain is at a limit",
+        "a gain within matching.gain_grey_per_k",
+        "check matching.polarity and the weather, or set matching.gain_grey_per_k for this camera; or " + _TRUST,
+    ),
+    "gain_negative": (
+        "gain-negative",
+        "the estimated gain is negative: annotated objects that should be warm are dark",
+        "warm objects that are bright",
+        "check matching.polarity, time of day and matching.clothing_above_air_k; or " + _TRUST,
+    ),
+    "anchors_contradict": (
+        "anchors-contradict",
+        "annotated objects of known temperature imply different gains",
+        "gains that agree within their uncertainty",
+        "check class names and time of day; or " + _TRUST,
+    ),
+    "no_anchor": (
+        "no-anchor",
+        "the gain is drawn from the prior alone, because nothing of known temperature is in sight",
+        "annotated people, cars by night, or a skyline",
+        "check matching.gain_prior_grey_per_k, which decides the contrast of these inserts",
+    ),
+}
+
+
 def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
     """Return a warning per estimate that is at its limit in at least a fifth of its frames, so that it may be wrong.
 
     The estimates are the height of the camera (metric placement) and the gain (physical look).
     """
-    heights, gains = [], []
+    heights: list[bool] = []
+    gains: list[Sequence[str]] = []
     for r in records:
         view = None if r.scene is None else r.scene.view
         if view is not None and view.anchors:
             factor = view.camera_height_m / view.stated_height_m
             heights.append(any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS))
-        for gain in r.facts.get("matching", {}).get("gain", {}).values():
-            low, high = gain["bounds"]
-            gains.append(not low < gain["posterior"][0] < high)
+        # Records of earlier versions have no doubts.
+        gains += [g["doubts"] for g in r.facts.get("matching", {}).get("gain", {}).values() if "doubts" in g]
     problems = []
     if heights and 5 * sum(heights) >= len(heights):
         low, high = FACTOR_BOUNDS
@@ -139,11 +169,12 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
         )
         todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
         problems.append(Problem("camera", "height-at-limit", found, "a height between the limits", todo, "warning"))
-    if gains and 5 * sum(gains) >= len(gains):
-        found = f"the estimated gain is at a limit in {sum(gains)} of {len(gains)} cases"
-        expected = "a gain within matching.gain_grey_per_k"
-        todo = "check matching.polarity and the weather, or set matching.gain_grey_per_k for this camera"
-        problems.append(Problem("matching", "gain-at-limit", found, expected, todo, "warning"))
+    for kind, (code, what, expected, todo) in _DOUBTS.items():
+        count = sum(kind in doubts for doubts in gains)
+        if gains and 5 * count >= len(gains):
+            problems.append(
+                Problem("matching", code, f"{what} in {count} of {len(gains)} cases", expected, todo, "warning")
+            )
     return problems
 
 
@@ -178,6 +209,8 @@ def summarize(
         "frames_without_object_because": empty_frames([r for _, r in records]),
         "frames_of_other_size": other_size,
     }
+    if contrast := contrast_statistics([r for _, r in records]):
+        counts["contrast_grey"] = contrast
     return LabelSummary(counts, draw_statistics([r for _, r in records]), tuple(removed))
 
 
@@ -195,6 +228,25 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))
+
+
+def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
+    """Return quantiles of the contrast of inserts, 8-bit levels: of the labelled ones, and before any was moved.
+
+    The contrast is the smaller of the change of the object's pixels and the change of its box against the ring.
+    """
+    found = {}
+    for name in ("labelled", "before the limit"):
+        values = []
+        for r in records:
+            kept = r.facts.get("contrast", ())
+            measured = kept if name == "labelled" else r.facts.get("contrast_first", kept)
+            values += [min(c["changed"], c.get("change", c["changed"])) for c in measured]
+        if values:
+            ordered = sorted(values)
+            one, five, half = (ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in (0.01, 0.05, 0.5))
+            found[name] = f"1 % {one:.0f}; 5 % {five:.0f}; median {half:.0f}"
+    return found
 
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:

@@ -10,17 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude
+from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
+from infrablend.core.skyline import Skyline, find_skyline, noise_of
 from infrablend.sampling.calibration import Calibration, calibrate
 from infrablend.sampling.placement import (
     MAX_OVERLAP,
@@ -56,6 +59,8 @@ class Site:
         ignored: Names of the categories that mark ignore regions.
         altitude_m: Height of the camera according to the metadata, or None.
         grey_unit: Levels of the picture per 8-bit level; 1 for 8-bit pictures.
+        black_hot: Whether hot is dark.
+        max_noise_grey: Noise above which nothing is inserted, 8-bit levels; None for no limit.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -63,6 +68,36 @@ class Site:
     ignored: frozenset[str] = frozenset()
     altitude_m: float | None = None
     grey_unit: float = 1.0
+    black_hot: bool = False
+    max_noise_grey: float | None = None
+
+    @cached_property
+    def skyline(self) -> Skyline:
+        """Sky and horizon of the picture."""
+        grey = self.pixels.astype(np.float32)
+        return find_skyline(-grey if self.black_hot else grey, self.grey_unit)
+
+    @property
+    def horizon_px(self) -> float | None:
+        """Row of the horizon; None if none is found."""
+        return self.skyline.horizon_px
+
+    @property
+    def shows_sky(self) -> bool:
+        """Whether at least half of the picture is sky."""
+        return 2 * np.count_nonzero(self.skyline.sky) >= self.pixels.size
+
+    @cached_property
+    def unfit(self) -> str | None:
+        """Reason why nothing may be inserted into the picture, or None."""
+        if self.max_noise_grey is not None and noise_of(self.pixels, self.grey_unit) > self.max_noise_grey:
+            return "noise"
+        return None
+
+    @cached_property
+    def text_boxes(self) -> FloatArray:
+        """(n, 4) boxes of text in the picture."""
+        return find_burnt_in(self.pixels.astype(np.float32), self.grey_unit)
 
 
 def real_camera(
@@ -99,13 +134,17 @@ def place_metric(
     site: Site,
     rng: np.random.Generator,
     tally: DrawStatistics,
+    occupied: Sequence[FloatArray] = (),
 ) -> list[Pose | None]:
-    """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`."""
+    """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
+
+    `occupied` has the (4,) boxes of inserts that have their place already.
+    """
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
     ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
     annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
-    inserted = boxes_of([])
+    inserted = np.array([*occupied], np.float64).reshape(-1, 4)
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
     poses: list[Pose | None] = []
     for number, item in enumerate(wanted):
@@ -126,7 +165,9 @@ def place_metric(
             box = None if reason else box_px(camera, world, item)
             if reason is None:
                 near = group.max_overlap if company and group is not None else MAX_OVERLAP
-                if rules.clear_of_ignored and overlaps(box, ignored):
+                if overlaps(box, site.text_boxes, 0.0):
+                    reason = "on_text"
+                elif rules.clear_of_ignored and overlaps(box, ignored):
                     reason = "on_ignored"
                 elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):
                     reason = "on_annotated"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from infrablend.config.recipe import (
     ArtisticAppearance,
     Count,
     FixedPitch,
+    HorizonPitch,
+    MetricRecipe,
     MetricSections,
     NoSensor,
     Object,
@@ -75,11 +78,20 @@ def sample_scene(
         site: The background; needed by metric placement and to keep clear of ignore regions.
     """
     rng = {s: stream(seed, frame.frame_id, s) for s in ("world", "shape", "heat", "placement")}
-    pitch_rad = math.radians(_pitch_deg(frame, recipe, rng["world"]))
+    pitch = _pitch_deg(frame, recipe, rng["world"], site)
+    # Without a pitch nothing is inserted; the camera of such a frame has no meaning.
+    pitch_rad = math.radians(0.0 if pitch is None else pitch)
+    unfit = site.unfit if site is not None and isinstance(recipe, MetricSections) else None
+    unfit = "no_horizon" if pitch is None else unfit
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
     tally = DrawStatistics()
+    asked = len(wanted)
+    if unfit is not None:
+        for _ in wanted:
+            tally.leave_out(unfit)
+        wanted = []
     c, view = recipe.camera, None
     if isinstance(recipe, MetricSections):
         if site is None:
@@ -107,6 +119,7 @@ def sample_scene(
                 position_m=(pose[0], pose[1], pose[2]),
                 yaw_rad=pose[3],
                 scale=item.scale,
+                kind=recipe.objects.index(item.kind),
             )
         )
     look = recipe.appearance
@@ -130,7 +143,7 @@ def sample_scene(
         samples=recipe.samples,
         render_seed=integer_seed(seed, frame.frame_id, "render"),
         draws={
-            "wanted": len(wanted),
+            "wanted": asked,
             "empty_by_recipe": empty,
             "attempts": tally.attempts,
             "first_distance_m": tally.first_distance_m,
@@ -172,6 +185,59 @@ def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
     return length_px * math.cos(2 * math.pi * turn), length_px * math.sin(2 * math.pi * turn)
 
 
+def move_objects(
+    scene: PlacedScene,
+    numbers: Collection[int],
+    recipe: MetricRecipe,
+    models: Mapping[str, ObjectModel],
+    seed: int,
+    site: Site,
+    attempt: int,
+) -> PlacedScene:
+    """Return the scene with some of its objects at other places, drawn from a stream of their own.
+
+    Shapes and temperatures stay; the other objects stay where they are. An object without another place is left out.
+
+    Args:
+        scene: A scene of metric placement.
+        numbers: Objects to move.
+        recipe: The scene's recipe.
+        models: The recipe's models, by the name used in the recipe.
+        seed: The run's seed.
+        site: The background.
+        attempt: Number of the attempt, from 1.
+    """
+    spec, view = scene.spec, scene.spec.view
+    assert view is not None
+    rng = stream(seed, spec.frame_id, f"placement-{attempt}")
+    moved = sorted(numbers)
+    requests = []
+    for k in moved:
+        placed = scene.objects[k]
+        o = placed.spec
+        requests.append(PlacementRequest(recipe.objects[o.kind], models[o.model], o.params, placed.mesh, o.scale))
+    tally = DrawStatistics()
+    occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
+    poses = dict(zip(moved, place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied), strict=True))
+    objects, meshes = [], []
+    for k, placed in enumerate(scene.objects):
+        if k in poses:
+            pose = poses[k]
+            if pose is None:
+                continue
+            objects.append(replace(placed.spec, position_m=pose[:3], yaw_rad=pose[3]))
+        else:
+            objects.append(placed.spec)
+        meshes.append(placed.mesh)
+    draws = dict(spec.draws)
+    draws["attempts"] += tally.attempts
+    draws["moved"] = draws.get("moved", 0) + len(moved)
+    for name, counts in (("rejected", tally.rejected), ("absent", tally.absent)):
+        merged = Counter(draws[name]) + Counter(counts)
+        draws[name] = dict(sorted(merged.items()))
+    return place(replace(spec, objects=tuple(objects), draws=draws), meshes)
+
+
 def rebuild_scene(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> PlacedScene:
     """Rebuild the geometry of a scene that was read from its JSON."""
     return place(spec, [models[o.model].build(o.params) for o in spec.objects])
@@ -193,13 +259,29 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         raise ModelError(f"recipe {recipe.name}: " + "; ".join(wrong))
 
 
-def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator) -> float:
+def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: Site | None) -> float | None:
+    """Return the camera's pitch, degrees; None if it comes from a horizon that is neither found nor stated."""
     pitch = recipe.camera.pitch
     drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
     if isinstance(pitch, FixedPitch):
         return pitch.fixed_deg
     if isinstance(pitch, RandomPitch):
         low, high = pitch.random_deg
+        return float(low + (high - low) * drawn)
+    if isinstance(pitch, HorizonPitch) and pitch.from_horizon:
+        if site is None:
+            raise ValueError(f"{frame.frame_id}: the horizon is found in the background, which is missing")
+        c = recipe.camera
+        focal_px = c.focal_length_mm / c.sensor_width_mm * frame.size_wh[0]
+        half_px = frame.size_wh[1] / 2
+        if site.horizon_px is not None:
+            return math.degrees(math.atan((half_px - site.horizon_px) / focal_px))
+        if pitch.else_deg is None:
+            return None
+        low, high = pitch.else_deg
+        if site.shows_sky:
+            # The picture shows the sky alone, so the horizon is below its lower edge.
+            high = max(low, min(high, -math.degrees(math.atan(half_px / focal_px))))
         return float(low + (high - low) * drawn)
     if frame.pitch_deg is None:
         raise ValueError(f"{frame.frame_id}: no camera pitch; the plan must have left this background out")

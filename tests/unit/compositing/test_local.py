@@ -6,6 +6,7 @@ import pytest
 from infrablend.compositing.gain import Backdrop, GainPrior, find_anchors, ring_level
 from infrablend.compositing.local import Insert, LocalSettings, local_mapping
 from infrablend.compositing.mapping import GreyMapping, measure_levels
+from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
@@ -73,7 +74,8 @@ def test_without_anchors_the_prior_is_drawn_from():
     assert 1.0 < drawn.std() < 2.4
     assert (drawn >= 2.5).all()
     assert (drawn <= 12).all()
-    assert made[0][1]["anchors"] == {"clothing": 0, "car_roof": 0, "face_clipped": 0, "clothing_clipped": 0}
+    assert set(made[0][1]["anchors"].values()) == {0}
+    assert all(facts["gain"]["warm"]["doubts"] == ["no_anchor"] for _, facts in made)
 
 
 def test_clipped_face_is_a_lower_bound():
@@ -157,7 +159,7 @@ def test_each_insert_is_set_against_its_own_ground():
     picture[:, 320:] = 160
     inserts = [Insert(np.array([x, 200.0, x + 20, 240.0])) for x in (100.0, 500.0)]
     mapping, facts = mapped(picture, inserts, [])
-    assert facts["ground_grey"] == [80, 160]
+    assert facts["ring_grey"] == [80, 160]
     assert GreyMapping.from_json(mapping.to_json()) == mapping
     ground = np.full((512, 640), band_radiance(WEATHER.ground_k), np.float32)
     grey = mapping.apply(ground, np.ones_like(ground))
@@ -174,3 +176,79 @@ def test_near_objects_lose_less_to_the_air():
     hot = float(band_radiance(AIR_K + 30))
     contrast = [m.dark + (m.bright - m.dark) * hot - 100 for m in (near, on)]
     assert 1.01 < contrast[0] / contrast[1] < 1.1
+
+
+def test_the_local_share_decides_how_far_the_level_follows_the_place():
+    """The same object on a bright and on a dark patch of one picture."""
+    picture = np.full((512, 640), 110, np.uint8)
+    picture[:, 320:] = 170
+    picture[:, :160] = 90  # most of the ground is at 110 or 170, its median is 110
+    at = [Insert(np.array([60.0, 250, 80, 280])), Insert(np.array([500.0, 250, 520, 280]))]
+    radiance = float(band_radiance(WEATHER.ground_k + 5))
+    levels = {}
+    for share in (0.0, 0.25, 1.0):
+        m, facts = mapped(picture, at, [], settings=LocalSettings(local_share=share))
+        levels[share] = [p.dark + (p.bright - p.dark) * radiance for p in m.places]
+        assert facts["ring_grey"] == [90, 170]
+        assert levels[share][1] - levels[share][0] == pytest.approx(share * (170 - 90), abs=1e-6)
+    assert levels[1.0][0] - 90 == pytest.approx(levels[0.0][0] - facts["behind_grey"]["ground"], abs=1e-6)
+
+
+def camera(pitch_deg):
+    return CameraSpec(100.0, np.radians(pitch_deg), 0.0, 84.69, 36.0, (320, 256))
+
+
+def sky_picture(row=190, sky=97.0, land=230.0):
+    rng = np.random.default_rng(0)
+    levels = np.where(np.arange(256)[:, None] < row, sky, land) + rng.normal(0, 1, (256, 320))
+    return np.clip(levels, 0, 255).round().astype(np.uint8)
+
+
+def test_in_front_of_the_sky_the_reference_is_the_sky():
+    """The gain follows from the step at the skyline, and a drone at air temperature is as bright as the land."""
+    picture = sky_picture()
+    inserts = [Insert(np.array([100.0, 60, 116, 70]), range_m=40.0), Insert(np.array([100.0, 220, 116, 230]))]
+    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
+    prior = GainPrior(9.0, 5.4, 2.0, 30.0)
+    settings = LocalSettings(prior, local_share=1.0)
+    # The horizon is at row 190: 62 px below the middle at a focal length of 752.8 px.
+    up = camera(-np.degrees(np.arctan(62 / 752.8)))
+    air = []
+    for seed in range(40):
+        m, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(seed), up)
+        assert facts["behind"] == ["sky", "ground"]
+        assert facts["gain"]["sky"]["anchors_used"] == 1
+        place = m.places[0]
+        air.append(place.dark + (place.bright - place.dark) * float(band_radiance(AIR_K)))
+    assert np.mean(air) == pytest.approx(230, abs=25)
+    blind, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0))
+    assert facts["behind"] == ["ground", "ground"]
+    place = blind.places[0]
+    assert place.dark + (place.bright - place.dark) * float(band_radiance(WEATHER.ground_k)) == pytest.approx(97, abs=2)
+
+
+def test_trees_above_the_horizon_are_neither_sky_nor_ground():
+    picture = sky_picture()
+    picture[120:190, 140:260] = 200
+    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
+    up = camera(-np.degrees(np.arctan(62 / 752.8)))
+    insert = [Insert(np.array([190.0, 140, 206, 150]), range_m=40.0)]
+    m, facts = local_mapping(backdrop, insert, WEATHER, LocalSettings(), np.random.default_rng(0), up)
+    assert facts["behind"] == ["skyline"]
+    assert m.dark + (m.bright - m.dark) * float(band_radiance(AIR_K)) == pytest.approx(200, abs=2)
+
+
+def test_doubts_are_named_and_the_prior_replaces_such_gains():
+    """People that are darker than the ground although they should be warmer."""
+    picture, labels = scene(6, people=6)
+    inverted = (220 - picture.astype(int)).clip(16, 235).astype(np.uint8)
+    _, facts = mapped(inverted, INSERT, labels)
+    doubts = facts["gain"]["warm"]["doubts"]
+    assert "gain_at_bound" in doubts
+    trusted = LocalSettings(on_untrusted="prior")
+    _, instead = mapped(inverted, INSERT, labels, settings=trusted)
+    assert instead["gain"]["warm"]["doubts"] == doubts
+    assert instead["gain"]["warm"]["from_prior"] is True
+    assert instead["gain"]["warm"]["posterior"][0] == pytest.approx(6.0)
+    _, good = mapped(picture, INSERT, labels, settings=trusted)
+    assert good["gain"]["warm"]["doubts"] == []

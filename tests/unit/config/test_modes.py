@@ -58,7 +58,7 @@ OF_ONE_MODE = {
     "matching.gain_prior_day_grey_per_k=5": ("appearance.mode physical", "artistic"),
     "matching.gain_prior_spread=0.5": ("appearance.mode physical", "artistic"),
     "matching.clothing_above_air_k=5": ("appearance.mode physical", "artistic"),
-    "matching.min_contrast_grey=5": ("appearance.mode physical", "artistic"),
+    "matching.local_share=0.5": ("appearance.mode physical", "artistic"),
     "sensor.optics=1": ("a camera in sensor.profile", "off"),
     "sensor.motion_px=3": ("a camera in sensor.profile", "off"),
 }
@@ -185,7 +185,7 @@ def test_misspelt_fields_are_not_dropped():
     [
         (
             "placement: {min_contrast_grey: 4}",
-            r"placement\.min_contrast_grey: .*Move it to matching\.min_contrast_grey",
+            r"placement\.min_contrast_grey: this field was removed. .*; set placement\.min_contrast",
         ),
         ("environment: {wind_m_s: 3}", r"environment\.wind_m_s: .*It never had an effect; remove it"),
         ("matching: {mode: percentile}", r"matching\.mode: .*It follows from appearance\.mode"),
@@ -231,7 +231,8 @@ def test_records_of_earlier_versions_are_read():
     recorded["environment"]["wind_m_s"] = [0, 4]
     recorded["appearance"]["hot_above_air_k"] = 20
     recorded["matching"] |= {"mode": "local", "low_percentile": 1}
-    recorded["placement"] |= {"on_miss": "redraw", "min_contrast_grey": recorded["matching"].pop("min_contrast_grey")}
+    recorded["placement"] |= {"on_miss": "redraw", "min_contrast_grey": 4.0}
+    recorded["matching"]["min_contrast_grey"] = 4.0
     assert recipe_from_json(json.dumps(upgrade_recorded(recorded))) == recipe
 
 
@@ -254,7 +255,7 @@ def test_recorded_shipped_recipes_are_read(name):
 
 def test_scenes_of_earlier_versions_are_read(tmp_path, write_tiny_hit_uav):
     data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
-    settings = {"appearance.mode": "physical", "matching.min_contrast_grey": 0}
+    settings = {"appearance.mode": "physical", "placement.min_contrast": "off"}
     api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FLAT)
     scene = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())["scene"]
     assert "wind_m_s" not in scene["weather"]

@@ -133,7 +133,7 @@ def test_realism_says_which_times_of_day_there_are(tmp_path):
 
 def test_invisible_objects_are_counted_but_not_inserted(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0))})
-    report = generate(data, tmp_path / "run", settings=["matching.min_contrast_grey=5000"])
+    report = generate(data, tmp_path / "run", settings=["placement.min_contrast={change_grey: 255}"])
     assert report.counts["frames_without_object"] == 1
     assert report.counts["frames_without_object_because"] == {"low_contrast": 1}
     assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
@@ -201,8 +201,8 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
     looks = {"whole": [], "no-sensor": [off], "flat": [off, "overlay.flat=true"]}
     looks["artistic"] = ["appearance.mode=artistic"]
     for name, settings in looks.items():
-        contrast = [] if name == "artistic" else ["matching.min_contrast_grey=0"]
-        generate(data, tmp_path / name, recipe, ["objects.0.count=3", *contrast, *settings])
+        # The contrast of the finished picture depends on the look, so a limit would leave out different objects.
+        generate(data, tmp_path / name, recipe, ["objects.0.count=3", "placement.min_contrast=off", *settings])
     found = {name: records(tmp_path / name) for name in looks}
     for name in ("no-sensor", "flat", "artistic"):
         for a, b in zip(found["whole"], found[name], strict=True):
@@ -256,3 +256,55 @@ def test_the_legend_of_the_ground_preview_is_not_cut(width, rows):
     for text, colour in ground_preview._LEGEND.items():
         whole = strip(2560, TITLE_PX, text, 14, colour)
         assert (legend == colour).all(axis=2).sum() == (whole == colour).all(axis=2).sum() > 0
+
+
+def sky_folder(root: Path, count: int = 4) -> Path:
+    root.mkdir()
+    for n in range(count):
+        rng = np.random.default_rng(n)
+        levels = np.where(np.arange(256)[:, None] < 170 + 10 * n, 97, 210) + rng.normal(0, 1.5, (256, 320))
+        Image.fromarray(np.clip(levels, 0, 255).round().astype(np.uint8)).save(root / f"{n}.png")
+    return root
+
+
+def test_drones_against_the_sky_are_bright_and_their_contrast_is_recorded(tmp_path):
+    report = generate(sky_folder(tmp_path / "data"), tmp_path / "run", "drone-sky")
+    assert report.ok
+    found = records(tmp_path / "run")
+    assert sum(len(r.inserted) for r in found) == 4
+    for r in found:
+        assert r.facts["matching"]["behind"] == ["sky"]
+        (measured,) = r.facts["contrast"]
+        assert measured["changed"] >= 17 and measured["change"] >= 17
+        assert measured["high"] > measured["ring"] + 17
+        assert r.inserted[0].extra["changed_grey"] == measured["changed"]
+    coco = json.loads((tmp_path / "run" / "coco" / "train.json").read_text())
+    assert all(a["changed_grey"] >= 17 and a["scr"] > 1.6 for a in coco["annotations"])
+    assert set(report.counts["contrast_grey"]) == {"labelled", "before the limit"}
+
+
+def test_every_label_of_a_physical_recipe_is_seen(tmp_path):
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS)})
+    for recipe in ("hit-uav-drone-physical", "hit-uav-people", "hit-uav-cars", "monet-deer-physical"):
+        generate(data, tmp_path / recipe, recipe)
+        measured = [c for r in records(tmp_path / recipe) for c in r.facts.get("contrast", ())]
+        assert all(c["changed"] >= 3 for c in measured)
+        assert all(c["change"] >= 3 for c in measured if "change" in c)
+
+
+def test_untrusted_gains_leave_the_background_empty_if_the_recipe_says_so(tmp_path):
+    data = tmp_path / "data"
+    for n in range(2):
+        pixels = scenery(n)
+        lines = []
+        for k in range(6):
+            x, y = 60 + 90 * k, 200
+            pixels[y : y + 24, x : x + 14] = 20  # people colder than the ground: black-hot, or no people
+            lines.append(f"0 {(x + 7) / 640} {(y + 12) / 512} {14 / 640} {24 / 512}")
+        write_yolo(data, f"{n}", pixels, lines)
+    (data / "data.yaml").write_text("path: .\ntrain: images/train\nval: images/train\nnames: [Person]\n")
+    fixed = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 80}", "matching.on_untrusted=skip"]
+    report = generate(data, tmp_path / "run", settings=fixed)
+    assert report.counts["frames_without_object_because"] == {"untrusted": 2}
+    found = generate(data, tmp_path / "used", settings=fixed[:2])
+    assert {"gain-at-limit"} <= {p.code for p in found.problems}

@@ -436,13 +436,13 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
     assert record.scene is not None
     scene = record.scene
 
-    def with_estimates(height_m, centre):
+    def with_estimates(height_m, centre, *doubts):
         view = View(height_m, 100.0, 0.0, {"car": 3}, 0.1)
-        gain = {"grey_per_k": 6.0, "posterior": [centre, 1.0], "bounds": [2.5, 12.0]}
+        gain = {"grey_per_k": 6.0, "posterior": [centre, 1.0], "bounds": [2.5, 12.0], "doubts": doubts}
         facts = {**record.facts, "matching": {"gain": {"warm": gain}}}
         return dataclasses.replace(record, scene=dataclasses.replace(scene, view=view), facts=facts)
 
-    good, bad = with_estimates(115.0, 6.0), with_estimates(100 / 0.65, 14.0)
+    good, bad = with_estimates(115.0, 6.0), with_estimates(100 / 0.65, 14.0, "gain_at_bound")
     assert limit_warnings([record] * 3 + [good] * 5 + [bad]) == []
     found = limit_warnings([good] * 4 + [bad])
     assert [(p.where, p.code, p.severity) for p in found] == [
@@ -450,6 +450,9 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
         ("matching", "gain-at-limit", "warning"),
     ]
     assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 cases" in str(found[1])
+    others = [with_estimates(115.0, -3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]
+    assert [p.code for p in limit_warnings(others)] == ["gain-negative", "anchors-contradict", "no-anchor"]
+    assert all("in 1 of 3 cases" in str(p) and "Check " in str(p) for p in limit_warnings(others))
 
 
 def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):
@@ -483,7 +486,7 @@ def test_rerender_gives_the_same_bytes(dataset, tmp_path):
 
 
 def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_path):
-    settings = {"appearance.mode": "physical", "output.image": "png"}
+    settings = {"appearance.mode": "physical", "output.image": "png", "placement.min_contrast": "off"}
     generate(dataset, tmp_path / "run", settings=settings)
     for record in records(tmp_path / "run"):
         weather = record.scene.weather
@@ -505,7 +508,7 @@ def test_the_physical_look_records_weather_and_what_was_estimated(dataset, tmp_p
 def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_path):
     """Looks differ in grey levels alone: boxes and masks are the same."""
     generate(dataset, tmp_path / "a")
-    settings = {"appearance.mode": "physical", "output.image": "png"}
+    settings = {"appearance.mode": "physical", "output.image": "png", "placement.min_contrast": "off"}
     generate(dataset, tmp_path / "p", settings=settings)
     for a, p in zip(records(tmp_path / "a"), records(tmp_path / "p"), strict=True):
         assert all(x.equals(y) for x, y in zip(a.inserted, p.inserted, strict=True))

@@ -1,0 +1,89 @@
+"""Measures the inserted objects of a finished picture, and finds those that nobody can see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from infrablend.compositing.contrast import Contrast, measure_contrast, visible_change
+from infrablend.compositing.mapping import GreyImage
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.render import RenderResult
+from infrablend.pipeline.frame_settings import least_contrast
+from infrablend.sampling.metric import Site
+
+
+@dataclass(frozen=True, eq=False)
+class Insert:
+    """An inserted object in the finished picture.
+
+    Attributes:
+        number: Number of the object in its scene.
+        label: Its label.
+        changed_grey: Change of its pixels by the insertion, 8-bit levels; see `visible_change`.
+        contrast: Contrast of its box against the ring around it; None if the ring is too small to be measured.
+    """
+
+    number: int
+    label: Instance
+    changed_grey: float
+    contrast: Contrast | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        measured = {} if self.contrast is None else self.contrast.to_json()
+        return {"object": self.number, "changed": round(self.changed_grey, 2), **measured}
+
+    def labelled(self) -> Instance:
+        """Return the label with the object's contrast among its further fields."""
+        found: dict[str, Any] = {"changed_grey": round(self.changed_grey, 2)}
+        if self.contrast is not None:
+            found |= {"contrast_grey": round(self.contrast.signed, 2), "scr": round(self.contrast.scr, 3)}
+        return replace(self.label, extra={**self.label.extra, **found})
+
+
+def measure_inserts(
+    numbers: Sequence[int],
+    labels: Sequence[Instance],
+    rendered: RenderResult,
+    before: GreyImage,
+    after: GreyImage,
+    site: Site,
+) -> list[Insert]:
+    """Measure the inserted objects that have a label.
+
+    Args:
+        numbers: Number of the object in its scene, per label.
+        labels: Labels of the inserted objects.
+        rendered: The rendered scene.
+        before: (h, w) background.
+        after: (h, w) finished picture.
+        site: The background's own labels and levels.
+    """
+    found = []
+    boxes = [*(i.box_xyxy for i in site.labels), *(i.box_xyxy for i in labels)]
+    for n, (number, label) in enumerate(zip(numbers, labels, strict=True)):
+        others = boxes[: len(site.labels) + n] + boxes[len(site.labels) + n + 1 :]
+        changed = visible_change(before, after, rendered.coverage[number], rendered.offset_xy, site.grey_unit)
+        found.append(Insert(number, label, changed, measure_contrast(after, label.box_xyxy, others, site.grey_unit)))
+    return found
+
+
+def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOfDay | None) -> list[int]:
+    """Return the numbers of the objects whose contrast is below the recipe's limit."""
+    faint = []
+    for insert in inserts:
+        least = least_contrast(recipe, insert.label.category, time_of_day)
+        if least is None:
+            continue
+        c = insert.contrast
+        # The box alone is not enough: the background's own structures stand out from the ring, too.
+        seen = min(insert.changed_grey, np.inf if c is None else c.change)
+        clutter = 0.0 if c is None else c.clutter
+        if seen < least.change or seen < least.scr * (clutter + 1):
+            faint.append(insert.number)
+    return faint
