@@ -298,7 +298,7 @@ class TooSlow(BaseException):
 
 
 @contextlib.contextmanager
-def watched(dataset: Path, outside: Path, seconds: int = 20) -> Iterator[list[str]]:
+def watched(dataset: Path, outside: Path, seconds: int = 60) -> Iterator[list[str]]:
     """While entered: every file of `outside` opened and every change below `dataset` goes into the list."""
 
     def late(*_: object) -> None:

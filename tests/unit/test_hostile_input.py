@@ -86,7 +86,7 @@ def test_yaml_numbers_dates_and_aliases_have_their_plain_meaning():
         ("camera.distance_m=.inf", "camera.distance_m: found Infinity; expected a finite number"),
         ("camera.pitch=5", "camera.pitch: found 5; expected 'metadata' or a mapping with fixed_deg or random_deg"),
         ("camera.pitch={fixed_deg: abc}", 'camera.pitch.fixed_deg: found "abc"; expected a number'),
-        ("camera.pitch={foo: 1}", "expected a mapping with fixed_deg or random_deg alone"),
+        ("camera.pitch={foo: 1}", "expected a mapping with fixed_deg or from_horizon or random_deg alone"),
         ("camera.pitch={fixed_deg:30}", "Write a space after the colon"),
         ("objects.0.count=abc", 'objects.0.count: found "abc"; expected a whole number or a mapping with values'),
         ("objects.0.count={values: [-1]}", "objects.0.count.values.0: found -1; expected greater than or equal to 0"),

@@ -38,7 +38,7 @@ def radiometric_warnings(dataset: Dataset) -> list[Problem]:
     """Return a warning if pictures contain temperatures, which are not used yet; only a few pictures are opened."""
     if dataset.format not in ANY_CAMERA:
         return []
-    jpegs = [i for i in dataset.images if i.path.suffix.lower() in (".jpg", ".jpeg") and not i.path.is_symlink()]
+    jpegs = [i for i in dataset.images if i.path.suffix.lower() in (".jpg", ".jpeg") and _is_regular(i.path)]
     looked_at = _spread(jpegs)
     cameras = [c for i in looked_at if (c := camera_of_radiometric(i.path)) is not None]
     if not cameras:
@@ -52,3 +52,8 @@ def radiometric_warnings(dataset: Dataset) -> list[Problem]:
 
 def _spread(images: Sequence[ImageRecord]) -> Sequence[ImageRecord]:
     return images[:: max(1, len(images) // _LOOKED_AT)][:_LOOKED_AT]
+
+
+def _is_regular(path: Path) -> bool:
+    """Return whether a path is a file and no link; opening a pipe would wait for ever."""
+    return path.is_file() and not path.is_symlink()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from infrablend import api
-from infrablend.formats.radiometric import camera_of_radiometric
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.formats.radiometric import camera_of_radiometric, radiometric_warnings
 from tests.samples import SAMPLES, picture
 
 FLIR = (0xE1, b"FLIR\0\1\0\0" + bytes(200))
@@ -46,3 +48,10 @@ def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("infrablend.formats.radiometric.camera_of_radiometric", lambda path: pytest.fail(str(path)))
     for name in ("birdsai", "monet", "wisard"):
         api.read_dataset(SAMPLES[name](tmp_path / name))
+
+
+def test_pipes_are_not_opened(tmp_path):
+    """A pipe among the pictures would make the reader wait for ever."""
+    os.mkfifo(tmp_path / "a.jpg")
+    image = ImageRecord("a", tmp_path / "a.jpg", "train", (8, 8), None, None, None, ())
+    assert radiometric_warnings(Dataset(tmp_path, "folder", (), (image,))) == []
