@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from infrablend.annotation.labels import annotate
-from infrablend.assets.drone import DISC_RINGS, NOMINAL, build_drone
+from infrablend.assets.drone import NOMINAL, build_drone
 from infrablend.assets.drone import parts_for as drone_parts
+from infrablend.assets.rotors import DISC_RINGS
 from infrablend.core.mesh import Mesh, make_mesh
 from infrablend.core.placed import place
 from infrablend.core.scene import ObjectSpec, PartState, Weather

@@ -19,7 +19,7 @@ from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
 from infrablend.assets.implicit import Body, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange
-from infrablend.assets.rotors import DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
@@ -74,9 +74,7 @@ def _rotors(p: Params) -> Rotors:
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part, without discs if the propellers are still."""
-    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    propeller = _rotors(params).propeller
-    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
+    return _rotors(params).propeller.roles_among(PARTS)
 
 
 def build_camera_quad(params: Params) -> Mesh:

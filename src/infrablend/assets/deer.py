@@ -19,7 +19,7 @@ is smooth.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -91,12 +91,7 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat."""
     if params.get("time_of_day", "night") == "night":
         return PARTS
-    low, high = SUN_K
-    return {
-        n: replace(r, delta_t_k=(r.delta_t_k[0] + share * low, r.delta_t_k[1] + share * high))
-        for n, r in PARTS.items()
-        for share in [_SUN_SHARE.get(n, 0.0)]
-    }
+    return warmed_by_sun(PARTS, SUN_K, _SUN_SHARE)
 
 
 BODY_CELL = 0.019

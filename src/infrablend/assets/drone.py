@@ -20,7 +20,7 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, Range
-from infrablend.assets.rotors import DISC_PARTS, DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, Vector, with_discs
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, Vector, with_discs
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
 
@@ -334,9 +334,7 @@ def _propeller(params: Params, radius: float = 1.0) -> Propeller:
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part of this drone, without discs if its propellers are still."""
-    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    propeller = _propeller(params)
-    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
+    return _propeller(params).roles_among(PARTS)
 
 
 # --- arms ----------------------------------------------------------------------------------------------------

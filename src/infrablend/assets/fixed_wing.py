@@ -17,7 +17,7 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.rotors import DISC_PARTS, DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, Mesh
 
@@ -103,9 +103,7 @@ def _rotor(p: Params) -> Rotors:
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part, without discs if the propeller is still."""
-    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    propeller = _rotor(params).propeller
-    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
+    return _rotor(params).propeller.roles_among(PARTS)
 
 
 def build_fixed_wing(params: Params) -> Mesh:

@@ -16,7 +16,7 @@ from infrablend.assets import shapes
 from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
 from infrablend.assets.model import ObjectModel, Params, PartRange
-from infrablend.assets.rotors import DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.core.mesh import FloatArray, Mesh
 
 PARTS: Mapping[str, PartRange] = DRONE_PARTS
@@ -71,9 +71,7 @@ def _tip_z(p: Params) -> float:
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part, without discs if the propellers are still."""
-    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    propeller = _rotors(params).propeller
-    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
+    return _rotors(params).propeller.roles_among(PARTS)
 
 
 def build_hexacopter(params: Params) -> Mesh:

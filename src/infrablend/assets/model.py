@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from infrablend.assets.materials import MATERIALS
+from infrablend.assets.materials import MATERIALS, Range
 from infrablend.core.mesh import Mesh
 
 Params = Mapping[str, Any]
@@ -109,3 +109,14 @@ class ObjectModel:
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""
         return self.parts if self.parts_for is None else self.parts_for(params)
+
+
+def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[str, float]) -> dict[str, PartRange]:
+    """Return the thermal roles of a coat in the sun: each part takes its share of the range `sun_k`, kelvin."""
+    low, high = sun_k
+    warmed = {}
+    for name, role in parts.items():
+        share = shares.get(name, 0.0)
+        coldest, warmest = role.delta_t_k
+        warmed[name] = replace(role, delta_t_k=(coldest + share * low, warmest + share * high))
+    return warmed

@@ -29,7 +29,7 @@ import numpy as np
 
 from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
@@ -106,10 +106,7 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
     if params.get("clothing", "winter") == "light":
         parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
     if params.get("time_of_day", "night") == "day":
-        low, high = SUN_K
-        parts |= {
-            n: replace(parts[n], delta_t_k=(parts[n].delta_t_k[0] + low, parts[n].delta_t_k[1] + high)) for n in _SUNLIT
-        }
+        return warmed_by_sun(parts, SUN_K, dict.fromkeys(_SUNLIT, 1.0))
     return parts
 
 

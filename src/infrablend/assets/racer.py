@@ -15,7 +15,7 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.rotors import DISC_PARTS, DISC_RINGS, PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.core.mesh import FloatArray, Mesh
 
 PARTS: Mapping[str, PartRange] = {
@@ -79,9 +79,7 @@ def _rotors(p: Params) -> Rotors:
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part, without discs if the propellers are still."""
-    roles = {name: role for name, role in PARTS.items() if name not in DISC_RINGS}
-    propeller = _rotors(params).propeller
-    return {**roles, **propeller.disc_roles()} if propeller.spinning else roles
+    return _rotors(params).propeller.roles_among(PARTS)
 
 
 def build_racer(params: Params) -> Mesh:

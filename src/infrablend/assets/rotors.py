@@ -113,6 +113,11 @@ class Propeller:
             roles[name] = replace(DISC_PARTS[name], opacity=round(covered, 4))
         return roles
 
+    def roles_among(self, parts: Mapping[str, PartRange]) -> dict[str, PartRange]:
+        """Return an aircraft's roles with those of this propeller's discs, or without discs if it is still."""
+        roles = {name: role for name, role in parts.items() if name not in DISC_RINGS}
+        return {**roles, **self.disc_roles()} if self.spinning else roles
+
 
 @dataclass(frozen=True, eq=False)
 class Rotors:

@@ -7,6 +7,7 @@ import pytest
 
 from infrablend.assets import drone
 from infrablend.assets.drone import CHOICES, MODEL, NOMINAL
+from infrablend.assets.rotors import DISC_RINGS
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from tests.meshes import check_pieces
@@ -148,11 +149,11 @@ def test_parts_have_sane_thermal_roles() -> None:
 
 
 def test_spinning_propellers_are_discs_that_labels_do_not_count() -> None:
-    assert not set(MODEL.roles(NOMINAL)) & set(drone.DISC_RINGS)
+    assert not set(MODEL.roles(NOMINAL)) & set(DISC_RINGS)
     for k, drawn in enumerate(DRAWS):
         still, spinning = MODEL.build(drawn), MODEL.build({**drawn, "propellers": "spinning"})
         roles = MODEL.roles({**drawn, "propellers": "spinning"})
-        assert set(spinning.part_names) == set(still.part_names) | set(drone.DISC_RINGS), k
+        assert set(spinning.part_names) == set(still.part_names) | set(DISC_RINGS), k
         # What is not a blade is where it was; hubs are still there.
         for name in still.part_names:
             a, b = (
@@ -163,7 +164,7 @@ def test_spinning_propellers_are_discs_that_labels_do_not_count() -> None:
             else:
                 assert np.array_equal(a, b)
         areas, opacities = [], []
-        for name in drone.DISC_RINGS:
+        for name in DISC_RINGS:
             assert not roles[name].label and not MODEL.parts[name].label
             corners = spinning.vertices_m[
                 spinning.triangles[spinning.part_of_triangle == spinning.part_names.index(name)]

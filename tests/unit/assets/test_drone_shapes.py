@@ -16,7 +16,7 @@ from infrablend.assets.rotors import DISC_RINGS
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
-from tests.meshes import signed_volume
+from tests.meshes import check_pieces
 
 SHAPES = (camera_quad, hexacopter, racer, fixed_wing)
 NAMES = [module.MODEL.name for module in SHAPES]
@@ -38,16 +38,7 @@ def test_every_piece_is_closed_and_faces_outward(module: ModuleType, k: int) -> 
     params = drawn(module, k)
     found = module.build_pieces(params).items
     assert sum(len(t) for _, _, t, _ in found) == len(module.MODEL.build(params).triangles)
-    for part, vertices, triangles, _ in found:
-        # Vertices are doubled at sharp edges: a piece is closed by position.
-        _, index = np.unique(vertices, axis=0, return_inverse=True)
-        t = index.reshape(-1)[triangles]
-        edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-        key, back = edges[:, 0] * 10**6 + edges[:, 1], edges[:, 1] * 10**6 + edges[:, 0]
-        assert (edges[:, 0] != edges[:, 1]).all(), part
-        assert len(np.unique(key)) == len(key), part
-        assert np.array_equal(np.sort(key), np.sort(back)), part
-        assert signed_volume(vertices, triangles) > 0, part
+    check_pieces(found)
 
 
 @each_shape
