@@ -75,9 +75,10 @@ def look_behind(
         weather: Air and sky.
     """
     everywhere = np.ones(picture.shape, np.bool_)
-    all_ground = Behind(
-        _median(picture, free) or _median(picture, everywhere), None, 0.0, None, ~everywhere, everywhere
-    )
+    level = _median(picture, free)
+    # A level of 0 is a level; only too few free pixels call for the whole picture.
+    level = _median(picture, everywhere) if level is None else level
+    all_ground = Behind(level, None, 0.0, None, ~everywhere, everywhere)
     if camera is None:
         return all_ground
     elevation = elevations(camera)

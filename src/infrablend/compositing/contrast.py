@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.compositing.gain import pixel_box
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import TimeOfDay
@@ -120,8 +121,7 @@ def measure_contrast(
         The contrast; None if the box is empty or too few pixels of the ring are free.
     """
     height, width = picture.shape
-    left, top, right, bottom = _hull(box_xyxy)
-    left, top, right, bottom = max(left, 0), max(top, 0), min(right, width), min(bottom, height)
+    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
     if left >= right or top >= bottom:
         return None
     reach = max(min_ring_px, max(right - left, bottom - top) // 2)
@@ -129,7 +129,7 @@ def measure_contrast(
     around = np.asarray(picture[y0:y1, x0:x1], np.float64) / scale
     ring = np.ones(around.shape, np.bool_)
     for box in (box_xyxy, *others):
-        a, b, c, d = _hull(box)
+        a, b, c, d = pixel_box(box, picture.shape)
         ring[max(b - y0, 0) : max(d - y0, 0), max(a - x0, 0) : max(c - x0, 0)] = False
     if np.count_nonzero(ring) < MIN_RING_PIXELS:
         return None
@@ -143,11 +143,6 @@ def measure_contrast(
         ring=float(np.median(around[ring])),
         clutter=float(around[ring].std()),
     )
-
-
-def _hull(box_xyxy: NDArray[np.float64]) -> tuple[int, int, int, int]:
-    x0, y0, x1, y1 = box_xyxy
-    return math.floor(x0), math.floor(y0), math.ceil(x1), math.ceil(y1)
 
 
 def near_edge(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> bool:

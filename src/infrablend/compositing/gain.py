@@ -39,6 +39,11 @@ DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 _MOST_MISFIT = 4.0
 
 
+def is_untrusted(doubts: Sequence[str]) -> bool:
+    """Return whether a gain's doubts are reasons not to trust it; the prior alone (`no_anchor`) is no such reason."""
+    return any(kind != "no_anchor" for kind in doubts)
+
+
 @dataclass(frozen=True)
 class GainPrior:
     """The gain expected before looking at the picture, grey levels per kelvin at air temperature.

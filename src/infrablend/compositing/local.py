@@ -29,6 +29,7 @@ from infrablend.compositing.gain import (
     GainPrior,
     draw_gain,
     find_anchors,
+    is_untrusted,
     ring_level,
 )
 from infrablend.compositing.mapping import GreyMapping, Place
@@ -103,7 +104,7 @@ class LocalMatch:
     @property
     def untrusted(self) -> bool:
         """Whether there is a reason not to trust a gain that was used; the prior alone is no such reason."""
-        return any(set(gain["doubts"]) - {"no_anchor"} for gain in self.facts["gain"].values())
+        return any(is_untrusted(gain["doubts"]) for gain in self.facts["gain"].values())
 
 
 def match_locally(
@@ -180,7 +181,7 @@ def local_mapping(
         reference, anchors = (behind.sky_radiance, against_sky) if which == "sky" else (of_ground, on_ground)
         args = (weather.air_k, reference, backdrop.grey_unit, settings.prior, which != "cold")
         gains[which], gain_facts[which] = draw_gain(anchors, *args, rng)
-        if settings.on_untrusted == "prior" and set(gain_facts[which]["doubts"]) - {"no_anchor"}:
+        if settings.on_untrusted == "prior" and is_untrusted(gain_facts[which]["doubts"]):
             doubts = gain_facts[which]["doubts"]
             gains[which], gain_facts[which] = draw_gain((), *args, rng)
             gain_facts[which].update(doubts=doubts, from_prior=True)
