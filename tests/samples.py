@@ -104,6 +104,28 @@ def _written(folder: Path, write: Callable[[tuple[ImageRecord, ...], tuple[Categ
 # -- in alphabetical order -------------------------------------------------------------------------------------
 
 
+@sample("bambi")
+def _bambi(folder: Path) -> Path:
+    """Two flights in two splits, their pictures in one folder, with a twin in visible light."""
+    species = ("Rotwild", "Schwarzwild")
+    for k, (flight, split) in enumerate((("7", "train"), ("7", "train"), ("12", "test"))):
+        name = f"{flight}_{100 + k}.jpg"
+        picture(folder / "thermal" / name, k)
+        picture(folder / "rgb" / name, k + 7)
+        file = folder / f"{flight}_metadata.json"
+        link = {"sharepoint_link": "https://x/2024_03_22_Place/F_M3TE"}
+        empty = {"flight_key": flight, "split": split, "flight_info": link, "frames": {}}
+        top = json.loads(file.read_text()) if file.is_file() else empty
+        boxes = [
+            {"species": s, "gender": 0, "age": 2, "visibility": n, "label_id": 10 * k + n,
+             "bbox": {"x_min": 5 + 20 * n, "y_min": 6, "x_max": 17 + 20 * n, "y_max": 14}}
+            for n, s in enumerate(species if k != 1 else ())
+        ]  # fmt: skip
+        top["frames"][str(100 + k)] = {"frame_idx": 100 + k, "thermal_image": name, "annotations": boxes}
+        file.write_text(json.dumps(top))
+    return folder
+
+
 @sample("birdsai")
 def _birdsai(folder: Path) -> Path:
     """Two sequences of different sizes in train, one in test, and files beside the tables that are not tables."""

@@ -149,6 +149,10 @@ FORMATS: tuple[Format, ...] = (
         written_as="voc",
     ),
     Format(
+        "bambi", "infrablend.formats.bambi", "BAMBI: wildlife from straight above, a JSON of boxes per flight",
+        written_as="coco",
+    ),
+    Format(
         "dota", "infrablend.formats.dota", "DOTA text files: four corners in pixels",
         (
             Writer(

@@ -1,0 +1,241 @@
+"""BAMBI (2026): wildlife from straight above, thermal pictures with a JSON file of boxes per flight.
+
+    <flight>_metadata.json    thermal/<flight>_<frame>.jpg    [rgb/<flight>_<frame>.jpg]
+
+A file lists the frames of one flight and the boxes of each, in px of the undistorted thermal picture. Its split is that
+of the flight. Published flights look straight down. The visible-light twins are not read.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import leaves_folder, read_json
+from infrablend.formats.base import Match, check_splits, require_options
+from infrablend.formats.box_checks import check_box
+from infrablend.formats.pictures import PictureFolder, check_name, read_size
+from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.values import to_floats, to_int
+
+NAME = "bambi"
+OPTIONS = {"unlabelled": "keep or drop thermal pictures that no file lists; drop is the default"}
+SPECIES = {
+    "Rotwild": "red deer",
+    "Rehwild": "roe deer",
+    "Damwild": "fallow deer",
+    "Schwarzwild": "wild boar",
+}
+"""English class names by the hunters' names in the files; other species keep theirs."""
+STRAIGHT_DOWN_DEG = 90.0
+
+_PATTERN = "*_metadata.json"
+_PICTURES = "thermal"
+_EDGES = ("x_min", "y_min", "x_max", "y_max")
+_DATE = re.compile(r"(?<!\d)(\d{4})_(\d\d)_(\d\d)(?!\d)", re.ASCII)
+
+
+def _flight_files(root: Path) -> list[Path]:
+    """Return the files of flights; no links out of the folder, pipes or devices."""
+    return sorted(p for p in root.glob(_PATTERN) if p.is_file() and not leaves_folder(p))
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` contains a file of a flight beside a folder of thermal pictures."""
+    if not (root / _PICTURES).is_dir():
+        return Match(NAME, False, f"no folder {_PICTURES}")
+    for path in _flight_files(root):
+        try:
+            with path.open("rb") as file:
+                start = file.read(4096)
+        except OSError:
+            continue
+        if b'"flight_key"' in start:
+            return Match(NAME, True, f"{path.name} describes a flight")
+    return Match(NAME, False, f"no file {_PATTERN} with a flight_key")
+
+
+@dataclass
+class _Reading:
+    """State of reading one dataset.
+
+    Attributes:
+        root: Folder of the dataset.
+        pictures: Thermal pictures.
+        problems: Problems found so far.
+        counts: Numbers of flights, frames and objects.
+        records: Records of the frames in the wanted splits.
+        species: Names of all species in the files.
+        listed: Names of the pictures that a file lists.
+    """
+
+    root: Path
+    pictures: PictureFolder
+    problems: list[Problem] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    records: list[ImageRecord] = field(default_factory=list)
+    species: set[str] = field(default_factory=set)
+    listed: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What a file says about all frames of its flight."""
+
+    file: str
+    key: str
+    split: Split
+    captured: str | None
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    unlabelled: str = "drop",
+) -> Dataset:
+    """Read the thermal pictures and boxes of all flights in a folder.
+
+    Args:
+        root: Folder with the files of flights and the folder `thermal`.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude, by file or by flight (`sequence`); None uses any `metadata.csv` or
+            `.json`. Without one, the pitch is straight down.
+        unlabelled: Whether to `keep` or `drop` thermal pictures that no file lists. Kept ones are train.
+
+    Raises:
+        DatasetError: An option has a wrong value, or no picture can be read.
+    """
+    require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    state = _Reading(root, PictureFolder.scan(root / _PICTURES))
+    for path in _flight_files(root):
+        _read_flight(state, path, wanted)
+    others = [name for name in state.pictures.by_name if name not in state.listed]
+    state.counts["unlabelled"] = len(others)
+    state.problems += unlabelled_problems(_PICTURES, len(others), unlabelled, "no entry in any file")
+    for name in others if unlabelled == "keep" and "train" in wanted else ():
+        _add_unlabelled(state, name)
+    names = [n for n in SPECIES.values() if n in state.species]
+    names += sorted(state.species - set(names))
+    rows = {k: state.counts[k] for k in ("flights", "frames", "objects", "read", "unlabelled")}
+    categories = [Category(k, n) for k, n in enumerate(names)]
+    notes = {"labels": NAME, "rows": rows}
+    return make_dataset(root, NAME, state.records, categories, state.problems, notes, metadata=metadata, splits=wanted)
+
+
+def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None:
+    """Add the frames of one file to the state."""
+    try:
+        top = read_json(path)
+    except DatasetError as error:
+        state.problems += [Problem(path.name, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        return
+    frames = top.get("frames") if isinstance(top, dict) else None
+    split = next((s for s in SPLITS if isinstance(top, dict) and s == top.get("split")), None)
+    if not isinstance(frames, dict) or split is None:
+        found = "no frames" if split is not None else "no split train, val or test"
+        expected = "flight_key, split (train, val or test) and frames by number"
+        state.problems.append(Problem(path.name, "annotation-layout", found, expected, "fetch the file again"))
+        return
+    state.counts["flights"] += 1
+    flight = _Flight(path.name, str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:])), split, _date(top))
+    for number, frame in frames.items():
+        where = f"{path.name}: frame {number}"
+        state.counts["frames"] += 1
+        record = _frame_record(state, flight, frame, where)
+        if record is not None and split in wanted:
+            state.records.append(record)
+
+
+def _date(top: dict[str, Any]) -> str | None:
+    """Return the date in the folder names of the flight's origin as ISO 8601; None if there is no valid date."""
+    for found in _DATE.finditer(str(top.get("flight_info"))):
+        try:
+            return datetime.date(int(found[1]), int(found[2]), int(found[3])).isoformat()
+        except ValueError:
+            continue
+    return None
+
+
+def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> ImageRecord | None:
+    """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
+    name = frame.get("thermal_image") if isinstance(frame, dict) else None
+    given = frame.get("annotations") if isinstance(frame, dict) else None
+    problem = check_name(name, where)
+    if problem is None and not isinstance(given, list):
+        expected = "a list of annotations"
+        problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
+    if problem is None:
+        name, path, problem = state.pictures.find(str(name), where)
+        if problem is None and name in state.listed:
+            problem = Problem(where, "image-duplicate", f"picture {name} again", "each picture once", "keep one entry")
+        if problem is None and path is None:
+            expected = f"the picture in {_PICTURES}"
+            problem = Problem(where, "image-missing", f"no picture {name}", expected, "restore it")
+        state.listed.add(name)
+        if problem is None and path is not None:
+            size_wh, problem = read_size(path, where)
+            if size_wh is not None:
+                instances = tuple(_instances(state, given, size_wh, where))
+                extra = {} if (k := to_int(frame.get("frame_idx"))) is None else {"frame": k}
+                return ImageRecord(
+                    "", path, flight.split, size_wh, STRAIGHT_DOWN_DEG, None, None, instances,
+                    extra=extra, file_name=name, sequence=flight.key, captured=flight.captured,
+                )  # fmt: skip
+    state.problems += [problem] if problem else []
+    return None
+
+
+def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str) -> Iterator[Instance]:
+    """Yield the objects of a frame; those without a species or with a bad box are left out with a problem."""
+    for n, annotation in enumerate(given, 1):
+        here = f"{where}: annotation {n}"
+        state.counts["objects"] += 1
+        values = annotation if isinstance(annotation, dict) else {}
+        species, box = values.get("species"), values.get("bbox")
+        edges = to_floats([box.get(k) for k in _EDGES], 4) if isinstance(box, dict) else None
+        if not isinstance(species, str) or not species.strip() or edges is None:
+            expected = "species, and bbox with x_min, y_min, x_max and y_max"
+            found = "no species" if edges is not None else "no box of four numbers"
+            state.problems.append(Problem(here, "annotation-layout", found, expected, "correct the annotation"))
+            continue
+        xyxy, problem = check_box(edges, size_wh, here)
+        state.problems += [problem] if problem else []
+        if xyxy is None:
+            continue
+        name = SPECIES.get(species.strip(), species.strip())
+        state.species.add(name)
+        state.counts["read"] += 1
+        # Sex, age and visibility are codes without a published key, kept as they are.
+        codes = {k: values[k] for k in ("gender", "age", "visibility") if to_int(values.get(k)) is not None}
+        yield Instance(name, xyxy, source_id=to_int(values.get("label_id")), extra=codes)
+
+
+def _add_unlabelled(state: _Reading, name: str) -> None:
+    path = state.pictures.by_name[name]
+    size_wh, problem = read_size(path, f"{_PICTURES}/{name}")
+    state.problems += [problem] if problem else []
+    if size_wh is not None:
+        state.records.append(
+            ImageRecord(
+                "",
+                path,
+                "train",
+                size_wh,
+                STRAIGHT_DOWN_DEG,
+                None,
+                None,
+                (),
+                extra={"labelled": False},
+                file_name=name,
+            )
+        )
