@@ -441,6 +441,9 @@ class Render(Strict):
     """Samples per pixel; overrides `quality`."""
 
 
+LooseFactor = Annotated[float, Field(ge=1, le=2)]
+
+
 class Labels(Strict):
     """Which labels are written."""
 
@@ -453,6 +456,10 @@ class Labels(Strict):
     """Original categories whose labels are kept, by the name after `rename`; all by default."""
     obb: Literal["min_area", "heading"] = "min_area"
     """Oriented boxes: of smallest area, or aligned with the object's heading."""
+    loosen: LooseFactor | dict[ClassName, LooseFactor] = 1.0
+    """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
+    hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as
+    they are; COCO and the frame records also have the exact boxes."""
     dont_care: Literal["drop", "keep"] = "drop"
     """YOLO formats only: leave DontCare regions out (paper), or keep them as a class of their own."""
     remove_covered: float = Field(0.99, gt=0, le=1)

@@ -17,6 +17,10 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 TimeOfDay = Literal["day", "night"]
 
+# Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
+# each) of an object whose box was enlarged, see `annotation.looseness`.
+TIGHT_BOX, TIGHT_OBB = "tight_bbox", "tight_obb"
+
 
 @dataclass(frozen=True)
 class Category:

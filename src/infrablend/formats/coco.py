@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import SPLITS, TIGHT_BOX, TIGHT_OBB, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
@@ -175,6 +175,7 @@ def annotation_record(
     a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
     a |= _known(track_id=instance.track_id)
     a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
+    a |= {k: _tidy(np.array(instance.extra[k])) for k in (TIGHT_BOX, TIGHT_OBB) if k in instance.extra}
     if instance.mask is not None:
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
             raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")
@@ -452,6 +453,8 @@ def _read_annotations(
         extra = {k: a[k] for k in ("source_id",) if k in a}
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1
+        exact = {TIGHT_BOX: to_floats(a.get(TIGHT_BOX), 4), TIGHT_OBB: to_floats(a.get(TIGHT_OBB), 8)}
+        extra |= {k: list(v) for k, v in exact.items() if v is not None and np.isfinite(v).all()}
         instances.append(
             Instance(
                 names[category],

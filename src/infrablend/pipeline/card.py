@@ -81,6 +81,13 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         texts.append(f"{covered} original labels are partly covered by inserted objects and kept.")
     if unlabelled := sum(counts["objects_without_label"].values()):
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
+    if loosened := counts.get("boxes_loosened"):
+        by = labels.loosen
+        factors = f"the factor {by:g}" if isinstance(by, float) else ", ".join(f"{k} {v:g}" for k, v in by.items())
+        texts.append(
+            f"The boxes of {loosened} inserted objects were enlarged by {factors}, up to the border of the picture, "
+            "because hand-drawn boxes have a margin."
+        )
     if labels.rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in labels.rename.items()) + ".")
     left_out = Counter(p.code for p in plan.problems if p.severity == "error")

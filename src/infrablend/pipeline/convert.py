@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
+from infrablend.annotation.looseness import is_loosened, loosen_inserted
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
-from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_json
 from infrablend.core.format_table import NATIVE, find_writer, written_names
 from infrablend.core.output import OutputFolder, require_apart
+from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
@@ -110,8 +110,7 @@ def convert_dataset(
         out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
         classes: Classes to rename and to leave out.
         selection: Pictures to select; class names apply after renaming and before dropping.
-        loosen: Factor by which to enlarge the axis-aligned boxes of inserted objects, up to the border of the picture:
-            hand-drawn boxes have a margin, boxes of rendered objects do not. Oriented boxes and masks stay unchanged.
+        loosen: Factor by which to enlarge the boxes of inserted objects, see `annotation.looseness`.
         settings: Settings of the writer.
         overwrite: Delete the output of the earlier call first.
 
@@ -138,14 +137,13 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
-    if not 1 <= loosen <= 2:
-        factor = Problem("--loosen-inserted", "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
-        raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this factor", [factor])
+    if loosen != 1:
+        _require_tight(dataset, loosen)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
     loosened = 0
     if loosen > 1:
-        images, loosened = _enlarge_boxes(images, loosen)
+        images, loosened = loosen_inserted(images, loosen)
         if not loosened:
             none = Problem("--loosen-inserted", "loosen-none", "no object marked as inserted", "at least one",
                            "convert the coco folder of a run, which marks them")  # fmt: skip
@@ -191,8 +189,8 @@ def convert_dataset(
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if loosen > 1:
             changes.append(
-                f"The axis-aligned boxes of {loosened} inserted objects were enlarged by the factor {loosen:g}, up to "
-                "the border of the picture, because hand-drawn boxes have a margin."
+                f"The boxes of {loosened} inserted objects were enlarged by the factor {loosen:g}, up to the border of "
+                "the picture, because hand-drawn boxes have a margin."
             )
         card = dataset_card(
             origin_of(dataset, images, rename),
@@ -211,19 +209,28 @@ def convert_dataset(
     return report
 
 
-def _enlarge_boxes(images: Sequence[ImageRecord], factor: float) -> tuple[list[ImageRecord], int]:
-    """Enlarge the boxes of inserted objects up to the picture's border; return the images and the number of boxes."""
-    loose, n = [], 0
-    for image in images:
-        instances = []
-        for one in image.instances:
-            if one.inserted and image.size_wh is not None:
-                x0, y0, x1, y1 = one.box_xyxy
-                room = np.array([x0 - x1, y0 - y1, x1 - x0, y1 - y0]) * (factor - 1) / 2
-                one, n = replace(one, box_xyxy=clip_boxes(one.box_xyxy + room, image.size_wh)), n + 1
-            instances.append(one)
-        loose.append(replace(image, instances=tuple(instances)))
-    return loose, n
+def _require_tight(dataset: Dataset, loosen: float) -> None:
+    """Check the factor, and that no earlier step has enlarged the boxes already."""
+    option = "--loosen-inserted"
+    if not 1 <= loosen <= 2:
+        factor = Problem(option, "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
+        raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this factor", [factor])
+    earlier = sum(is_loosened(i) for image in dataset.images for i in image.instances)
+    earlier = earlier or _recorded_loosened(dataset.root)
+    if earlier:
+        twice = Problem(option, "loosen-twice", f"{earlier} boxes that are enlarged already", "boxes that fit tightly",
+                        "leave the option out, or convert a run made with labels.loosen 1")  # fmt: skip
+        raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])
+
+
+def _recorded_loosened(root: Path) -> int:
+    """Return how many boxes the run or the conversion that wrote the dataset enlarged; not all formats mark them."""
+    for record in (root / RECORD_FILE, root / RUN_FILE, root.parent / RUN_FILE):
+        try:
+            return int(json.loads(record.read_text("utf-8"))["counts"]["boxes_loosened"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return 0
 
 
 def _changes(

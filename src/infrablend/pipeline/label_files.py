@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from infrablend.annotation.looseness import loosen_inserted
 from infrablend.compositing.gain import Doubt
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import Problem
@@ -45,7 +46,8 @@ class LabelSummary:
 def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
     """Write the card and all formats of the recipe; the same records give the same bytes."""
     records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
-    images = [labelled_image(f, r, folder) for f, r in records]
+    # The records keep the exact boxes.
+    images, loosened = loosen_inserted([labelled_image(f, r, folder) for f, r in records], plan.recipe.labels.loosen)
     losses: Counter[str] = Counter()
     problems: list[Problem] = []
     for name in plan.recipe.output.formats if images else ():
@@ -54,6 +56,9 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
         problems += written.problems
     problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
+    if loosened:
+        by = plan.recipe.labels.loosen
+        finished = replace(finished, counts={**finished.counts, "boxes_loosened": loosened, "loosened_by": by})
     problems += absent_warnings(finished.draws)
     problems += limit_warnings([r for _, r in records])
     if images:

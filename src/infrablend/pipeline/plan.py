@@ -212,6 +212,7 @@ def make_plan(
         if name not in {c.name for c in categories}:
             new.append(name)
             categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
+    _require_loosened(recipe, {o.category or models[o.model].category for o in recipe.objects})
     frames = []
     for image in usable:
         if recipe.output.originals:
@@ -291,6 +292,20 @@ def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset
         found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
         problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def _require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
+    """Check that the classes of `labels.loosen` are classes of inserted objects; no other boxes are enlarged."""
+    factors = recipe.labels.loosen
+    unknown = [] if isinstance(factors, float) else sorted(set(factors) - set(inserted))
+    if unknown:
+        found, expected = (
+            f"found {', '.join(unknown)}",
+            f"classes of the inserted objects ({', '.join(sorted(inserted))})",
+        )
+        raise RecipeError(
+            f"recipe {recipe.name}: no such inserted class", [Problem("labels.loosen", "recipe-value", found, expected)]
+        )
 
 
 def _require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:

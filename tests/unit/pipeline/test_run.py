@@ -329,6 +329,40 @@ def test_original_labels_are_kept_or_listed(dataset, tmp_path):
     assert all(r["covered_share"] >= 0.99 for r in run["removed"])
 
 
+def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(dataset, tmp_path):
+    settings = {"output.image": "png", "output.formats": ["coco", "yolo", "native"]}
+    tight = generate(dataset, tmp_path / "tight", settings=settings)
+    loose = generate(dataset, tmp_path / "loose", settings={**settings, "labels.loosen": {"drone": 1.3}})
+    assert "boxes_loosened" not in tight.counts
+    assert (loose.counts["boxes_loosened"], loose.counts["loosened_by"]) == (8, {"drone": 1.3})
+    assert "boxes of 8 inserted objects were enlarged by drone 1.3" in (tmp_path / "loose" / "README.md").read_text()
+    for before, after in zip(records(tmp_path / "tight"), records(tmp_path / "loose"), strict=True):
+        assert before.image_sha256 == after.image_sha256
+        np.testing.assert_array_equal(before.inserted[0].box_xyxy, after.inserted[0].box_xyxy)
+
+    def annotations(run):
+        return json.loads((tmp_path / run / "coco" / "train.json").read_text())["annotations"]
+
+    for a, b in zip(annotations("tight"), annotations("loose"), strict=True):
+        changes = {k: b[k] for k in b if a.get(k) != b[k]}
+        assert not changes or b["inserted"]
+        if b["inserted"]:
+            assert set(changes) == {"bbox", "obb", "tight_bbox", "tight_obb"}
+            assert (b["tight_bbox"], b["tight_obb"]) == (a["bbox"], a["obb"])
+            (x, y, w, h), (lx, ly, lw, lh) = a["bbox"], b["bbox"]
+            assert lw <= 1.3 * w + 1e-6 and lh <= 1.3 * h + 1e-6 and min(lx, ly) >= 0
+            assert lx <= x and ly <= y and x + w <= lx + lw + 1e-6 and y + h <= ly + lh + 1e-6
+    for run, by in (("tight", 1.0), ("loose", 1.3)):
+        text = (tmp_path / run / "yolo" / "labels" / "train" / f"{SPLIT['train'][0]}_c0.txt").read_text()
+        box = annotations(run)[0] if annotations(run)[0]["inserted"] else annotations(run)[1]
+        assert f" {box['bbox'][2] / 640:.4f}"[:6] in text, by
+    for labels in ("coco", "native", ""):
+        with pytest.raises(DatasetError, match="8 boxes that are enlarged already"):
+            api.convert(tmp_path / "loose" / labels, tmp_path / "twice", "coco", loosen=1.1)
+    with pytest.raises(RecipeError, match="found Drone; expected classes of the inserted objects"):
+        generate(dataset, tmp_path / "unknown", settings={"labels.loosen": {"Drone": 1.3}})
+
+
 def test_label_modes_and_categories(dataset, tmp_path):
     def labels(name, **settings):
         settings = {"output.image": "png", "configurations": 1, **settings}

@@ -133,7 +133,8 @@ def _make_run(job: StageJob) -> dict[str, Any]:
         raise RenderError(f"{job.stage.id}: frames failed twice; run the same command to try them again", problems)
     made = read_dataset(job.out / "coco")
     counts = {k: report.counts[k] for k in ("frames", "objects_inserted", "skipped_backgrounds") if k in report.counts}
-    return {**dataset_facts(made), "run": counts, "dataset": "out/coco", "there": ["out/coco", "out/images"]}
+    facts = {**dataset_facts(made), **_loosened(report.counts)}
+    return {**facts, "run": counts, "dataset": "out/coco", "there": ["out/coco", "out/images"]}
 
 
 def _make_part(job: StageJob) -> dict[str, Any]:
@@ -145,8 +146,11 @@ def _make_part(job: StageJob) -> dict[str, Any]:
     dataset = replace(dataset, images=tuple(images))
     classes = ClassChanges(spec.rename, spec.drop, spec.only)
     report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen)
-    loosened = {k: report.counts[k] for k in ("boxes_loosened", "loosened_by") if k in report.counts}
-    return {**dataset_facts(read_dataset(out)), **loosened, "dataset": "out", "there": ["out"]}
+    return {**dataset_facts(read_dataset(out)), **_loosened(report.counts), "dataset": "out", "there": ["out"]}
+
+
+def _loosened(counts: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: counts[k] for k in ("boxes_loosened", "loosened_by") if k in counts}
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:

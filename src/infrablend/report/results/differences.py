@@ -43,14 +43,16 @@ def _trainings(facts: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
-    loosened: dict[float, int] = {}
+    loosened: dict[str, int] = {}
     for s in facts["stages"]:
         if s.get("boxes_loosened"):
-            loosened[s["loosened_by"]] = loosened.get(s["loosened_by"], 0) + s["boxes_loosened"]
+            by = s["loosened_by"]
+            text = ", ".join(f"{v:g} ({k})" for k, v in by.items()) if isinstance(by, Mapping) else f"{by:g}"
+            loosened[text] = loosened.get(text, 0) + s["boxes_loosened"]
     for factor, n in sorted(loosened.items()):
         yield (
-            f"The training boxes of {n:,} inserted objects are enlarged by {factor:g} in width and height, to match "
-            "the boxes drawn by the source's annotators; oriented boxes, masks and images are unchanged."
+            f"The training boxes of {n:,} inserted objects are enlarged by {factor} in width and height, to match "
+            "the boxes drawn by the source's annotators; masks and images are unchanged."
         )
 
 
