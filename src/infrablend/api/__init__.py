@@ -29,7 +29,7 @@ from infrablend.api.datasets import (
 )
 from infrablend.api.detectors import compare_evaluations, evaluate, plan_train, train
 from infrablend.api.experiments import experiment, list_experiments, plan_experiment
-from infrablend.api.runs import PlanReport, generate, plan, preview, preview_ground, realism, rerender
+from infrablend.api.runs import PlanReport, generate, plan, preview, preview_ground, realism, realism_page, rerender
 from infrablend.api.shipped import (
     add_model,
     describe_model,
@@ -65,6 +65,6 @@ __all__ = [
     "add_model", "check", "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose",
     "evaluate", "experiment", "fetch", "generate", "inspect", "list_experiments", "list_models", "list_recipes",
     "list_sources", "make_world", "plan", "plan_experiment", "plan_train", "preview", "preview_ground", "profile",
-    "read_dataset", "realism", "rerender", "show_model", "show_recipe", "split", "survey_model", "train",
-    "write_infrared_effect",
+    "read_dataset", "realism", "realism_page", "rerender", "show_model", "show_recipe", "split", "survey_model",
+    "train", "write_infrared_effect",
 ]  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.api.datasets import read_dataset
+from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.formats.reading import READ_ALL, Reading
@@ -16,6 +17,7 @@ from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
+from infrablend.report.realism_page import add_to_page
 
 if TYPE_CHECKING:
     from infrablend.report.preview import Draw
@@ -99,10 +101,10 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
     return ground_sheet(Path(run), Path(out), count)
 
 
-def realism(
+def realism(  # noqa: PLR0913 - callers name these; a value object for some of them would break their calls
     run: str | Path, against: str | Path, out: str | Path | None = None, *, categories: Sequence[str] | None = None,
-    time_of_day: Time = "all", pairs: int = 1000, reading: Reading = READ_ALL,
-    execution: Execution = DEFAULT_EXECUTION, on_progress: OnProgress | None = None,
+    time_of_day: Time = "all", pairs: int = 1000, real: Dataset | None = None, steps: bool = True,
+    reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION, on_progress: OnProgress | None = None,
 ) -> RealismReport:  # fmt: skip
     """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
 
@@ -113,10 +115,26 @@ def realism(
         categories: Classes to compare; by default all that are both inserted and annotated.
         time_of_day: Only pictures of that time.
         pairs: Largest number of pairs per class.
+        real: Dataset of the real objects, as from `read_dataset`; by default `against`.
+        steps: Whether to render the inserted objects again with each step of the sensor chain.
         reading: How to read `against`.
         execution: Worker processes; `in_process` only for runs made with the flat renderer.
         on_progress: Called after each picture.
     """
     folder = Path(run) / "realism" if out is None else Path(out)
-    request = ComparisonRequest(categories, time_of_day, pairs, execution.worker_count(), execution.in_process)
+    request = ComparisonRequest(
+        categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
+    )
     return compare(Path(run), read_dataset(against, reading), folder, request, on_progress)
+
+
+def realism_page(report: RealismReport, out: str | Path) -> Path:
+    """Add the figures of a comparison to the page of results `realism.md` in a folder; return the path of the page.
+
+    Classes and times of day that the page has from other comparisons are kept.
+
+    Args:
+        report: What `realism` returned.
+        out: Folder of `realism.md`, `realism.json` and the charts; created if it is missing.
+    """
+    return add_to_page(report.facts, Path(out))

@@ -43,6 +43,19 @@ def realism(
     ] = None,
     time: Annotated[TimeOfDay, typer.Option(help="Time of day of the images.")] = TimeOfDay.ALL,
     pairs: Annotated[int, typer.Option(min=10, help="Largest number of pairs per class.")] = 1000,
+    real: Annotated[
+        Path | None,
+        typer.Option(metavar="DATASET", help="Dataset of the real objects [default: that of the backgrounds]."),
+    ] = None,
+    real_split: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Splits of --real to read [default: all].")
+    ] = None,
+    steps: Annotated[
+        bool, typer.Option(help="Render inserted objects again with each step of the sensor chain.")
+    ] = True,
+    page: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Add the figures to realism.md and realism.json in this folder.")
+    ] = None,
     workers: WorkersOption = None,
     format: FormatOption = None,
     options: ReadingOption = None,
@@ -52,6 +65,8 @@ def realism(
     session: Session = ctx.obj
     session.json = as_json
     chosen = comma_list(classes, "--class")
+    if real_split is not None and real is None:
+        raise typer.BadParameter("needs --real; without it, splits are those of the run", param_hint="--real-split")
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
@@ -66,16 +81,23 @@ def realism(
             categories=chosen,
             time_of_day=time.value,
             pairs=pairs,
+            real=None if real is None else api.read_dataset(real, make_reading(real_split)),
+            steps=steps,
             reading=make_reading(format=format, options=options),
             execution=Execution(workers),
             on_progress=on_progress,
         )
+    written = None if page is None else api.realism_page(report, page)
     if as_json:
         print_json(report.to_json())
         return
     for name, facts in report.facts["classes"].items():
         print_result(table({name: "", **_lines(facts)}))
+        for line in _contrast_lines(facts):
+            print_result(line)
     print_result(str(report.out / "realism.html"))
+    if written is not None:
+        print_result(str(written))
 
 
 def _lines(facts: dict[str, Any]) -> dict[str, str]:
@@ -96,3 +118,13 @@ def _lines(facts: dict[str, Any]) -> dict[str, str]:
         "  valid": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
         "  separated by": ", ".join(f["feature"] for f in facts["separating_features"][:5]),
     }
+
+
+def _contrast_lines(facts: dict[str, Any]) -> list[str]:
+    """Return a line per check of the contrasts."""
+    from infrablend.report.realism_tables import check_rows
+
+    return [
+        f"  {name}: real {real}, inserted {inserted}, {found} ({required}): {holds}"
+        for name, real, inserted, found, required, holds in check_rows(facts["contrast"])
+    ]

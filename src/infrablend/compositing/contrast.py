@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.gain import pixel_box
 from infrablend.compositing.mapping import GreyImage
+from infrablend.core.boxes import pixel_box
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import TimeOfDay
 

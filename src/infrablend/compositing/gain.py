@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage, grey_unit
+from infrablend.core.boxes import pixel_box
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance, TimeOfDay
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
@@ -239,18 +240,6 @@ def ring_level(picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free
         if mask.sum() >= 50:
             return float(np.median(picture[mask]))
     return float(np.median(picture))
-
-
-def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return the box grown to whole pixels and cut to the frame."""
-    x0, y0, x1, y1 = box_xyxy
-    h, w = shape_hw
-    return (
-        int(np.clip(math.floor(x0), 0, w)),
-        int(np.clip(math.floor(y0), 0, h)),
-        int(np.clip(math.ceil(x1), 0, w)),
-        int(np.clip(math.ceil(y1), 0, h)),
-    )
 
 
 def _truncated_normal(rng: np.random.Generator, mean: float, sd: float, low: float, high: float) -> float:

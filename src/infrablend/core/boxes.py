@@ -48,6 +48,18 @@ def box_iou(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:
     return np.asarray(np.divide(both, union, out=np.zeros_like(both), where=union > 0))
 
 
+def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Return the first and last column and row (exclusive) of a box grown to whole pixels and cut to the frame."""
+    x0, y0, x1, y1 = box_xyxy
+    h, w = shape_hw
+    return (
+        int(np.clip(math.floor(x0), 0, w)),
+        int(np.clip(math.floor(y0), 0, h)),
+        int(np.clip(math.ceil(x1), 0, w)),
+        int(np.clip(math.ceil(y1), 0, h)),
+    )
+
+
 # -- polygons ------------------------------------------------------------------------------------------------
 
 

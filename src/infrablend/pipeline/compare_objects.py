@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -41,6 +41,7 @@ from infrablend.realism.class_comparison import (
     validity,
 )
 from infrablend.realism.classify import require_sklearn
+from infrablend.realism.contrasts import compare_contrasts
 from infrablend.realism.features import Measured
 from infrablend.realism.pairing import pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS
@@ -64,6 +65,8 @@ class ComparisonRequest:
         most_pairs: Largest number of pairs per class; this bounds the time.
         workers: Number of processes.
         in_process: Whether to use no processes at all; for tests.
+        real: Dataset of the real objects; None if they are in the pictures that the run was made from.
+        steps: Whether to render the inserted objects again with each step of the sensor chain.
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -74,6 +77,8 @@ class ComparisonRequest:
     most_pairs: int = 1000
     workers: int = 1
     in_process: bool = False
+    real: Dataset | None = None
+    steps: bool = True
 
     def __post_init__(self) -> None:
         require_names("categories", self.categories)
@@ -122,18 +127,21 @@ def measure_populations(
     for o in recipe.objects:
         ready_model(o.model)
     dataset = rename_classes(dataset, recipe.labels.rename)
+    real = dataset if request.real is None else request.real
     records = _records(run, request.time_of_day)
-    images = {image_key(i): i for i in dataset.images if request.time_of_day in ("all", i.time_of_day)}
-    lost = sorted({_background_key(r) for r in records} - set(images))
+    backgrounds = {image_key(i): i for i in dataset.images if request.time_of_day in ("all", i.time_of_day)}
+    lost = sorted({_background_key(r) for r in records} - set(backgrounds))
     if lost:
         raise DatasetError(
             f"{dataset.root}: {len(lost)} of the backgrounds of {run} are missing, e.g. {lost[0]}; "
             "expected the dataset that the run was made from. Give it with --against"
         )
-    chosen = _categories(run, dataset, records, request.categories)
-    splits = {r.frame_id.split("/")[0] for r in records}
-    originals = [i for k, i in images.items() if i.split in splits]
-    named = {c.name for c in dataset.categories}
+    chosen = _categories(run, real, records, request.categories)
+    splits = set(SPLITS) if request.real else {r.frame_id.split("/")[0] for r in records}
+    originals = {
+        image_key(i): i for i in real.images if i.split in splits and request.time_of_day in ("all", i.time_of_day)
+    }
+    named = {c.name for c in real.categories}
     measured = chosen if REFERENCE_CLASS not in named or REFERENCE_CLASS in chosen else (*chosen, REFERENCE_CLASS)
     settings = MeasuringSettings(
         run,
@@ -144,23 +152,26 @@ def measure_populations(
         about["machine"]["device"],
         not request.in_process,
     )
-    surveyed = [PictureJob(i) for i in originals if any(o.category in measured for o in i.instances)]
+    surveyed = [PictureJob(i) for i in originals.values() if any(o.category in measured for o in i.instances)]
     surveyed += [
-        PictureJob(images[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
+        PictureJob(backgrounds[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
     ]
     clock = _Clock(on_progress, len(surveyed))
     found = Measurements()
     for part in _run(settings, surveyed, request, clock):
         found.extend(part)
-    found.drop_without_real_object()
+    if request.real is None:
+        found.drop_without_real_object()
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
-    sensor = any(r.facts.get("sensor") for r in records)
+    sensor = request.steps and any(r.facts.get("sensor") for r in records)
     controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
     if measured != chosen:
         controlled[REFERENCE_CLASS] = _random_subset(
             [m for m in found.of("real", REFERENCE_CLASS) if not m.flaw], request.most_pairs
         )
-    redo = _control_jobs(controlled, pairs, images, {r.frame_id: r for r in records}, sensor)
+    redo = _control_jobs(controlled, originals)
+    if sensor:
+        redo += _sensor_jobs(pairs, backgrounds, {r.frame_id: r for r in records})
     clock.total += len(redo)
     for part in _run(settings, redo, request, clock):
         found.extend(part)
@@ -211,7 +222,7 @@ def _categories(
         raise DatasetError(
             f"{run}: no class is both inserted ({', '.join(sorted(inserted))}) and annotated in {dataset.root} "
             f"({', '.join(sorted(real)) or 'none'}). Give the inserted object the class of its real "
-            "counterparts (--set objects.0.category=Person)"
+            "counterparts (--set objects.0.category=Person), or name another dataset that shows real ones (--real)"
         )
     return tuple(both)
 
@@ -231,27 +242,34 @@ def _random_subset(objects: Sequence[Measured], most: int) -> list[Measured]:
 
 
 def _control_jobs(
-    controlled: Mapping[str, Sequence[Measured]],
-    pairs: Mapping[str, Sequence[tuple[Measured, Measured]]],
-    images: Mapping[str, ImageRecord],
-    records: Mapping[str, FrameRecord],
-    sensor: bool,
+    controlled: Mapping[str, Sequence[Measured]], originals: Mapping[str, ImageRecord]
 ) -> list[PictureJob]:
-    reals: dict[str, list[int]] = {}
-    frames: dict[str, list[int]] = {}
-    keys = [(m.key, reals) for of_class in controlled.values() for m in of_class]
-    keys += [(inserted.key, frames) for of_class in pairs.values() for _, inserted in of_class]
-    for key, into in keys:
+    """Return the jobs that make controls from the real objects."""
+    numbers = _numbers_by_picture(m.key for of_class in controlled.values() for m in of_class)
+    return [PictureJob(originals[k], None, n) for k, n in numbers.items()]
+
+
+def _sensor_jobs(
+    pairs: Mapping[str, Sequence[tuple[Measured, Measured]]],
+    backgrounds: Mapping[str, ImageRecord],
+    records: Mapping[str, FrameRecord],
+) -> list[PictureJob]:
+    """Return the jobs that render inserted objects again with each step of the sensor chain."""
+    numbers = _numbers_by_picture(inserted.key for of_class in pairs.values() for _, inserted in of_class)
+    return [
+        PictureJob(backgrounds[_background_key(records[k])], records[k], n)
+        for k, n in numbers.items()
+        if records[k].facts.get("sensor")
+    ]
+
+
+def _numbers_by_picture(keys: Iterable[str]) -> dict[str, tuple[int, ...]]:
+    """Return the sorted numbers of the objects in each picture, from keys `<picture>#<number>`."""
+    found: dict[str, list[int]] = {}
+    for key in keys:
         name, _, number = key.rpartition("#")
-        into.setdefault(name, []).append(int(number))
-    jobs = [PictureJob(images[k], None, tuple(sorted(n))) for k, n in sorted(reals.items())]
-    if sensor:
-        jobs += [
-            PictureJob(images[_background_key(records[k])], records[k], tuple(sorted(n)))
-            for k, n in sorted(frames.items())
-            if records[k].facts.get("sensor")
-        ]
-    return jobs
+        found.setdefault(name, []).append(int(number))
+    return {name: tuple(sorted(numbers)) for name, numbers in sorted(found.items())}
 
 
 class _Clock:
@@ -340,6 +358,9 @@ def compare(
     by_name = {v.category: v.facts for v in comparisons}
     for v in comparisons:
         v.facts.update(validity(v.facts, people["floor_logistic"]))
+        v.facts["contrast"] = compare_contrasts(
+            found.contrasts_of("real", v.category), found.contrasts_of("inserted", v.category)
+        )
         for population in ("real", "inserted", "floor"):
             v.facts.setdefault("left_out", {})[population] = dict(
                 sorted(found.left_out.get(f"{population}/{v.category}", Counter()).items())
@@ -348,7 +369,7 @@ def compare(
         "version": 1,
         "time_of_day": request.time_of_day,
         "most_pairs": request.most_pairs,
-        "run": {"seed": RunFolder(run).read_run()["seed"], "recipe": RunFolder(run).read_run()["recipe"]["name"]},
+        "run": _run_facts(run, dataset, request),
         "unreadable": sorted(found.unreadable),
         "person_floor": people,
         "classes": by_name,
@@ -362,6 +383,22 @@ def compare(
         write_bytes(out / f"{sheet.name}.png", sheet.png)
     write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
+
+
+def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:
+    """Return where the inserted and the real objects come from."""
+    about = RunFolder(run).read_run()
+    real = dataset if request.real is None else request.real
+    splits = [s for s in SPLITS if next(iter(RunLayout(run).records(s)), None) is not None]
+    return {
+        "seed": about["seed"],
+        "recipe": about["recipe"]["name"],
+        "frames": about["frames"],
+        "backgrounds": dataset.root.resolve().name,
+        "splits": splits,
+        "real": real.root.resolve().name,
+        "real_splits": splits if request.real is None else [s for s in SPLITS if s in {i.split for i in real.images}],
+    }
 
 
 def _people(material: Material, comparisons: Sequence[ClassComparison]) -> dict[str, Any]:

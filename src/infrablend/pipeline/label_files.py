@@ -248,8 +248,7 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
             measured = kept if name == "labelled" else r.facts.get("contrast_first", kept)
             values += [min(c["changed"], c.get("change", c["changed"])) for c in measured]
         if values:
-            ordered = sorted(values)
-            one, five, half = (ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in (0.01, 0.05, 0.5))
+            one, five, half = _quantiles(values, 0.01, 0.05, 0.5)
             found[name] = f"1 % {one:.0f}; 5 % {five:.0f}; median {half:.0f}"
     return found
 
@@ -288,16 +287,12 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
 def _spread(values: Sequence[float]) -> dict[str, float]:
     if not values:
         return {}
+    low, half, high = _quantiles(values, 0.05, 0.5, 0.95)
+    spread = {"mean": statistics.fmean(values), "min": min(values), "p5": low, "median": half, "p95": high}
+    return {name: round(value, 4) for name, value in {**spread, "max": max(values)}.items()}
+
+
+def _quantiles(values: Sequence[float], *shares: float) -> list[float]:
+    """Return for each share the value that so large a share of the values is below."""
     ordered = sorted(values)
-
-    def quantile(q: float) -> float:
-        return round(ordered[min(len(ordered) - 1, int(q * len(ordered)))], 4)
-
-    return {
-        "mean": round(statistics.fmean(values), 4),
-        "min": round(ordered[0], 4),
-        "p5": quantile(0.05),
-        "median": quantile(0.5),
-        "p95": quantile(0.95),
-        "max": round(ordered[-1], 4),
-    }
+    return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in shares]

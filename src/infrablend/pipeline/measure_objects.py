@@ -24,6 +24,7 @@ from infrablend.formats.images import Background, SaveKind, encode_image, load_b
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.record import FrameRecord
+from infrablend.realism.contrasts import ObjectContrast, object_contrast
 from infrablend.realism.controls import paste_controls
 from infrablend.realism.features import (
     Bool,
@@ -93,11 +94,13 @@ class Measurements:
         objects: Measured objects by population: `real`, `inserted`, `floor`, `hard_paste`, or a sensor step.
         left_out: Objects that were not measured: `<population>/<class>` to reason to number.
         unreadable: Messages about pictures that could not be read.
+        contrasts: Contrast of all `real` and `inserted` objects, whether or not they are in `objects`.
     """
 
     objects: dict[str, list[Measured]] = field(default_factory=dict)
     left_out: dict[str, Counter[str]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)
+    contrasts: dict[str, list[ObjectContrast]] = field(default_factory=dict)
 
     def add(self, population: str, measured: Measured) -> None:
         """Add an object."""
@@ -114,6 +117,8 @@ class Measurements:
         for key, reasons in other.left_out.items():
             self.left_out.setdefault(key, Counter()).update(reasons)
         self.unreadable += other.unreadable
+        for population, contrasts in other.contrasts.items():
+            self.contrasts.setdefault(population, []).extend(contrasts)
 
     def drop_without_real_object(self) -> None:
         """Leave out inserted objects whose background shows no real object of their class to compare with."""
@@ -123,6 +128,11 @@ class Measurements:
         for m in inserted:
             if (m.category, m.group) not in beside:
                 self.leave_out("inserted", m.category, "none_beside")
+
+    def contrasts_of(self, population: str, category: str) -> list[ObjectContrast]:
+        """Return the contrasts of one class, ordered by picture: independent of the order of finishing."""
+        of_class = [c for c in self.contrasts.get(population, []) if c.category == category]
+        return sorted(of_class, key=lambda c: c.image)
 
     def of(self, population: str, category: str) -> list[Measured]:
         """Return a population's objects of one class, sorted by key: independent of the order of finishing."""
@@ -181,6 +191,11 @@ class ObjectMeasurer:
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
+            contrast = object_contrast(picture, instance, labels)
+            if contrast is not None:
+                time = source.time_of_day or "unknown"
+                of_object = ObjectContrast(instance.category, key, time, contrast)
+                found.contrasts.setdefault(population, []).append(of_object)
             reason = reason_not_measured(instance, where)
             if reason:
                 found.leave_out(population, instance.category, reason)

@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
-from infrablend.realism.features import EDGE_MARGIN_PX, Bool, Labels, Outline, Picture, outline, pixel_box, ring
+from infrablend.realism.features import EDGE_MARGIN_PX, Bool, Labels, Outline, Picture, outline, ring
 
 PLACES = 6
 TRIES = 200

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 
 Picture = NDArray[np.float32]
@@ -140,13 +141,6 @@ class Labels:
         """Return whether other labels cover more than a tenth of this label's box."""
         x0, y0, x1, y1 = pixel_box(box_xyxy, self.free.shape)
         return bool(self._twice[y0:y1, x0:x1].mean() > MOST_COVERED)
-
-
-def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return the box rounded to whole pixels and cut to the frame."""
-    h, w = shape_hw
-    x0, y0, x1, y1 = (round(float(v)) for v in box_xyxy)
-    return min(max(x0, 0), w), min(max(y0, 0), h), min(max(x1, 0), w), min(max(y1, 0), h)
 
 
 def reason_not_measured(instance: Instance, labels: Labels) -> str | None:

@@ -17,6 +17,14 @@ from infrablend.realism.features import FEATURES, MEASURES, Measured
 from infrablend.report.figures import compact, interval
 from infrablend.report.page import render_page
 from infrablend.report.preview import FAINT, INK, PAPER
+from infrablend.report.realism_tables import (
+    CHECK_HEAD,
+    QUANTILE_HEAD,
+    SLOPE_HEAD,
+    check_rows,
+    quantile_rows,
+    slope_rows,
+)
 
 ZOOM = 4
 ON_A_SHEET = 24
@@ -133,6 +141,12 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
             for name, reasons in f["left_out"].items()
         ),
         "crop_rows": _crop_rows(f),
+        "slope_head": SLOPE_HEAD,
+        "slope_rows": slope_rows(f["contrast"]),
+        "quantile_head": QUANTILE_HEAD,
+        "quantile_rows": quantile_rows(f["contrast"]),
+        "check_head": CHECK_HEAD,
+        "check_rows": check_rows(f["contrast"]),
         "cue_rows": [
             [
                 t["feature"],

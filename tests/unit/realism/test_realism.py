@@ -3,6 +3,7 @@
 import builtins
 import functools
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,9 +12,11 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.compositing.sensor import Sensor, grain
+from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, MissingDependencyError
+from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
 from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
@@ -184,7 +187,7 @@ def test_a_paste_touches_its_place_and_nothing_else():
     pasted = controls.paste_controls(picture, where, [(0, labels[0])], "x")
     soft, hard, free = pasted.real, pasted.flat, pasted.free
     (new,) = pasted.labels.values()
-    x0, y0, x1, y1 = features.pixel_box(new.box_xyxy, picture.shape)
+    x0, y0, x1, y1 = pixel_box(new.box_xyxy, picture.shape)
     np.testing.assert_allclose(new.box_xyxy[2:] - new.box_xyxy[:2], labels[0].box_xyxy[2:] - labels[0].box_xyxy[:2])
     assert not free[y0:y1, x0:x1].any()
     assert where.free[y0:y1, x0:x1].all()
@@ -434,6 +437,10 @@ def test_a_run_is_compared(crowd, tmp_path, short_training):
     assert facts["ablation"]["Person"]["chain_off"]["medians"] != person["medians"]["inserted"]
     assert person["hard_paste_logistic"] > 0.95
     assert seen[-1].done == seen[-1].total
+    assert person["contrast"]["night"]["real"]["n"] >= 60
+    assert person["contrast"]["night"]["inserted"]["n"] >= 20
+    assert person["contrast"]["night"]["checks"]["change_p1"]["real"] > 20
+    assert "| person by night |" in api.realism_page(report, tmp_path / "page").read_text()
     page = (tmp_path / "a" / "realism.html").read_text()
     assert "http" not in page
     assert page.count("data:image/png") == 4
@@ -447,6 +454,27 @@ def test_a_run_is_compared(crowd, tmp_path, short_training):
     api.realism(run, data, tmp_path / "b", execution=api.Execution(in_process=True))
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_real_objects_of_another_dataset_are_compared(crowd, tmp_path):
+    """The backgrounds have no people of their own here; the other dataset has them in all of its splits."""
+    run, data = crowd
+    real = api.read_dataset(data)
+    hidden = [
+        replace(i, instances=tuple(replace(o, category="Bicycle") for o in i.instances))
+        for i in real.images
+        if i.split == "train"
+    ]
+    backgrounds = replace(real, images=tuple(hidden))
+    nowhere = ComparisonRequest(in_process=True, steps=False)
+    with pytest.raises(DatasetError, match="or name another dataset that shows real ones"):
+        measure_populations(run, backgrounds, nowhere)
+    material = measure_populations(run, backgrounds, replace(nowhere, real=real))
+    assert len({m.group for m in material.found.of("real", "Person")}) == 14
+    assert len(material.pairs["Person"]) >= 20
+    assert "none_beside" not in material.found.left_out.get("inserted/Person", {})
+    assert not material.sensor
+    assert set(material.found.objects) == {"real", "inserted", "floor", "hard_paste"}
 
 
 def test_incomparable_runs_are_refused(crowd, tmp_path):

@@ -11,6 +11,7 @@ from infrablend.report.figures import markdown_table
 from infrablend.report.results.text import figure, paper_and_ours, run_state
 
 _HOW_TO = Path("how_to/experiments.md")
+_REALISM = "realism.md"
 
 
 def index_text(out: Path) -> str:
@@ -27,6 +28,8 @@ def index_text(out: Path) -> str:
     )
     if (out.parent / _HOW_TO).is_file():  # InfraBlend's own documentation
         intro += f" How to run the experiments: [experiments](../{_HOW_TO.as_posix()})."
+    if (out / _REALISM).is_file():
+        intro += f" `infrablend realism` writes the page on [inserted and real objects side by side]({_REALISM})."
     head = ["Experiment", "Scale", "Status", "First row, mAP50: paper → ours", "Conclusions that hold"]
     return "\n\n".join(["# Results", intro, markdown_table(head, rows) if rows else "No results yet."]) + "\n"
 

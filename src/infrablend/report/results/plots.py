@@ -31,7 +31,7 @@ def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     return plots
 
 
-def _svg(figure: Figure) -> bytes:
+def svg_bytes(figure: Figure) -> bytes:
     """Return the figure as SVG, without dates and random ids."""
     out = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "infrablend", "svg.fonttype": "none", "path.simplify": True}):
@@ -60,7 +60,7 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
     axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
     figure.legend(*axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2)
-    return _svg(figure)
+    return svg_bytes(figure)
 
 
 def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
@@ -85,7 +85,7 @@ def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
         ax.locator_params(axis="x", nbins=5)
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].set_yticks(y, [name for name, _ in rows], fontsize=8)
-    return _svg(figure)
+    return svg_bytes(figure)
 
 
 def _curves(curves: Mapping[str, Mapping[str, Any]]) -> bytes:
@@ -97,4 +97,4 @@ def _curves(curves: Mapping[str, Mapping[str, Any]]) -> bytes:
         ax.set(title=name, xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=7, loc="lower left")
-    return _svg(figure)
+    return svg_bytes(figure)

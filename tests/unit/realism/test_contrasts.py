@@ -1,0 +1,145 @@
+"""Contrast of real and inserted objects: slopes within images, quantiles, verdicts, and their page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from infrablend.compositing.contrast import Contrast
+from infrablend.core.dataset import Instance
+from infrablend.core.rng import stream
+from infrablend.errors import OutputError
+from infrablend.realism.contrasts import (
+    ObjectContrast,
+    compare_contrasts,
+    contrast_checks,
+    contrast_figures,
+    object_contrast,
+    slope_within_images,
+)
+from infrablend.report.realism_page import add_to_page
+
+
+def of_level(image, ring, high, middle=None, time="night"):
+    middle = high if middle is None else middle
+    return ObjectContrast("Person", image, time, Contrast(float(high), ring - 5.0, float(middle), float(ring), 3.0))
+
+
+def crowd(slope, images=40, each=5, lift=60.0, time="night"):
+    """Objects whose level follows the ring by a known share, from a level of each image's own."""
+    rng = stream(1, "crowd", str(slope))
+    found = []
+    for k in range(images):
+        own = rng.uniform(-20, 20)
+        for ring in rng.uniform(60, 110, each):
+            found.append(of_level(f"{k}", ring, 85 + own + lift + slope * (ring - 85) + rng.normal(0, 2), time=time))
+    return found
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4, 1.0])
+def test_the_slope_within_images_is_found_whatever_the_level_of_each_image(slope):
+    found = slope_within_images(crowd(slope), "high")
+    assert found.value == pytest.approx(slope, abs=0.03)
+    assert found.interval[0] < slope < found.interval[1]
+    assert (found.objects, found.images) == (200, 40)
+
+
+def test_clipped_objects_and_images_with_two_objects_have_no_slope():
+    clipped = [of_level("a", ring, 230) for ring in (60, 70, 80, 90)]
+    assert slope_within_images(clipped, "high") is None
+    assert slope_within_images([of_level("a", 60, 100), of_level("a", 70, 110)], "high") is None
+    # Three of four are left where one is clipped; the middles of all count.
+    mixed = [of_level("a", 60, 100, 90), of_level("a", 70, 110, 90), of_level("a", 80, 120, 90)]
+    mixed.append(of_level("a", 90, 240, 90))
+    assert slope_within_images(mixed, "high").value == pytest.approx(1)
+    assert slope_within_images(mixed, "high").objects == 3
+    assert slope_within_images(mixed, "middle").value == pytest.approx(0)
+    # All rings are equal: there is nothing to follow.
+    assert slope_within_images([of_level("a", 60, 100 + k) for k in range(4)], "high") is None
+
+
+def test_figures_are_quantiles_of_the_stronger_end():
+    objects = [ObjectContrast("Car", "a", "day", Contrast(120, 100 - d, 100, 100, 4)) for d in (10, 40, 60)]
+    figures = contrast_figures(objects)
+    assert figures["signed"]["p50"] == -40
+    assert figures["change"]["p50"] == 40
+    assert figures["scr"]["p50"] == 8
+    assert figures["n"] == 3
+    assert contrast_figures([])["signed"] == {}
+
+
+def test_verdicts_on_slope_and_least_contrast():
+    checks = contrast_checks(crowd(0.1), crowd(0.2))
+    assert checks["slope_high"]["holds"]
+    assert checks["slope_high"]["ci"][0] < checks["slope_high"]["found"] < checks["slope_high"]["ci"][1]
+    assert checks["change_p1"]["holds"]
+    assert "signed_p50" not in checks
+    bad = contrast_checks(crowd(0.1), crowd(0.8, lift=20))
+    assert bad["slope_middle"]["holds"] is bad["change_p5"]["holds"] is False
+    few = contrast_checks(crowd(0.1), crowd(0.8, images=4))
+    assert few["slope_high"]["holds"] is few["change_p1"]["holds"] is None
+
+
+def test_objects_alone_in_their_images_are_compared_by_their_quartiles():
+    checks = contrast_checks(crowd(0.1, 100, 1), crowd(0.1, 100, 1, lift=66))
+    assert checks["signed_p50"]["holds"]
+    assert checks["signed_p50"]["found"] == pytest.approx(1.1, abs=0.03)
+    assert not contrast_checks(crowd(0.1, 100, 1), crowd(0.1, 100, 1, lift=30))["signed_p25"]["holds"]
+    assert "slope_high" not in checks
+
+
+def test_small_objects_and_those_at_the_edge_are_left_out():
+    picture = np.full((64, 64), 100, np.float32)
+    picture[30:40, 30:36] = 180
+    labels = [Instance("Person", np.array([30.0, 30, 36, 40]))]
+    assert object_contrast(picture, labels[0], labels).change == 80
+    for box in ([30.0, 30, 36, 37], [1.0, 30, 12, 40]):
+        other = Instance("Person", np.array(box))
+        assert object_contrast(picture, other, [*labels, other]) is None
+    # The other label's pixels do not count as surroundings.
+    beside = Instance("Person", np.array([36.0, 30, 46, 40]))
+    picture[30:40, 36:46] = 255
+    assert object_contrast(picture, labels[0], [*labels, beside]).ring == 100
+
+
+# ---- the page
+
+
+def report(time, real, inserted, category="Person"):
+    scores = {
+        "n": 10, "n_real": 20, "n_inserted": 15, "auc_logistic": 0.8, "ci": [0.7, 0.9], "auc_boosting": 0.85,
+        "floor_logistic": None, "hard_paste_logistic": 0.99, "valid": False, "invalid_because": ["10 pairs"],
+        "medians": {"real": {}}, "contrast": compare_contrasts(real, inserted),
+    }  # fmt: skip
+    run = {"recipe": "people", "seed": 0, "frames": 9, "backgrounds": "b", "splits": ["val"], "real": "b"}
+    return {"time_of_day": time, "run": {**run, "real_splits": ["val"]}, "classes": {category: scores}}
+
+
+def test_a_page_collects_comparisons_by_class_and_time(tmp_path):
+    night = report("night", crowd(0.0), crowd(0.1))
+    day = report("day", crowd(0.4, time="day"), crowd(0.9, time="day"))
+    drones = report("all", crowd(0, 90, 1, time="unknown"), crowd(0, 90, 1, time="unknown"), "drone")
+    for facts in (day, night, drones):
+        page = add_to_page(facts, tmp_path)
+    collected = json.loads((tmp_path / "realism.json").read_text())["classes"]
+    assert set(collected) == {"person", "drone"}
+    assert collected["person"]["time_of_day"] == "night"
+    assert collected["person"]["auc_logistic"] == 0.8
+    assert set(collected["person"]["by_time"]) == set(collected["person"]["contrast"]) == {"night", "day"}
+    assert "medians" not in collected["person"]
+    text = page.read_text()
+    assert "| person by day: slope of the middle | 0." in text
+    assert "difference within 0.15 | no |" in text
+    assert "| drone: contrast, median |" in text
+    assert "10 pairs" in text
+    assert {p.name for p in tmp_path.glob("*.svg")} == {"realism_slopes.svg", "realism_contrast.svg"}
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    add_to_page(night, tmp_path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_a_file_of_that_name_that_is_no_page_is_kept(tmp_path):
+    (tmp_path / "realism.json").write_text('{"classes": {}}')
+    with pytest.raises(OutputError, match="is not a page on realism"):
+        add_to_page(report("night", crowd(0.0), crowd(0.1)), tmp_path)
+    assert (tmp_path / "realism.json").read_text() == '{"classes": {}}'
