@@ -36,8 +36,11 @@ def experiment(
         ),
     ] = None,
     data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="Folder of a dataset it needs, recognised by its format; repeatable."),
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]DIR",
+            help="Folder of a dataset it needs, recognised by format and labelled classes, or named; repeatable.",
+        ),
     ] = None,
     scale: Annotated[
         ScaleName,

@@ -1,7 +1,7 @@
 """The file of an experiment: datasets, trainings, evaluations, comparisons, tables and claims.
 
 The YAML file also contains the paper's figures that ours are compared with. Each kind of data is a class here (its
-fields in the file) and a maker in `pipeline/experiments/makers.py` (how it is made).
+fields in the file) and a maker in `pipeline/experiments` (how it is made).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SCALES: tuple[Scale, ...] = ("smoke", "small", "paper")
 Metric = Literal["p", "r", "map50", "map50_95"]
 METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
 
-_NAME = r"^[a-z0-9][a-z0-9-]*$"
-Name = Annotated[str, Field(pattern=_NAME)]
+NAME_PATTERN = r"^[a-z0-9][a-z0-9-]*$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 
 def _names(given: Any) -> Any:
@@ -41,7 +41,7 @@ Limits = dict[Split, Annotated[int, Field(ge=1)]]
 
 
 class Source(Strict):
-    """A dataset that the user gives with `--data DIR`."""
+    """A dataset that the user gives with `--data DIR` or `--data NAME=DIR`."""
 
     format: str = Field(min_length=1)
     """Format, by which the folders given with `--data` are recognised."""
@@ -50,11 +50,11 @@ class Source(Strict):
     optional: bool = False
     """Whether the experiment also runs without it; the page then lists what is left out."""
     classes: tuple[str, ...] = ()
-    """Classes that must have labels in it."""
+    """Classes that must have labels in it; they also tell sources of one format apart."""
     options: dict[str, str] = Field(default_factory=dict)
     """Options of its reader; not used for a virtual world."""
-    stand_in: Literal["hit-uav", "monet"] | None = None
-    """Layout of the virtual world that is rendered if no folder is given."""
+    stand_in: Literal["hit-uav", "monet", "sky"] | None = None
+    """Layout of the virtual world that is made if no folder is given; `sky` shows `classes` in front of the sky."""
     stand_in_images: dict[Scale, Annotated[int, Field(ge=3)]] = Field(default_factory=dict)
     """Number of images of that virtual world at each scale."""
     limits: dict[Scale, Limits] = Field(default_factory=dict)
@@ -127,13 +127,46 @@ class Resplit(Strict):
     """Shares of train, val and test."""
 
 
-def parents_of(data: Generate | Convert | Resplit) -> list[str]:
-    """Return the names of the items that a data item is made from."""
-    match = data.match if isinstance(data, Convert) else None
-    return [data.of, *([match] if match is not None else [])]
+class Part(Strict):
+    """A part of a merged dataset."""
+
+    of: Name
+    """Source or data item to take the images from."""
+    splits: tuple[Split, ...] = SPLITS
+    """Splits to take images from; they keep their split."""
+    images: dict[Scale, Limits] = Field(default_factory=dict)
+    """Maximum number of images per split at each scale, drawn at random; a smaller draw is part of a larger one."""
 
 
-Data = Annotated[Generate | Convert | Resplit, Field(discriminator="kind")]
+class Merge(Strict):
+    """The images of several data items in one dataset; classes of the same name are one class."""
+
+    kind: Literal["merge"]
+    parts: tuple[Part, ...] = Field(min_length=1)
+    """Parts to put together."""
+    reseed: int = Field(0, ge=0)
+    """Number added to the run's seed, to draw other images."""
+
+
+class Paste(Strict):
+    """Cut-outs of real objects pasted over backgrounds, in place of the objects that a `generate` item inserted.
+
+    Every frame of that item gets as many objects as it shows there, at the same positions where the cut-outs fit, and
+    elsewhere in the sky where not.
+    """
+
+    kind: Literal["paste"]
+    of: Name
+    """Source or data item with the real objects."""
+    category: str = Field(min_length=1)
+    """Class of the objects to cut out."""
+    split: Split = "train"
+    """Split to cut them out of."""
+    like: Name
+    """Item of kind `generate` whose backgrounds, numbers of objects and positions are used."""
+
+
+Data = Annotated[Generate | Convert | Resplit | Merge | Paste, Field(discriminator="kind")]
 
 
 class Training(Strict):
@@ -246,8 +279,8 @@ class Check(Strict):
     """Claim on the page."""
     comparison: Name | None = None
     """Comparison that decides."""
-    ratio: tuple[Name, Name] | None = None
-    """Two evaluations whose ratio decides, instead of a comparison."""
+    ratio: tuple[Names, Names] | None = None
+    """Two evaluations whose ratio decides, instead of a comparison; the means of several are compared."""
     category: str = "all"
     """Class, or `all`."""
     metric: Metric = "map50_95"
@@ -275,7 +308,7 @@ class Check(Strict):
 class Experiment(Strict):
     """The content of an experiment's file."""
 
-    name: str = Field(pattern=_NAME)
+    name: str = Field(pattern=NAME_PATTERN)
     """Name of the experiment and of its page."""
     title: str = Field(min_length=1)
     """Heading of the page."""
@@ -287,6 +320,8 @@ class Experiment(Strict):
     """Datasets that the user gives, by name."""
     data: dict[Name, Data] = Field(default_factory=dict)
     """Data items made from them, by name."""
+    settings: dict[Scale, dict[str, Any]] = Field(default_factory=dict)
+    """Settings of all trainings at each scale, instead of those of the scale's preset."""
     trainings: dict[Name, Training] = Field(default_factory=dict)
     """Detectors to train, by name."""
     evaluations: dict[Name, Evaluation] = Field(default_factory=dict)
@@ -317,7 +352,9 @@ class Experiment(Strict):
         yield from (f"{n} is both in sources and in data" for n in both)
         items = {*self.sources, *self.data}
         for n, d in self.data.items():
-            yield from (f"data.{n}: no source or data {i}" for i in parents_of(d) if i not in items)
+            yield from (f"data.{n}: no source or data {i}" for i in self.inputs_of(n).values() if i not in items)
+            if isinstance(d, Paste) and not isinstance(self.data.get(d.like), Generate):
+                yield f"data.{n}.like: {d.like} is no data item of kind generate"
         for n, t in self.trainings.items():
             if t.data not in items:
                 yield f"trainings.{n}.data: no source or data {t.data}"
@@ -338,9 +375,38 @@ class Experiment(Strict):
         for k, check in enumerate(self.checks):
             if check.comparison is not None and check.comparison not in self.comparisons:
                 yield f"checks.{k}.comparison: no comparison {check.comparison}"
-            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in check.ratio or () if e not in self.evaluations)
+            of_ratio = [e for side in check.ratio or () for e in side]
+            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in of_ratio if e not in self.evaluations)
         known = {*self.data, *self.trainings, *self.evaluations, *self.comparisons}
         yield from (f"only_at: no stage {n}" for n in self.only_at if n not in known)
+
+    def inputs_of(self, name: str) -> dict[str, str]:
+        """Return the names of the sources and items that a data item is made from, by role."""
+        data = self.data[name]
+        match data:
+            case Merge():
+                return {f"part{k}": part.of for k, part in enumerate(data.parts)}
+            case Paste():
+                like = self.data.get(data.like)
+                return {"of": data.of, "like": data.like} | ({"onto": like.of} if isinstance(like, Generate) else {})
+            case Convert(match=str(match)):
+                return {"of": data.of, "match": match}
+        return {"of": data.of}
+
+    def splits_used(self, name: str) -> list[Split]:
+        """Return the splits of a source or data item that data, trainings or evaluations use."""
+        found: set[Split] = set()
+        for d in self.data.values():
+            match d:
+                case Merge():
+                    found |= {s for part in d.parts if part.of == name for s in part.splits}
+                case Paste() if d.of == name:
+                    found.add(d.split)
+                case Generate() | Convert() if d.of == name:
+                    found |= set(d.splits)
+        found |= {s for t in self.trainings.values() if t.data == name for s in SPLITS if s != "test"}
+        found |= {e.split for e in self.evaluations.values() if e.data == name}
+        return [s for s in SPLITS if s in found]
 
     def at(self, name: str, scale: Scale) -> bool:
         """Return whether the entry of that name belongs to the scale."""

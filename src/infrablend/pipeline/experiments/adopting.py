@@ -18,7 +18,7 @@ from infrablend.core.files import link_or_copy
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.pipeline.experiments.makers import StageJob
+from infrablend.pipeline.experiments.job import StageJob
 from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.rerender import recipe_json

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from infrablend.config.experiment import Check
@@ -69,14 +69,25 @@ def _check_ratio(
     check: Check, evaluations: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
 ) -> dict[str, Any]:
     assert check.ratio is not None
-    values = []
-    for e in check.ratio:
-        classes = evaluations.get(e, {}).get("classes", {})
-        name = find_class(classes, check.category)
-        values.append(None if name is None else classes[name].get(check.metric))
-    names = list(check.ratio)
-    if values[0] is None or not values[1]:
-        return {"ratio_of": names, "missing": next((left_out[e] for e in names if e in left_out), "not run yet")}
-    ratio = values[0] / values[1]
+    names = [e for side in check.ratio for e in side]
+    found = {e: _figure(evaluations.get(e, {}), check) for e in names}
+    means = [_mean([found[e] for e in side]) for side in check.ratio]
+    head = {"ratio_of": [", ".join(side) for side in check.ratio]}
+    if means[0] is None or not means[1]:
+        return {**head, "missing": next((left_out[e] for e in names if e in left_out), "not run yet")}
+    ratio = means[0] / means[1]
     holds = None if check.least is None or not verdict else ratio >= check.least
-    return {"ratio_of": names, "values": values, "ratio": round(ratio, 6), "least": check.least, "holds": holds}
+    return {**head, "values": means, "ratio": round(ratio, 6), "least": check.least, "holds": holds}
+
+
+def _figure(evaluation: Mapping[str, Any], check: Check) -> float | None:
+    classes = evaluation.get("classes", {})
+    name = find_class(classes, check.category)
+    found: float | None = None if name is None else classes[name].get(check.metric)
+    return found
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Return the mean, or None if a value is missing."""
+    known = [v for v in values if v is not None]
+    return sum(known) / len(values) if len(known) == len(values) else None

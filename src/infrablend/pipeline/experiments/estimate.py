@@ -19,6 +19,7 @@ from infrablend.pipeline.experiments.training_setup import runs_on_gpu, training
 FRAME_S, OBJECT_S = 0.15, 0.1
 WORLD_S = 2.0
 COPY_S = 0.002
+PASTE_S = 0.02
 PREDICT_S = {"cpu": 0.15, "gpu": 0.01}
 COMPARE_S = 20.0
 START_S = 5.0
@@ -81,6 +82,8 @@ def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> 
             return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
         case "evaluate":
             return START_S + images * PREDICT_S["gpu" if runs_on_gpu(request.device) else "cpu"]
+        case "paste":
+            return START_S + images * PASTE_S
         case "compare":
             return COMPARE_S * (0.1 if request.scale == "smoke" else 1.0)
     return images * COPY_S
@@ -101,7 +104,7 @@ def _mean_objects(spec: Generate) -> float:
 def estimate_bytes(stage: Stage) -> int:
     """Return about how much disk space a stage takes."""
     images = sum(stage.images.values())
-    if stage.kind in ("generate", "world"):
+    if stage.kind in ("generate", "world", "paste"):
         return images * IMAGE_BYTES
     if stage.kind == "train":
         return images * IMAGE_BYTES + WEIGHTS_BYTES

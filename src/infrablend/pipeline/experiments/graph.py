@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,12 @@ from infrablend.config.experiment import (
     Evaluation,
     Experiment,
     Generate,
+    Merge,
+    Paste,
     Resplit,
     Scale,
     Source,
     Training,
-    parents_of,
 )
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SPLITS
@@ -135,7 +137,7 @@ def _parents_first(experiment: Experiment) -> list[str]:
     order: list[str] = []
     rest = list(experiment.data)
     while rest:
-        ready = [n for n in rest if not set(parents_of(experiment.data[n])) & set(rest)]
+        ready = [n for n in rest if not set(experiment.inputs_of(n).values()) & set(rest)]
         if not ready:
             problem = Problem("data", "experiment-value", f"{', '.join(rest)} are made from each other in a circle")
             raise DatasetError(f"experiment {experiment.name}: data that need each other", [problem])
@@ -176,7 +178,13 @@ class _Builder:
         """Add a virtual world in place of a dataset that was not given."""
         limits = self._limits(source)
         count = source.stand_in_images.get(self.request.scale, STAND_IN_IMAGES)
-        inputs = {"layout": source.stand_in, "images": count, "seed": self.request.seed, "version": __version__}
+        inputs: dict[str, Any] = {
+            "layout": source.stand_in,
+            "images": count,
+            "seed": self.request.seed,
+            "version": __version__,
+        }
+        inputs |= {"classes": list(source.classes)} if source.stand_in == "sky" else {}
         images = {"train": round(0.7 * count), "val": round(0.1 * count), "test": count - round(0.8 * count)}
         self.add(Stage("world", name, inputs, {}, source, images))
         needs = {"of": f"world:{name}"}
@@ -196,21 +204,13 @@ class _Builder:
         if missing:
             found = f"no label of {', '.join(missing)}; it has {', '.join(facts['classes']) or 'no class'}"
             self.problems.append(Problem(str(path), "class-missing", found, f"labels of {', '.join(missing)}"))
-        needed = self._needed_splits(name)
+        needed = self.experiment.splits_used(name)
         empty = [s for s in needed if not facts["images"].get(s)]
         if empty:
             found, expected = f"no image in {', '.join(empty)}", f"images in {', '.join(needed)}"
             self.problems.append(Problem(str(path), "split-empty", found, expected, "see `infrablend split`"))
         inputs = {"content": content_digest(dataset), "options": options, "limits": limits}
         self.add(Stage("source", name, inputs, {}, source, _limited(facts["images"], limits), path))
-
-    def _needed_splits(self, name: str) -> list[str]:
-        """Return the splits of a source that data, trainings or evaluations use."""
-        e = self.experiment
-        found = {s for d in e.data.values() if d.of == name for s in getattr(d, "splits", ())}
-        found |= {s for t in e.trainings.values() if t.data == name for s in ("train", "val")}
-        found |= {v.split for v in e.evaluations.values() if v.data == name}
-        return [s for s in SPLITS if s in found]
 
     def skips(self, name: str, needs: Sequence[str]) -> bool:
         """Return whether an entry has no stage: it belongs to other scales, or something it needs is left out."""
@@ -225,19 +225,20 @@ class _Builder:
 
     def add_data(self, name: str) -> None:
         spec = self.experiment.data[name]
-        parents = parents_of(spec)
-        if self.skips(name, parents):
+        parents = self.experiment.inputs_of(name)
+        if self.skips(name, list(parents.values())):
             return
-        needs = dict(zip(("of", "match"), (self.made_by[i] for i in parents), strict=False))
-        # A part that matches another item has as many images as that item.
-        like = self.stages[needs.get("match", needs["of"])]
-        inputs, images = _DATA_INPUTS[spec.kind](spec, like.images, self.request)
-        self.add(Stage(spec.kind, name, inputs, needs, spec, images))
+        needs = {role: self.made_by[i] for role, i in parents.items()}
+        images = {role: self.stages[i].images for role, i in needs.items()}
+        inputs, made = _DATA_INPUTS[spec.kind](spec, images, self.request)
+        self.add(Stage(spec.kind, name, inputs, needs, spec, made))
         self.made_by[name] = f"{spec.kind}:{name}"
 
     def add_training(self, name: str, spec: Training) -> None:
         if self.skips(name, [spec.data]):
             return
+        of_scale = self.experiment.settings.get(self.request.scale, {})
+        spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}})
         inputs = {
             "preset": preset_inputs(training_preset(spec, self.request)),
             "scale": self.request.scale,
@@ -289,32 +290,51 @@ def _limited(images: Mapping[str, int], limits: Mapping[str, int]) -> dict[str, 
     return {s: min(n, limits.get(s, n)) for s, n in images.items()}
 
 
+ImagesByRole = Mapping[str, Mapping[str, int]]
+"""About how many images per split the items have that a data item is made from, by role."""
 DataInputs = tuple[dict[str, Any], dict[str, int]]
 """Inputs of a data stage, and about how many images it makes per split."""
 
 
-def _run_inputs(spec: Generate, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     recipe = load_recipe(spec.recipe, spec.settings)
     times = recipe.configurations + int(recipe.output.originals)
     inputs = {**recipe_inputs(spec), "seed": request.seed, "renderer": request.renderer}
-    return inputs, {s: images[s] * times for s in spec.splits if s in images}
+    return inputs, {s: images["of"][s] * times for s in spec.splits if s in images["of"]}
 
 
-def _part_inputs(spec: Convert, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     inputs = spec.model_dump(mode="json", exclude={"kind", "of", "match", "images"}, exclude_defaults=True)
     limits: dict[str, int] = {str(s): n for s, n in spec.images.get(request.scale, {}).items()}
     inputs = {**inputs, "splits": list(spec.splits), "seed": request.seed} | ({"images": limits} if limits else {})
-    return inputs, _limited({s: images[s] for s in spec.splits if s in images}, limits)
+    like = images.get("match", images["of"])  # a part that matches another item has as many images as that item
+    return inputs, _limited({s: like[s] for s in spec.splits if s in like}, limits)
 
 
-def _split_inputs(spec: Resplit, images: Mapping[str, int], request: ExperimentRequest) -> DataInputs:
+def _split_inputs(spec: Resplit, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     inputs = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
-    total, shares = sum(images.values()), sum(spec.shares)
+    total, shares = sum(images["of"].values()), sum(spec.shares)
     return inputs, {s: round(total * k / shares) for s, k in zip(SPLITS, spec.shares, strict=True)}
 
 
-_DATA_INPUTS: Mapping[str, Callable[[Any, Mapping[str, int], ExperimentRequest], DataInputs]] = {
+def _merge_inputs(spec: Merge, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
+    parts, made = [], Counter[str]()
+    for part, of_part in zip(spec.parts, images.values(), strict=True):
+        limits: dict[str, int] = {str(s): n for s, n in part.images.get(request.scale, {}).items()}
+        parts.append({"name": part.of, "splits": list(part.splits), "images": limits})
+        made.update(_limited({s: of_part[s] for s in part.splits if s in of_part}, limits))
+    return {"parts": parts, "seed": request.seed + spec.reseed}, dict(made)
+
+
+def _paste_inputs(spec: Paste, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
+    inputs = {"category": spec.category, "split": spec.split, "seed": request.seed, "version": __version__}
+    return inputs, dict(images["like"])
+
+
+_DATA_INPUTS: Mapping[str, Callable[[Any, ImagesByRole, ExperimentRequest], DataInputs]] = {
     "generate": _run_inputs,
-    "convert": _part_inputs,
+    "convert": _convert_inputs,
     "split": _split_inputs,
+    "merge": _merge_inputs,
+    "paste": _paste_inputs,
 }

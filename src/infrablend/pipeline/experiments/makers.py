@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any
 
 from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Training
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.output import Existing
 from infrablend.core.run_layout import RUN_FILE
-from infrablend.core.tasks import OnProgress, paced
-from infrablend.errors import DatasetError, OtherSettingsError, Problem, RenderError
+from infrablend.core.tasks import paced
+from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import ClassChanges, convert_dataset
 from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
-from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+from infrablend.pipeline.experiments.job import StageJob
+from infrablend.pipeline.experiments.merging import make_merge
+from infrablend.pipeline.experiments.pasting import make_paste
 from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.generate import generate_run
 from infrablend.pipeline.request import Execution, RunRequest
@@ -33,54 +30,7 @@ from infrablend.pipeline.train import train_dataset
 from infrablend.pipeline.world import make_world
 from infrablend.training.request import TrainRequest
 from infrablend.world.dataset import WorldRequest
-
-T = TypeVar("T")
-
-log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class StageJob:
-    """Everything a maker needs.
-
-    Attributes:
-        stage: Stage to make.
-        out: Folder for its output, which belongs to this stage alone.
-        needs: Finished stages that it needs, by role.
-        request: Request of the experiment.
-        on_progress: Called by makers that report progress.
-    """
-
-    stage: Stage
-    out: Path
-    needs: Mapping[str, FinishedStage]
-    request: ExperimentRequest
-    on_progress: OnProgress | None = None
-
-    def empty_out(self) -> Path:
-        """Remove what an interrupted run left in the output folder; return the folder."""
-        if self.out.exists():
-            shutil.rmtree(self.out)
-        return self.out
-
-    def resume_or_restart(self, make: Callable[[Existing], T]) -> T:
-        """Call `make` to continue what an interrupted run left; start again if that had other settings.
-
-        The settings differ although the stage is the same if an earlier version of InfraBlend started it.
-        """
-        if not (self.out.is_dir() and any(self.out.iterdir())):
-            return make("refuse")
-        try:
-            return make("resume")
-        except OtherSettingsError as error:
-            log.warning("%s: an earlier run started it with other settings; it starts again", self.stage.id)
-            log.info("%s", error)  # its advice (--overwrite) does not apply to experiments
-            self.empty_out()
-            return make("refuse")
-
-    def relative(self, path: Path) -> str:
-        """Return a path relative to the stage's folder, as records store it."""
-        return os.path.relpath(path, self.out.parent)
+from infrablend.world.sky_pictures import write_sky_pictures
 
 
 def _make_source(job: StageJob) -> dict[str, Any]:
@@ -102,8 +52,11 @@ def _make_source(job: StageJob) -> dict[str, Any]:
 def _make_world(job: StageJob) -> dict[str, Any]:
     """Render a virtual world that stands in for a dataset."""
     inputs, out = job.stage.inputs, job.empty_out()
-    workers = Execution(job.request.workers).worker_count()
-    make_world(out, WorldRequest(inputs["images"], inputs["seed"], inputs["layout"]), workers, job.on_progress)
+    if inputs["layout"] == "sky":
+        write_sky_pictures(out, inputs["images"], inputs["seed"], inputs["classes"])
+    else:
+        workers = Execution(job.request.workers).worker_count()
+        make_world(out, WorldRequest(inputs["images"], inputs["seed"], inputs["layout"]), workers, job.on_progress)
     return {**dataset_facts(read_dataset(out)), "dataset": "out", "there": ["out"]}
 
 
@@ -281,6 +234,8 @@ MAKERS: Mapping[str, Callable[[StageJob], dict[str, Any]]] = {
     "generate": _make_run,
     "convert": _make_part,
     "split": _make_split,
+    "merge": make_merge,
+    "paste": make_paste,
     "train": _make_training,
     "evaluate": _make_evaluation,
     "compare": _make_comparison,

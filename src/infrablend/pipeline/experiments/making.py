@@ -15,7 +15,8 @@ from infrablend.core.output import OutputFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import Interrupted, OutputError
 from infrablend.pipeline.experiments.adopting import adopt_result
-from infrablend.pipeline.experiments.makers import MAKERS, StageJob
+from infrablend.pipeline.experiments.job import StageJob
+from infrablend.pipeline.experiments.makers import MAKERS
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import (
     RECORD,

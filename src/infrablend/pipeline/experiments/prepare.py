@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from pathlib import Path
 
 from infrablend.config.experiment import Experiment, load_experiment
 from infrablend.core.output import require_apart
@@ -90,8 +89,8 @@ def prepare_experiment(request: ExperimentRequest) -> PreparedExperiment:
         OutputError: The work or results folder is inside a dataset.
     """
     experiment = load_experiment(request.experiment)
-    for folder in request.data:
-        require_apart(Path(folder), request.work)
-        require_apart(Path(folder), request.results_folder)
-    given = assign_folders(experiment, request.data)
+    for _, folder in request.folders:
+        require_apart(folder, request.work)
+        require_apart(folder, request.results_folder)
+    given = assign_folders(experiment, request.folders)
     return PreparedExperiment(experiment, build_graph(experiment, given, request), request)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.experiment import SCALES, Scale
+from infrablend.config.experiment import NAME_PATTERN, SCALES, Scale
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.errors import DatasetError
 from infrablend.rendering import RENDERERS
@@ -21,7 +22,8 @@ class ExperimentRequest:
 
     Attributes:
         experiment: Name of a shipped experiment, or the path of a YAML file.
-        data: Folders of the datasets; their formats show which source each of them is.
+        data: Folders of the datasets. A folder is matched with its source by its format, and by its labelled classes
+            if several sources have that format. A mapping gives folders by the name of their source.
         work: Folder of the stages. Experiments that use the same folder share equal stages.
         results: Folder of the page, its JSON and plots; None for `results`, or `WORK/results` at the scale `smoke`.
         scale: `paper`, `small` or `smoke`.
@@ -39,7 +41,7 @@ class ExperimentRequest:
     """
 
     experiment: str | Path
-    data: Sequence[Path] = ()
+    data: Sequence[str | Path] | Mapping[str, str | Path] = ()
     work: Path = Path("experiments")
     results: Path | None = None
     scale: Scale = "small"
@@ -58,9 +60,7 @@ class ExperimentRequest:
         if self.workers is not None:
             require_whole("workers", self.workers, 1)
         require_choice("renderer", self.renderer, RENDERERS)
-        folders = [self.data] if isinstance(self.data, str | Path) else self.data
         paths = {
-            "data": tuple(Path(folder) for folder in folders),
             "work": Path(self.work),
             "results": None if self.results is None else Path(self.results),
             "adopt": {stage: Path(folder) for stage, folder in self.adopt.items()},
@@ -69,8 +69,23 @@ class ExperimentRequest:
             object.__setattr__(self, name, value)
 
     @property
+    def folders(self) -> list[tuple[str | None, Path]]:
+        """Folders of the datasets, with the name of their source where it is given."""
+        if isinstance(self.data, Mapping):
+            return [(name, Path(folder)) for name, folder in self.data.items()]
+        given = [self.data] if isinstance(self.data, str | Path) else self.data
+        return [_named_folder(str(folder)) for folder in given]
+
+    @property
     def results_folder(self) -> Path:
         """Folder of the page. It never depends on where the command is run, except through a relative path."""
         if self.results is not None:
             return self.results
         return self.work / "results" if self.scale == "smoke" else DEFAULT_RESULTS
+
+
+def _named_folder(text: str) -> tuple[str | None, Path]:
+    """Return source and folder of `NAME=DIR`; a text without a name, or the path of an existing folder, is a folder."""
+    name, equals, folder = text.partition("=")
+    named = equals and folder and re.fullmatch(NAME_PATTERN, name) and not Path(text).exists()
+    return (name, Path(folder)) if named else (None, Path(text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,13 @@ from infrablend.pipeline.experiments.stage import FinishedStage, Stage
 
 Finished = Mapping[str, FinishedStage]
 
-_DATA_KINDS = ("world", "source", "generate", "convert", "split")
+_DATA_KINDS = ("world", "source", "generate", "convert", "split", "merge", "paste")
 _OF_EVALUATION = ("classes", "confidence", "ultralytics", "strata", "counts", "settings", "curves")
 _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "status", "adopted",
 )  # fmt: skip
-_OF_STAGE = ("adopted", "boxes_loosened", "loosened_by")
+_OF_STAGE = ("adopted", "boxes_loosened", "loosened_by", "pasted")
 _FIGURES = ("images", "instances", *METRICS)
 
 
@@ -93,7 +94,10 @@ def _command(prepared: PreparedExperiment) -> str:
     request = prepared.request
     words = ["infrablend experiment", prepared.experiment.name, "--scale", request.scale]
     words += [f"--set {k}={v}" for k, v in request.training.items()]
-    words += [w for path in prepared.graph.given.values() for w in ("--data", path.resolve().name)]
+    formats = Counter(s.format for s in prepared.experiment.sources.values())
+    for name, path in prepared.graph.given.items():
+        of_several = formats[prepared.experiment.sources[name].format] > 1
+        words += ["--data", f"{name}={path.resolve().name}" if of_several else path.resolve().name]
     return " ".join([*words, *(["--seed", str(request.seed)] if request.seed else [])])
 
 

@@ -16,7 +16,10 @@ from typing import Any
 from infrablend.pipeline.content import json_digest
 
 RECORD = "stage.json"
-VERSIONS = {"source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "train": 2, "evaluate": 3, "compare": 1}
+VERSIONS = {
+    "source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "merge": 1, "paste": 1,
+    "train": 2, "evaluate": 3, "compare": 1,
+}  # fmt: skip
 """Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
 
 
