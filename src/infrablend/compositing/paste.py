@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import MIN_RING_PIXELS
-from infrablend.compositing.gain import pixel_box
 from infrablend.compositing.mapping import GreyImage
+from infrablend.core.boxes import pixel_box
 
 # Pixels around the box in which the matte fades to nothing.
 FEATHER_PX = 2
