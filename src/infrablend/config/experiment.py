@@ -285,6 +285,8 @@ class Check(Strict):
     """Class, or `all`."""
     metric: Metric = "map50_95"
     """Metric."""
+    time: Literal["night", "day"] | None = None
+    """For a ratio: only objects in images of this time of day."""
     expect: Literal["below", "above", "within", "not_below", "at_least", "report"]
     """Whole interval below or above 0, 0 within it, not entirely below 0; ratio of at least `least`; or no verdict."""
     least: float | None = None
@@ -300,6 +302,8 @@ class Check(Strict):
             raise ValueError("expect: at_least and least need each other")
         if self.expect in ("below", "above", "within", "not_below") and self.comparison is None:
             raise ValueError(f"expect: {self.expect} needs a comparison")
+        if self.time is not None and self.ratio is None:
+            raise ValueError("time needs a ratio")
         if self.expect == "at_least" and self.ratio is None:
             raise ValueError("expect: at_least needs a ratio")
         return self

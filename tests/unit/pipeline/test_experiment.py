@@ -786,6 +786,22 @@ def test_ratio_is_compared_with_its_minimum() -> None:
     assert check_claim(check, {}, {}, {})["holds"] is None
 
 
+def test_claim_about_a_time_of_day_uses_the_figures_of_its_images_alone():
+    def evaluation(by_day: float) -> dict[str, Any]:
+        return {
+            "classes": {"Person": {"map50": 0.7}},
+            "strata": {"time": {"day": {"classes": {"Person": {"map50": by_day}}}}},
+        }
+
+    check = Check(
+        text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7, time="day"
+    )
+    found = check_claim(check, {"a": evaluation(0.2), "b": evaluation(0.5)}, {}, {})
+    assert (found["ratio"], found["holds"]) == (0.4, False)
+    night = check.model_copy(update={"time": "night"})
+    assert check_claim(night, {"a": evaluation(0.2), "b": evaluation(0.5)}, {}, {})["holds"] is None
+
+
 @pytest.mark.parametrize(
     ("scale", "said"), [("smoke", "figures mean nothing"), ("small", "with each other"), ("paper", None)]
 )

@@ -81,6 +81,8 @@ def _check_ratio(
 
 
 def _figure(evaluation: Mapping[str, Any], check: Check) -> float | None:
+    if check.time is not None:
+        evaluation = evaluation.get("strata", {}).get("time", {}).get(check.time, {})
     classes = evaluation.get("classes", {})
     name = find_class(classes, check.category)
     found: float | None = None if name is None else classes[name].get(check.metric)
