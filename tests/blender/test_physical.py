@@ -9,12 +9,12 @@ import pytest
 
 from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import place
-from infrablend.core.scene import Weather
+from infrablend.core.scene import Sun, Weather
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
 from tests.thermal_reference import apparent_temperature, leaving_radiance
 
-from .conftest import box_mesh, scene, thing
+from .conftest import box_mesh, paste, scene, thing
 
 AIR_K = 283.15
 CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
@@ -234,3 +234,22 @@ def test_the_manual_shows_every_socket():
     for text, sockets in ((artistic, materials.SOCKETS), (surface, physical.SOCKETS)):
         named = [n for line in text.splitlines() if line.startswith("| ") for n in line.split("|")[1].split(",")]
         assert [n.strip() for n in named if "*" not in n and n.strip() != "socket"] == [s[0] for s in sockets]
+
+
+def test_sunlight_warms_the_side_towards_the_sun(blender):
+    """From straight above, the sun 30 degrees high along +X: one half of a roof is lit, the other is in the shade."""
+    v = np.array([(-1, -1, 0), (0, -1, 1), (0, 1, 1), (-1, 1, 0), (1, -1, 0), (1, 1, 0)], np.float64)
+    west, east = [(0, 1, 2), (0, 2, 3)], [(1, 4, 5), (1, 5, 2)]
+    mesh = make_mesh([("body", v, np.array(west + east, np.int32), False)])
+    sun = Sun(0.0, np.radians(30), 800.0, 0.0)
+    weather = dataclasses.replace(CLEAR, ground_k=AIR_K, cloud=1.0, cloud_base_k=AIR_K, dew_point_k=AIR_K, sun=sun)
+    body = thing(yaw=0, kelvin=AIR_K, emissivity=1.0, ior=1.0, sun_k=20.0)
+    spec = scene([body], samples=16, size_wh=(160, 128), **TOP)
+    spec = dataclasses.replace(spec, appearance=dataclasses.replace(spec.appearance, mode="physical"), weather=weather)
+    seen, alpha = paste(blender.render(place(spec, [mesh])))
+    columns = np.flatnonzero(alpha[64] > 0.999)
+    halves = [np.median(seen[64, part]) for part in np.array_split(columns, 2)]
+    level, tilt = 800 * np.sin(np.radians(30)), np.cos(np.radians(45))
+    around = 0.2 * level * (1 - tilt) / 2
+    expected = [AIR_K + 0.02 * around, AIR_K + 0.02 * (800 * np.cos(np.radians(15)) + around)]
+    assert sorted(apparent_temperature(h) for h in halves) == pytest.approx(expected, abs=0.3)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, sun_response
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -103,6 +103,19 @@ _DAY_SUN: Mapping[str, Range] = {
     "tail_lamp": (4.0, 14.0),
 }  # fmt: skip
 
+# In scenes with a sun: share of sunlight that paint absorbs (1 minus the reflectance of car bodies: black 0.05, silver
+# 0.57, white 0.6 and more), and surface minus air without sunlight. Panels cool towards the sky; the cabin of a parked
+# car warms its glass from inside (est.).
+_ABSORPTIVITY: Mapping[str, Range] = {
+    "black": (0.90, 0.95), "grey": (0.65, 0.85), "silver": (0.40, 0.50), "white": (0.25, 0.40),
+}  # fmt: skip
+_DAY_SHADE_K: Range = (-2.0, 1.0)
+_DAY_SHADE: Mapping[str, Range] = {
+    **dict.fromkeys(("side", "front", "rear", "underbody", "tyre", "rim", "grille", "brake"), (-1.0, 2.0)),
+    **dict.fromkeys(("windscreen", "rear_window", "window", "sunroof"), (1.0, 8.0)),
+    "exhaust": (0.0, 4.0),
+}  # fmt: skip
+
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
@@ -111,6 +124,14 @@ def parts_for(params: Params) -> dict[str, PartRange]:
     what = "ground sheltered from the sky (est.)"
     for part, (_, opacity) in GROUND_RINGS.items():
         roles[part] = part_role("asphalt", _GROUND_K, what, label=False, opacity=opacity)
+    if params["state"] in ("day_sun", "day_driven"):
+        driven = _DRIVEN if params["state"] == "day_driven" else {}
+        for part, (kind, _) in _SURFACES.items():
+            cold, warm = _DAY_SHADE.get(part, _DAY_SHADE_K)
+            engine = driven.get(part, (cold, warm))
+            shade = max(cold, engine[0]), max(warm, engine[1])
+            paint = _ABSORPTIVITY[params["colour"]] if kind == "car_paint" else None
+            roles[part] = replace(roles[part], sun=sun_response(kind, shade, kind, paint))
     return roles
 
 

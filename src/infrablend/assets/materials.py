@@ -3,6 +3,8 @@
 Emissivities are for 8-14 um at normal incidence. Sources: the emissivity tables of FLIR (T505002), testo,
 ired.co.uk and Ideal Industries (HeatSeeker manual), and a study of horses' coats for fur. "Computed" values follow from
 the refractive index; "est." marks estimates. `docs/how_to/infrared_effect.md` shows this table.
+
+`SUNLIT` has the response to sunlight: what docs/explanation/physical_look.md says under "Sunlight", with its sources.
 """
 
 from __future__ import annotations
@@ -70,4 +72,39 @@ MATERIALS: Mapping[str, Material] = {
     "grass": Material((0.97, 0.99), "grass, leaves, canopy (est.)"),
     "water": Material((0.98, 0.99), "computed", 1.25, 0.02),
     "snow": Material((0.85, 0.98), "HeatSeeker"),
+}
+
+
+@dataclass(frozen=True)
+class Sunlit:
+    """Response of a material to sunlight.
+
+    Attributes:
+        absorptivity: (low, high) share of sunlight that it absorbs.
+        exchange_w_m2_k: Heat that it loses per kelvin above its temperature in the shade, W m^-2 K^-1: to the air, by
+            radiation, and inwards.
+    """
+
+    absorptivity: Range
+    exchange_w_m2_k: float
+
+
+# Radiation takes 4.5 W m^-2 K^-1 and moving air 10.3 v^0.6, v in m/s: about 15 to 20 together at 1 to 2 m/s.
+# What is behind the surface takes the rest: little under hair and thick cloth, much under skin, where blood flows.
+SUNLIT: Mapping[str, Sunlit] = {
+    "cloth": Sunlit((0.30, 0.90), 25.0),
+    "hair": Sunlit((0.80, 0.95), 20.0),
+    "leather": Sunlit((0.60, 0.95), 28.0),
+    "skin": Sunlit((0.55, 0.80), 45.0),
+    "fur": Sunlit((0.60, 0.85), 27.0),
+    "antler": Sunlit((0.50, 0.80), 30.0),
+    "wood": Sunlit((0.50, 0.80), 22.0),
+    "car_paint": Sunlit((0.30, 0.95), 22.0),
+    "plastic": Sunlit((0.70, 0.95), 22.0),
+    "painted": Sunlit((0.70, 0.95), 25.0),
+    "glass": Sunlit((0.20, 0.50), 24.0),
+    "rubber": Sunlit((0.85, 0.95), 30.0),
+    "lacquered_metal": Sunlit((0.40, 0.80), 35.0),
+    "oxidised_steel": Sunlit((0.70, 0.90), 35.0),
+    "cavity": Sunlit((0.70, 0.95), 40.0),
 }

@@ -8,10 +8,39 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.assets.materials import MATERIALS, Range
+from infrablend.assets.materials import MATERIALS, SUNLIT, Range
 from infrablend.core.mesh import Mesh
 
 Params = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class SunResponse:
+    """Response of a part to sunlight, for scenes with a sun: its temperature then follows from its orientation.
+
+    Attributes:
+        shade_k: (low, high) surface minus air temperature without sunlight.
+        rise_k: (low, high) rise by an irradiance of 1 kW/m², kelvin.
+        surface: Name shared by the parts of one surface (a garment, a coat of paint), which absorb the same share.
+    """
+
+    shade_k: Range
+    rise_k: Range
+    surface: str
+
+
+def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:
+    """Return the response of a part of a material to sunlight.
+
+    Args:
+        kind: Name in `materials.SUNLIT`.
+        shade_k: (low, high) surface minus air temperature without sunlight.
+        surface: Name shared by the parts of one surface.
+        absorptivity: (low, high) share of sunlight that is absorbed; by default that of the material.
+    """
+    sunlit = SUNLIT[kind]
+    low, high = absorptivity or sunlit.absorptivity
+    return SunResponse(shade_k, (1000 * low / sunlit.exchange_w_m2_k, 1000 * high / sunlit.exchange_w_m2_k), surface)
 
 
 @dataclass(frozen=True)
@@ -28,6 +57,7 @@ class PartRange:
         roughness: Roughness of reflections on smooth surfaces and metals.
         metal: Whether the surface reflects at all angles.
         opacity: In (0, 1]; a part below 1 is translucent, and labels ignore it.
+        sun: Response to sunlight, which replaces `delta_t_k` in scenes with a sun; None for none.
 
     Raises:
         ValueError: A range is reversed or a value is outside its limits.
@@ -42,6 +72,7 @@ class PartRange:
     roughness: float = 0.1
     metal: bool = False
     opacity: float = 1.0
+    sun: SunResponse | None = None
 
     def __post_init__(self) -> None:
         (cold, warm), (low, high) = self.delta_t_k, self.emissivity
@@ -112,11 +143,18 @@ class ObjectModel:
 
 
 def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[str, float]) -> dict[str, PartRange]:
-    """Return the thermal roles of a coat in the sun: each part takes its share of the range `sun_k`, kelvin."""
+    """Return the thermal roles of a coat in the sun.
+
+    Args:
+        parts: Roles in the shade.
+        sun_k: Rise of the back, kelvin, for scenes without a sun.
+        shares: Share of that rise that a part reaches; parts that are not named keep their role.
+    """
     low, high = sun_k
-    warmed = {}
-    for name, role in parts.items():
-        share = shares.get(name, 0.0)
+    warmed = dict(parts)
+    for name, share in shares.items():
+        role = parts[name]
         coldest, warmest = role.delta_t_k
-        warmed[name] = replace(role, delta_t_k=(coldest + share * low, warmest + share * high))
+        delta = (coldest + share * low, warmest + share * high)
+        warmed[name] = replace(role, delta_t_k=delta, sun=sun_response(role.kind, role.delta_t_k, "coat"))
     return warmed

@@ -29,7 +29,7 @@ import numpy as np
 
 from infrablend.assets.anatomy import joint, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
+from infrablend.assets.model import ObjectModel, Params, PartRange, SunResponse, part_role, sun_response, warmed_by_sun
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
@@ -95,19 +95,40 @@ _LIGHT: Mapping[str, tuple[float, float]] = {
 PART_NAMES = tuple(PARTS)
 CLOTHING = ("winter", "light")
 TIMES = ("night", "day")
-# Additional rise of clothes and hair in the sun (est.); the low end applies under clouds, too.
+# Additional rise of clothes and hair in the sun (est.), for scenes without a sun of their own; the low end applies
+# under clouds, too.
 SUN_K = (3.0, 12.0)
 _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
+# By day the air is nearer to the skin's temperature, and moves more: clothes keep this share of their excess (est.).
+SHADE_SHARE = (0.15, 0.7)
+# Parts of one garment absorb the same share of sunlight. Thin stockings count as skin.
+_GARMENTS: Mapping[str, tuple[str, ...]] = {
+    "top": ("jacket", "sleeve", "coat_skirt", "collar", "hood"),
+    "bottom": ("trousers", "leg"),
+    "skin": ("face", "nose", "ear", "neck", "hand"),
+    "backpack": ("backpack", "strap"),
+}
+_SURFACE = {part: garment for garment, parts in _GARMENTS.items() for part in parts}
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
-    """Return the thermal role of every part: light clothes are warmer outside, and by day the sun adds to that."""
+    """Return the thermal role of every part: light clothes are warmer outside, and by day the sun adds to that.
+
+    In scenes with a sun, each garment has its own absorptivity, and is warmed where the sun's rays hit it.
+    """
     parts = dict(PARTS)
     if params.get("clothing", "winter") == "light":
         parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
     if params.get("time_of_day", "night") == "day":
-        return warmed_by_sun(parts, SUN_K, dict.fromkeys(_SUNLIT, 1.0))
+        shade = {n: role.delta_t_k for n, role in parts.items()}
+        parts = warmed_by_sun(parts, SUN_K, dict.fromkeys(_SUNLIT, 1.0))
+        return {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
     return parts
+
+
+def _in_the_sun(part: str, kind: str, night_k: tuple[float, float]) -> SunResponse:
+    low, high = night_k if kind == "skin" else (SHADE_SHARE[0] * night_k[0], SHADE_SHARE[1] * night_k[1])
+    return sun_response(kind, (low, high), _SURFACE.get(part, part))
 
 
 _NUMBER = {name: i for i, name in enumerate(PART_NAMES)}

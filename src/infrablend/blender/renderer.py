@@ -245,7 +245,8 @@ def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> 
     temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
     columns = {
         "temperature_c": _corner_values(mesh, temperature_c, mesh.smooth)
-        + _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()],
+        + _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()]
+        + placed.sun_rise_k.astype(np.float32),
         "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), mesh.smooth),
         "ior": _corner_values(mesh, np.array([s.ior for s in states])),
         "label": _corner_values(mesh, np.array([float(s.label) for s in states])),

@@ -71,7 +71,7 @@ class Backdrop:
     Attributes:
         pixels: (h, w) grey levels, 8 or 16 bit.
         labels: The background's own annotated objects: excluded from the ground, used as anchors.
-        time_of_day: Time of day, None if unknown; cars are anchors at night only.
+        time_of_day: Time of day, None if unknown; by day no object is an anchor, by night people and cars are.
         levels: Darkest and brightest level that the dataset uses.
     """
 
@@ -117,6 +117,7 @@ def find_anchors(
 ) -> tuple[Anchor, ...]:
     """Read the anchors of a picture: people's clothes and, at night, car roofs, each known to 3 K.
 
+    By day there are none: in the sun, one side of a person is 20 K warmer than the other.
     A person whose brightest part is clipped gives a lower bound; clipped clothing gives no reading.
 
     Args:
@@ -140,7 +141,7 @@ def find_anchors(
         h, w = inside.shape
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
-        if known == "person":
+        if known == "person" and backdrop.time_of_day != "day":
             bright = float(np.percentile(inside, 95))
             seen = (middle - around) / _CLOTHING_SEEN
             if floor < middle:

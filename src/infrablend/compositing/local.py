@@ -13,7 +13,7 @@ is put. The gain is estimated for each picture (`gain`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -36,7 +36,7 @@ from infrablend.compositing.mapping import GreyMapping, Place
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.placed import PlacedObject, PlacedScene
-from infrablend.core.scene import ObjectSpec, View, Weather
+from infrablend.core.scene import View, Weather
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
 
@@ -127,7 +127,7 @@ def match_locally(
     mapping, facts = local_mapping(backdrop, inserts, weather, settings, rng, camera)
     places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
     contrasts = [
-        expected_contrast(placed.spec, placed.part_areas_px, place, ring, weather)
+        expected_contrast(placed, place, ring, weather)
         for placed, place, ring in zip(scene.objects, places, facts["ring_grey"], strict=True)
     ]
     return LocalMatch(mapping, facts, tuple(contrasts))
@@ -135,7 +135,7 @@ def match_locally(
 
 def describe_insert(placed: PlacedObject, weather: Weather, view: View | None) -> Insert:
     """Describe a placed object for matching; distances are known only where `view` gives the real camera's height."""
-    box, warm = placed.box_xyxy, is_warm(placed.spec, placed.part_areas_px, weather)
+    box, warm = placed.box_xyxy, is_warm(placed, weather)
     if view is None:
         return Insert(box, warm=warm)
     u, v = ((box[:2] + box[2:]) / 2).tolist()
@@ -255,45 +255,47 @@ def _reference(behind: Behind, kind: Kind, weather: Weather, ring: float) -> tup
     return ring if behind.ground_grey is None else behind.ground_grey, float(band_radiance(weather.ground_k))
 
 
-def is_warm(item: ObjectSpec, areas: Mapping[str, float], weather: Weather) -> bool:
+def is_warm(placed: PlacedObject, weather: Weather) -> bool:
     """Return whether an object as a whole looks warmer than the ground.
 
-    Labelled parts are weighted by their visible area (`areas`) and assumed to reflect half sky and half ground.
+    Labelled parts are weighted by their visible area and assumed to reflect half sky and half ground.
     """
     zenith, ground = _zenith(weather), float(band_radiance(weather.ground_k))
     total = 0.0
-    for name, part in item.parts.items():
+    for name, part in placed.spec.parts.items():
         if part.label:
-            own = part.emissivity * float(band_radiance(part.temperature_k))
-            total += areas.get(name, 0.0) * (own + (1 - part.emissivity) * (zenith + ground) / 2 - ground)
+            rise = placed.part_sun_rise_k[name]
+            own = part.emissivity * float(band_radiance(part.temperature_k + rise))
+            total += placed.part_areas_px[name] * (own + (1 - part.emissivity) * (zenith + ground) / 2 - ground)
     return bool(total > 0)
 
 
-def expected_contrast(
-    item: ObjectSpec, areas: Mapping[str, float], place: GreyMapping | Place, ring_grey: float, weather: Weather
-) -> float:
+def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_grey: float, weather: Weather) -> float:
     """Return the contrast to the ground, in picture levels, that a fifth of an object's labelled area reaches.
 
-    Each part is assumed to reflect the ground or the zenith, whichever gives more contrast. The result is an upper
-    estimate: an object that is too faint here is certainly too faint in the picture.
+    Each part is assumed to reflect the ground or the zenith, and to have its coldest or its warmest temperature,
+    whichever gives more contrast. The result is an upper estimate: an object that is too faint here is certainly too
+    faint in the picture.
 
     Args:
-        item: The object.
-        areas: Visible area of each part, in any unit.
+        placed: The object.
         place: The mapping there.
         ring_grey: Level of its background there.
         weather: Sky and ground.
     """
     around = (_zenith(weather), float(band_radiance(weather.ground_k)))
     found = []
-    for name, part in item.parts.items():
-        if part.label and areas.get(name, 0.0) > 0:
-            own = part.emissivity * float(band_radiance(part.temperature_k))
+    for name, part in placed.spec.parts.items():
+        area = placed.part_areas_px[name]
+        if part.label and area > 0:
             levels = [
-                place.dark + (place.bright - place.dark) * (own + (1 - part.emissivity) * mirrored)
+                place.dark
+                + (place.bright - place.dark)
+                * (part.emissivity * float(band_radiance(part.temperature_k + rise)) + (1 - part.emissivity) * mirrored)
                 for mirrored in around
+                for rise in placed.part_sun_range_k[name]
             ]
-            found.append((max(abs(v - ring_grey) for v in levels), areas[name]))
+            found.append((max(abs(v - ring_grey) for v in levels), area))
     total, seen = sum(area for _, area in found), 0.0
     for contrast, area in sorted(found, reverse=True):
         seen += area

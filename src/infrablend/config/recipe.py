@@ -268,6 +268,10 @@ class MetricPlacement(Placement):
 # ---- Environment, appearance and matching
 
 
+Latitude = Annotated[float, Field(ge=-90, le=90)]
+Longitude = Annotated[float, Field(ge=-180, le=180)]
+
+
 class Environment(Strict):
     """The weather."""
 
@@ -286,6 +290,11 @@ class PhysicalEnvironment(Environment):
     """Apparent ground temperature minus air temperature by day, kelvin."""
     ground_above_air_night_k: range_of(-40, 60) = (-1.0, 4.0)  # type: ignore[valid-type]
     """Apparent ground temperature minus air temperature by night and at an unknown time of day, kelvin."""
+    sun_elevation_deg: range_of(0, 90) = (15.0, 60.0)  # type: ignore[valid-type]
+    """Elevation of the sun by day, degrees; one value and one direction per sequence of backgrounds."""
+    place: tuple[Latitude, Longitude] | None = None
+    """Latitude and longitude of the backgrounds, degrees, north and east positive, for the sun's elevation at their
+    time of capture. Backgrounds without a time and time zone of capture get one from `sun_elevation_deg`."""
 
 
 class Appearance(Strict):

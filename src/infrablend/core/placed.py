@@ -15,7 +15,8 @@ import numpy as np
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.raster import NEAR_M, BoolArray, ProjectedTriangles, project_triangles
-from infrablend.core.scene import ObjectSpec, SceneSpec
+from infrablend.core.scene import ObjectSpec, SceneSpec, Sun
+from infrablend.core.sunlight import surface_irradiance
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +27,13 @@ class PlacedObject:
         spec: The object's place, size and part states.
         mesh: Geometry in object coordinates, unscaled.
         camera: The frame's camera.
+        sun: The frame's sun; None without one.
     """
 
     spec: ObjectSpec
     mesh: Mesh
     camera: CameraSpec
+    sun: Sun | None = None
 
     @cached_property
     def world_m(self) -> FloatArray:
@@ -78,16 +81,50 @@ class PlacedObject:
         return ProjectedTriangles(pieces.xy[keep], pieces.inverse_depth[keep], pieces.source[keep], near)
 
     @cached_property
+    def sun_rise_k(self) -> FloatArray:
+        """(3T,) rise of the temperature at the face corners by the sun, kelvin; 0 without a sun."""
+        states = [self.spec.parts[name] for name in self.mesh.part_names]
+        gain = np.array([s.sun_k for s in states])[self.mesh.part_of_triangle]
+        if self.sun is None or not gain.any():
+            return np.zeros(3 * len(gain))
+        opaque = np.array([s.opacity == 1 for s in states])[self.mesh.part_of_triangle]
+        return np.repeat(gain, 3) * surface_irradiance(self.mesh, self.world_m, self.sun, opaque) / 1000
+
+    @cached_property
+    def part_sun_rise_k(self) -> Mapping[str, float]:
+        """Mean rise of each part by the sun, kelvin, over its area that faces the camera."""
+        number, area = self.mesh.part_of_triangle, self._facing_px2
+        rise, count = self.sun_rise_k.reshape(-1, 3).mean(axis=1), len(self.mesh.part_names)
+        mean = np.bincount(number, area * rise, count) / np.maximum(np.bincount(number, area, count), 1e-12)
+        return dict(zip(self.mesh.part_names, mean.tolist(), strict=True))
+
+    @cached_property
+    def part_sun_range_k(self) -> Mapping[str, tuple[float, float]]:
+        """Smallest and largest rise of each part by the sun, kelvin, over its faces towards the camera."""
+        facing = self._facing_px2 > 0
+        rise, number = self.sun_rise_k.reshape(-1, 3).mean(axis=1)[facing], self.mesh.part_of_triangle[facing]
+        found = {}
+        for k, name in enumerate(self.mesh.part_names):
+            own = rise[number == k]
+            found[name] = (float(own.min()), float(own.max())) if own.size else (0.0, 0.0)
+        return found
+
+    @cached_property
     def part_areas_px(self) -> Mapping[str, float]:
         """Area of each part that faces the camera, px²; parts hidden behind others count in full."""
         mesh = self.mesh
-        corners = self.xy[mesh.triangles]
+        areas = np.bincount(mesh.part_of_triangle, self._facing_px2, len(mesh.part_names))
+        return dict(zip(mesh.part_names, areas.tolist(), strict=True))
+
+    @cached_property
+    def _facing_px2(self) -> FloatArray:
+        """(T,) area of the triangles that face the camera, px²; 0 for the others."""
+        triangles = self.mesh.triangles
+        corners = self.xy[triangles]
         a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         # Faces are counter-clockwise from outside; with y down they become clockwise, so their area is negative.
-        ahead = (self.depth_m[mesh.triangles] > 0).all(axis=1)
-        facing = np.where(ahead, np.maximum(b[:, 0] * a[:, 1] - a[:, 0] * b[:, 1], 0), 0)
-        areas = np.bincount(mesh.part_of_triangle, facing / 2, len(mesh.part_names))
-        return dict(zip(mesh.part_names, areas.tolist(), strict=True))
+        ahead = (self.depth_m[triangles] > 0).all(axis=1)
+        return np.where(ahead, np.maximum(b[:, 0] * a[:, 1] - a[:, 0] * b[:, 1], 0), 0) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,4 +154,6 @@ def place(spec: SceneSpec, meshes: Sequence[Mesh]) -> PlacedScene:
     n = len(spec.objects)
     if len(meshes) != n:
         raise ValueError(f"{spec.frame_id}: {n} objects need {n} meshes, got {len(meshes)}")
-    return PlacedScene(spec, tuple(PlacedObject(o, m, spec.camera) for o, m in zip(spec.objects, meshes, strict=True)))
+    sun = None if spec.weather is None else spec.weather.sun
+    pairs = zip(spec.objects, meshes, strict=True)
+    return PlacedScene(spec, tuple(PlacedObject(o, m, spec.camera, sun) for o, m in pairs))

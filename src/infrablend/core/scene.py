@@ -17,7 +17,7 @@ class PartState:
     """State of one part of an object in one frame.
 
     Attributes:
-        temperature_k: Surface temperature.
+        temperature_k: Surface temperature; where the scene has a sun, that without its light.
         emissivity: Emissivity seen straight on.
         label: Whether boxes and masks count the part.
         ior: Refractive index, which makes the rim mirror the surroundings; 1 for rough surfaces (fur, cloth) and
@@ -25,6 +25,7 @@ class PartState:
         roughness: Roughness of the mirror image on smooth surfaces and metals; physical look only.
         metal: Whether the surface mirrors at all angles; physical look only.
         opacity: Share of the light from behind that the part blocks, in (0, 1]. Labels ignore a part below 1.
+        sun_k: Rise of the surface temperature by an irradiance of 1 kW/m².
 
     Raises:
         ValueError: A value is outside its limits.
@@ -37,6 +38,7 @@ class PartState:
     roughness: float = 0.1
     metal: bool = False
     opacity: float = 1.0
+    sun_k: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.temperature_k > 0:
@@ -73,6 +75,25 @@ class ObjectSpec:
 
 
 @dataclass(frozen=True)
+class Sun:
+    """The sun over a frame.
+
+    Attributes:
+        azimuth_rad: Direction towards the sun in the world, counter-clockwise seen from above, 0 along +X.
+        elevation_rad: Elevation above the horizon.
+        direct_w_m2: Irradiance by its rays of a surface at right angles to them.
+        diffuse_w_m2: Irradiance of level ground by the rest of the sky.
+        source: `computed` from capture time and place, or `drawn`.
+    """
+
+    azimuth_rad: float
+    elevation_rad: float
+    direct_w_m2: float
+    diffuse_w_m2: float
+    source: Literal["computed", "drawn"] = "drawn"
+
+
+@dataclass(frozen=True)
 class Weather:
     """Air, sky and ground around a frame's objects; used by the physical look.
 
@@ -82,6 +103,7 @@ class Weather:
         cloud: Share of the sky that clouds cover, in [0, 1].
         cloud_base_k: Temperature of the clouds.
         ground_k: Apparent temperature of the ground.
+        sun: The sun; None by night and at an unknown time of day.
     """
 
     air_k: float
@@ -89,6 +111,7 @@ class Weather:
     cloud: float
     cloud_base_k: float
     ground_k: float
+    sun: Sun | None = None
 
 
 @dataclass(frozen=True)
@@ -190,7 +213,8 @@ class SceneSpec:
         d["appearance"] = Appearance(**d["appearance"])
         if weather := d.get("weather"):
             # Scenes of earlier versions also have the wind, which never had an effect.
-            d["weather"] = Weather(**{k: v for k, v in weather.items() if k != "wind_m_s"})
+            known = {k: v for k, v in weather.items() if k != "wind_m_s"}
+            d["weather"] = Weather(**known | {"sun": Sun(**known["sun"]) if known.get("sun") else None})
         dx, dy = d.get("motion_px", (0.0, 0.0))
         d["motion_px"] = (dx, dy)
         d["view"] = View(**d["view"]) if d.get("view") else None

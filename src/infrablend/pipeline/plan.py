@@ -63,7 +63,8 @@ class PlannedFrame:
         """Return the key of the frame's random streams."""
         assert self.configuration is not None
         b = self.background
-        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, b.time_of_day)
+        when = b.time_of_day, b.sequence, b.captured
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""

@@ -1,14 +1,14 @@
 """A renderer without Blender, on the software rasteriser: for tests, and for trying out a recipe quickly.
 
-Flat shading: each part has one radiance, from its temperature and emissivity. There is no Fresnel effect and no
-texture, and every surface mirrors the ground.
+Flat shading: each part has one radiance, from its mean temperature and its emissivity. There is no Fresnel effect and
+no texture, and every surface mirrors the ground.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,12 +95,14 @@ def _parts(scene: PlacedScene) -> _Parts:
     first = np.cumsum(counts) - counts
     pieces = [o.triangles for o in objects]
     states = [o.spec.parts[name] for o in objects for name in o.mesh.part_names]
+    rises = [o.part_sun_rise_k[name] for o in objects for name in o.mesh.part_names]
+    warmed = [replace(s, temperature_k=s.temperature_k + k) for s, k in zip(states, rises, strict=True)]
     owners = [f + o.mesh.part_of_triangle[p.source] for f, o, p in zip(first, objects, pieces, strict=True)]
     return _Parts(
         np.concatenate([np.zeros((0, 3, 2)), *(p.xy for p in pieces)]),
         np.concatenate([np.zeros((0, 3)), *(p.inverse_depth for p in pieces)]),
         np.concatenate([np.zeros(0, np.intp), *owners]),
-        [_radiance(state, scene.spec) for state in states],
+        [_radiance(state, scene.spec) for state in warmed],
         np.array([state.opacity for state in states]),
         [state.label for state in states],
         np.repeat(np.arange(len(objects)), counts).tolist(),

@@ -19,6 +19,7 @@ from infrablend.config.recipe import (
     MetricSections,
     NoSensor,
     Object,
+    PhysicalEnvironment,
     PhysicalSections,
     RandomPitch,
     Recipe,
@@ -28,10 +29,11 @@ from infrablend.core.dataset import TimeOfDay
 from infrablend.core.mesh import Mesh
 from infrablend.core.placed import PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
-from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
+from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
 from infrablend.errors import ModelError
 from infrablend.sampling.metric import Site, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, place_as_paper
+from infrablend.thermal.sun import irradiance, sun_position, time_of
 
 ZERO_C_K = 273.15
 
@@ -47,6 +49,8 @@ class FrameKey:
         size_wh: Size of the background.
         pitch_deg: Depression angle according to the metadata, or None.
         time_of_day: Time of day of the background, or None if unknown.
+        sequence: Flight or clip of the background; None if unknown. All its frames have the same sun.
+        captured: Date or time of capture, ISO 8601; None if unknown.
     """
 
     background_id: str
@@ -55,6 +59,8 @@ class FrameKey:
     size_wh: tuple[int, int]
     pitch_deg: float | None
     time_of_day: TimeOfDay | None = None
+    sequence: str | None = None
+    captured: str | None = None
 
     @property
     def frame_id(self) -> str:
@@ -86,6 +92,8 @@ def sample_scene(
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
+    weather = _weather(frame, recipe, air_k, seed) if isinstance(recipe, PhysicalSections) else None
+    lit = stream(seed, frame.frame_id, "sun") if weather is not None and weather.sun is not None else None
     tally = DrawStatistics()
     asked = len(wanted)
     if unfit is not None:
@@ -106,7 +114,7 @@ def sample_scene(
     for item, pose in zip(wanted, poses, strict=True):
         kind, model = item.kind, item.model
         # Drawn even if the object found no place, so that the draws of later objects do not depend on that.
-        parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"])
+        parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"], lit)
         if pose is None:
             continue
         meshes.append(item.mesh)
@@ -150,7 +158,7 @@ def sample_scene(
             "rejected": dict(sorted(tally.rejected.items())),
             "absent": dict(sorted(tally.absent.items())),
         },
-        weather=_weather(frame, recipe, air_k, seed) if isinstance(recipe, PhysicalSections) else None,
+        weather=weather,
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
         view=view,
     )
@@ -163,14 +171,46 @@ def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int)
     below = float(rng.uniform(*e.dew_point_below_air_k))
     rng.random()  # unused; keeps the later draws the same as before a quantity was removed
     clear, cover, base = (float(v) for v in rng.random(3))
-    ground = e.ground_above_air_day_k if frame.time_of_day == "day" else e.ground_above_air_night_k
+    day = frame.time_of_day == "day"
+    ground = e.ground_above_air_day_k if day else e.ground_above_air_night_k
+    ground_k = air_k + float(rng.uniform(*ground))
+    sun = None
+    if day:
+        # The sun and the clouds are those of the whole sequence.
+        together = stream(seed, "sun", frame.sequence or frame.captured or frame.frame_id)
+        clear, cover, share, turn = (float(v) for v in together.random(4))
+        sun = _sun(frame, e, share, turn, 0.0 if clear < e.clear_share else cover)
     return Weather(
         air_k=air_k,
         dew_point_k=air_k - below,
         cloud=0.0 if clear < e.clear_share else cover,
         cloud_base_k=air_k - (5 + 5 * base),
-        ground_k=air_k + float(rng.uniform(*ground)),
+        ground_k=ground_k,
+        sun=sun,
     )
+
+
+def _sun(frame: FrameKey, environment: PhysicalEnvironment, share: float, turn: float, cloud: float) -> Sun:
+    """Return the sun over a frame.
+
+    Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn.
+
+    Args:
+        frame: Key of the frame.
+        environment: Range of the elevation, or the place.
+        share: Drawn number in [0, 1) that sets the elevation within its range.
+        turn: Drawn number in [0, 1) that sets the azimuth.
+        cloud: Share of the sky that clouds cover.
+    """
+    low, high = environment.sun_elevation_deg
+    elevation, source = math.radians(low + (high - low) * share), "drawn"
+    when = time_of(frame.captured)
+    if environment.place is not None and when is not None:
+        _, computed = sun_position(when, *environment.place)
+        if computed > 0:
+            elevation, source = computed, "computed"
+    direct, diffuse = irradiance(elevation, cloud)
+    return Sun(2 * math.pi * turn, elevation, direct, diffuse, "computed" if source == "computed" else "drawn")
 
 
 def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
@@ -313,19 +353,38 @@ def _wanted(
 
 
 def _parts(
-    kind: Object, roles: Mapping[str, PartRange], mesh: Mesh, air_k: float, rng: np.random.Generator
+    kind: Object,
+    roles: Mapping[str, PartRange],
+    mesh: Mesh,
+    air_k: float,
+    rng: np.random.Generator,
+    lit: np.random.Generator | None,
 ) -> dict[str, PartState]:
     """Draw the state of every part in the mesh.
 
     One draw sets the temperature level of the whole object; a second one per part varies it.
+
+    Args:
+        kind: The recipe's entry, which may set temperatures and emissivities.
+        roles: Thermal roles of the parts.
+        mesh: The object's mesh.
+        air_k: Air temperature.
+        rng: Draws temperatures and emissivities.
+        lit: Draws the absorptivity of each surface; None in scenes without a sun.
     """
     heat = rng.random()
+    surfaces = sorted({r.sun.surface for r in roles.values() if r.sun is not None}) if lit is not None else []
+    absorbs = {surface: float(lit.random()) for surface in surfaces if lit is not None}
     parts = {}
     for name in sorted(roles):
         role = roles[name]
         own, surface = rng.random(2)
         override = kind.parts.get(name)
-        delta = override.delta_t_k if override and override.delta_t_k else role.delta_t_k
+        sun = role.sun if surfaces else None
+        delta = role.delta_t_k if sun is None else sun.shade_k
+        if override and override.delta_t_k:
+            # What a recipe states includes the sun.
+            delta, sun = override.delta_t_k, None
         emissivity = override.emissivity if override and override.emissivity else role.emissivity
         share = 0.7 * heat + 0.3 * own
         if name in mesh.part_names:
@@ -337,5 +396,6 @@ def _parts(
                 roughness=role.roughness,
                 metal=role.metal,
                 opacity=role.opacity,
+                sun_k=0.0 if sun is None else sun.rise_k[0] + (sun.rise_k[1] - sun.rise_k[0]) * absorbs[sun.surface],
             )
     return parts
