@@ -268,8 +268,13 @@ class MetricPlacement(Placement):
 # ---- Environment, appearance and matching
 
 
-Latitude = Annotated[float, Field(ge=-90, le=90)]
-Longitude = Annotated[float, Field(ge=-180, le=180)]
+class Geolocation(Strict):
+    """A place on Earth."""
+
+    latitude_deg: float = Field(ge=-90, le=90)
+    """Latitude, degrees, north positive."""
+    longitude_deg: float = Field(ge=-180, le=180)
+    """Longitude, degrees, east positive."""
 
 
 class Environment(Strict):
@@ -292,9 +297,9 @@ class PhysicalEnvironment(Environment):
     """Apparent ground temperature minus air temperature by night and at an unknown time of day, kelvin."""
     sun_elevation_deg: range_of(0, 90) = (15.0, 60.0)  # type: ignore[valid-type]
     """Elevation of the sun by day, degrees; one value and one direction per sequence of backgrounds."""
-    place: tuple[Latitude, Longitude] | None = None
-    """Latitude and longitude of the backgrounds, degrees, north and east positive, for the sun's elevation at their
-    time of capture. Backgrounds without a time and time zone of capture get one from `sun_elevation_deg`."""
+    place: Geolocation | None = None
+    """Where the backgrounds were taken, for the sun's elevation at their time of capture. Backgrounds without a time
+    and time zone of capture get one from `sun_elevation_deg`."""
 
 
 class Appearance(Strict):

@@ -204,9 +204,9 @@ def _sun(frame: FrameKey, environment: PhysicalEnvironment, share: float, turn: 
     """
     low, high = environment.sun_elevation_deg
     elevation, source = math.radians(low + (high - low) * share), "drawn"
-    when = time_of(frame.captured)
-    if environment.place is not None and when is not None:
-        _, computed = sun_position(when, *environment.place)
+    when, place = time_of(frame.captured), environment.place
+    if place is not None and when is not None:
+        _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
         if computed > 0:
             elevation, source = computed, "computed"
     direct, diffuse = irradiance(elevation, cloud)

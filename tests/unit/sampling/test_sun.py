@@ -13,6 +13,7 @@ from infrablend.core.scene import SceneSpec
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, sample_scene
 
+KUNMING = "environment.place={latitude_deg: 25.0, longitude_deg: 102.7}"
 PERSON = {"person": load_model("person")}
 SITE = Site(np.full((512, 640), 120, np.uint8), altitude_m=60.0)
 DAY = FrameKey("f", "train", 0, (640, 512), 60.0, "day", "20210116-day-60m-60deg", "2021-01-16")
@@ -39,10 +40,10 @@ def test_all_frames_of_a_sequence_have_one_sun():
 
 def test_time_and_place_of_capture_give_the_elevation():
     noon = replace(DAY, captured="2021-01-16T13:13:00+08:00")
-    found = sun(noon, "environment.place=[25.0, 102.7]")
+    found = sun(noon, KUNMING)
     assert found.source == "computed" and math.degrees(found.elevation_rad) == pytest.approx(44, abs=0.5)
-    assert sun(DAY, "environment.place=[25.0, 102.7]") == sun(DAY)  # a date alone is not enough
-    assert sun(replace(DAY, captured="2021-01-16T01:00:00+08:00"), "environment.place=[25.0, 102.7]").source == "drawn"
+    assert sun(DAY, KUNMING) == sun(DAY)  # a date alone is not enough
+    assert sun(replace(DAY, captured="2021-01-16T01:00:00+08:00"), KUNMING).source == "drawn"
 
 
 def test_clouds_hide_the_sun():
