@@ -126,17 +126,19 @@ def split(
 
 def profile(
     data: str | Path, out: str | Path, *, count: int = 64, time: str | None = None, name: str | None = None,
-    against: str | None = None, reading: Reading = READ_ALL, on_progress: OnProgress | None = None,
+    against: str | None = None, rendered: str | Path | None = None, reading: Reading = READ_ALL,
+    on_progress: OnProgress | None = None,
 ) -> ProfileReport:  # fmt: skip
     """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
 
     Args:
-        data: Folder of pictures or of a dataset. Annotated objects are not measured.
+        data: Folder of pictures or of a dataset. Annotated objects only count for local share and looseness of boxes.
         out: Folder to write.
-        count: Number of pictures to read, evenly spread.
+        count: Number of pictures to fit the camera to, evenly spread.
         time: `day` or `night`: use only pictures taken then.
         name: Name of the profile; the name of the folder by default.
         against: Shipped profile to compare with.
+        rendered: Run with inserted objects of the same classes, whose exact boxes the annotated ones are compared with.
         reading: How to read `data`.
         on_progress: Called after each picture.
     """
@@ -144,7 +146,10 @@ def profile(
 
     dataset = read_dataset(data, reading)
     dataset = dataset if time is None else pictures_taken_by(dataset, time)
-    return profile_dataset(dataset, Path(out), count=count, name=name, against=against, on_progress=on_progress)
+    inserts = None if rendered is None else read_dataset(rendered)
+    return profile_dataset(
+        dataset, Path(out), count=count, name=name, against=against, rendered=inserts, on_progress=on_progress
+    )
 
 
 def make_world(

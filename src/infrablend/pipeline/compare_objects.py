@@ -43,6 +43,7 @@ from infrablend.realism.class_comparison import (
 from infrablend.realism.classify import require_sklearn
 from infrablend.realism.contrasts import compare_contrasts
 from infrablend.realism.features import Measured
+from infrablend.realism.looseness import looseness, looseness_against
 from infrablend.realism.pairing import pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS
 from infrablend.report.realism import CropSheet, html_report, sheets_of
@@ -361,6 +362,11 @@ def compare(
         v.facts["contrast"] = compare_contrasts(
             found.contrasts_of("real", v.category), found.contrasts_of("inserted", v.category)
         )
+        boxes = {population: found.extents_of(population, v.category) for population in ("real", "inserted")}
+        v.facts["box_looseness"] = {
+            **{population: looseness(extents) for population, extents in boxes.items()},
+            "real_against_inserted": looseness_against(boxes["real"], boxes["inserted"]),
+        }
         for population in ("real", "inserted", "floor"):
             v.facts.setdefault("left_out", {})[population] = dict(
                 sorted(found.left_out.get(f"{population}/{v.category}", Counter()).items())

@@ -36,6 +36,7 @@ from infrablend.realism.features import (
     measure,
     reason_not_measured,
 )
+from infrablend.realism.looseness import BoxExtent, box_extent
 from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
@@ -95,12 +96,14 @@ class Measurements:
         left_out: Objects that were not measured: `<population>/<class>` to reason to number.
         unreadable: Messages about pictures that could not be read.
         contrasts: Contrast of all `real` and `inserted` objects, whether or not they are in `objects`.
+        extents: Box and visible extent of those objects, where the extent can be found.
     """
 
     objects: dict[str, list[Measured]] = field(default_factory=dict)
     left_out: dict[str, Counter[str]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)
     contrasts: dict[str, list[ObjectContrast]] = field(default_factory=dict)
+    extents: dict[str, list[BoxExtent]] = field(default_factory=dict)
 
     def add(self, population: str, measured: Measured) -> None:
         """Add an object."""
@@ -119,6 +122,8 @@ class Measurements:
         self.unreadable += other.unreadable
         for population, contrasts in other.contrasts.items():
             self.contrasts.setdefault(population, []).extend(contrasts)
+        for population, extents in other.extents.items():
+            self.extents.setdefault(population, []).extend(extents)
 
     def drop_without_real_object(self) -> None:
         """Leave out inserted objects whose background shows no real object of their class to compare with."""
@@ -133,6 +138,11 @@ class Measurements:
         """Return the contrasts of one class, ordered by picture: independent of the order of finishing."""
         of_class = [c for c in self.contrasts.get(population, []) if c.category == category]
         return sorted(of_class, key=lambda c: c.image)
+
+    def extents_of(self, population: str, category: str) -> list[BoxExtent]:
+        """Return the boxes and extents of one class, ordered by picture: independent of the order of finishing."""
+        of_class = [e for e in self.extents.get(population, []) if e.category == category]
+        return sorted(of_class, key=lambda e: e.image)
 
     def of(self, population: str, category: str) -> list[Measured]:
         """Return a population's objects of one class, sorted by key: independent of the order of finishing."""
@@ -196,6 +206,9 @@ class ObjectMeasurer:
                 time = source.time_of_day or "unknown"
                 of_object = ObjectContrast(instance.category, key, time, contrast)
                 found.contrasts.setdefault(population, []).append(of_object)
+                extent = box_extent(picture, instance, labels, contrast, key)
+                if extent is not None:
+                    found.extents.setdefault(population, []).append(extent)
             reason = reason_not_measured(instance, where)
             if reason:
                 found.leave_out(population, instance.category, reason)

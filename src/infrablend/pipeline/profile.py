@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import statistics
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
+from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.report.profile_plots import draw_profile
 
 # Percentiles of the used range of levels without a few stray pixels, as in `compositing.mapping.measure_levels`.
@@ -45,6 +47,7 @@ class ProfileReport:
         columns: Column titles of the comparison: pictures, fitted profile, optionally a shipped profile.
         rows: Rows of the comparison: quantity, and one text per column.
         problems: Pictures that were left out, with reasons.
+        objects: Figures of the annotated objects, see `object_figures`.
     """
 
     profile: SensorProfile
@@ -53,6 +56,7 @@ class ProfileReport:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
     problems: tuple[Problem, ...]
+    objects: Mapping[str, Any]
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -73,16 +77,19 @@ def profile_dataset(
     count: int = 64,
     name: str | None = None,
     against: str | None = None,
+    rendered: Dataset | None = None,
     on_progress: OnProgress | None = None,
 ) -> ProfileReport:
     """Fit a sensor profile to the pictures of a dataset, and write the profile and its plots.
 
     Args:
-        dataset: Dataset as read. Annotated objects are excluded from edges and noise, but not from the levels.
+        dataset: Dataset as read. Annotated objects are excluded from edges and noise, but not from the levels; the
+            camera's local share and the looseness of the boxes are measured on them alone.
         out: Folder to write `profile.json` and `profile.png` into.
-        count: Number of pictures to read, evenly spread over the dataset.
+        count: Number of pictures to fit the camera to, evenly spread over the dataset.
         name: Name of the profile; by default that of the dataset folder.
         against: Name of a shipped profile to compare with.
+        rendered: A run, read as a dataset, whose inserted objects have exact boxes to compare the annotated ones with.
         on_progress: Called after each picture.
 
     Raises:
@@ -100,13 +107,17 @@ def profile_dataset(
     usable, levels, histogram, bits = _levels(dataset, images, problems)
     scale = 1.0 if bits == 8 else (levels[1] - levels[0]) / 220.0
     survey = Survey(levels, len(usable), scale)
-    started = time.monotonic()
-    for done, image in enumerate(usable, start=1):
+    annotated = annotated_pictures(dataset)
+    inserted = [] if rendered is None else annotated_pictures(rendered, inserted=True)
+    tick = _counter(len(usable) + len(annotated) + len(inserted), on_progress)
+    for image in usable:
         picture = load_background(image.path, image.size_wh)
         survey.add(picture.pixels, _unannotated(image, picture), jpeg_quality(picture))
-        if on_progress is not None:
-            rate = done / max(time.monotonic() - started, 1e-9)
-            on_progress(Progress(done, len(usable), rate, (len(usable) - done) / rate, {}))
+        tick()
+    objects = object_figures(
+        read_objects(dataset, annotated, levels, on_picture=tick),
+        None if rendered is None else read_objects(rendered, inserted, levels, inserted=True, on_picture=tick),
+    )
     name = name or dataset.root.resolve().name or "pictures"
     edges = len(survey.edges)
     if edges < MIN_EDGES:
@@ -116,14 +127,27 @@ def profile_dataset(
             problems,
         )
     fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
+    fit = replace(fit, profile=fit.profile.model_copy(update={"measured": {**fit.profile.measured, **objects}}))
     plot = io.BytesIO()
     of_reference = None if reference is None else chain_readings(reference)
     draw_profile(fit, histogram, plot, against, of_reference)
     path = write_json(out / PROFILE_FILE, fit.profile.model_dump(mode="json"))
     columns, rows = _table(fit, survey, reference, of_reference)
-    return ProfileReport(
-        fit.profile, path, write_bytes(out / PLOT_FILE, plot.getvalue()), columns, rows, tuple(problems)
-    )
+    plot_path = write_bytes(out / PLOT_FILE, plot.getvalue())
+    return ProfileReport(fit.profile, path, plot_path, columns, rows, tuple(problems), objects)
+
+
+def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
+    """Return a function that reports one more picture each time it is called."""
+    started, done = time.monotonic(), itertools.count(1)
+
+    def tick() -> None:
+        count = next(done)
+        if on_progress is not None:
+            rate = count / max(time.monotonic() - started, 1e-9)
+            on_progress(Progress(count, total, rate, (total - count) / rate, {}))
+
+    return tick
 
 
 def pictures_taken_by(dataset: Dataset, time: str) -> Dataset:

@@ -19,9 +19,11 @@ from infrablend.report.page import render_page
 from infrablend.report.preview import FAINT, INK, PAPER
 from infrablend.report.realism_tables import (
     CHECK_HEAD,
+    LOOSENESS_HEAD,
     QUANTILE_HEAD,
     SLOPE_HEAD,
     check_rows,
+    looseness_cells,
     quantile_rows,
     slope_rows,
 )
@@ -145,6 +147,8 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
         "slope_rows": slope_rows(f["contrast"]),
         "quantile_head": QUANTILE_HEAD,
         "quantile_rows": quantile_rows(f["contrast"]),
+        "looseness_head": LOOSENESS_HEAD,
+        "looseness_rows": [["factor", *looseness_cells(f["box_looseness"])]],
         "check_head": CHECK_HEAD,
         "check_rows": check_rows(f["contrast"]),
         "cue_rows": [

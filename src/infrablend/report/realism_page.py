@@ -20,9 +20,11 @@ from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFF
 from infrablend.report.figures import compact, interval, markdown_table
 from infrablend.report.realism_tables import (
     CHECK_HEAD,
+    LOOSENESS_HEAD,
     QUANTILE_HEAD,
     SLOPE_HEAD,
     check_rows,
+    looseness_cells,
     quantile_rows,
     slope_rows,
 )
@@ -37,7 +39,7 @@ _REAL, _INSERTED = "#1b1b1b", "#d55e00"
 _KEPT = (
     "n", "n_real", "n_inserted", "auc_logistic", "ci", "auc_boosting", "auc_boosting_ci",
     "floor_n", "floor_logistic", "floor_ci", "floor_boosting", "hard_paste_n", "hard_paste_logistic",
-    "chain_off_logistic", "chain_off_boosting", "valid", "invalid_because", "mmd_dct",
+    "chain_off_logistic", "chain_off_boosting", "valid", "invalid_because", "mmd_dct", "box_looseness",
 )  # fmt: skip
 _TIMES = ("night", "day", "all", "unknown")
 
@@ -134,6 +136,11 @@ def page_text(page: Mapping[str, Any], charts: Sequence[tuple[str, str]] = (), l
         "+ 1.",
         markdown_table(QUANTILE_HEAD, [row for name, c in contrasts for row in quantile_rows(c, name)]),
         *(f"![{title}]({name})" for name, title in charts),
+        "## Boxes",
+        "Factor from the visible extent of an object (beyond half of its contrast) to its box, in width and height: "
+        "median and 95 % interval over resampled images. The last columns compare drawn boxes with the exact ones of "
+        "inserted objects of the same extent, which cancels the bias of the measure.",
+        markdown_table(LOOSENESS_HEAD, list(_looseness_rows(page["classes"]))),
         "## Classifiers",
         "AUC of classifiers that separate inserted from real objects of similar size; 0.5 is chance. The floor is the "
         "AUC of real objects pasted elsewhere, the hard paste that of flat silhouettes.",
@@ -158,6 +165,12 @@ def _source_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
             backgrounds = f"{run['backgrounds']} ({', '.join(run['splits'])})"
             real = f"{run['real']} ({', '.join(run['real_splits'])})"
             yield [_name(name, time), f"`{run['recipe']}`", str(run["seed"]), f"{run['frames']:,}", backgrounds, real]
+
+
+def _looseness_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
+    for name, of_class in classes.items():
+        for time, f in _by_time(of_class["by_time"]).items():
+            yield [_name(name, time), *looseness_cells(f["box_looseness"])]
 
 
 def _score_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:

@@ -22,6 +22,7 @@ _CHECKS = {
     "signed_p50": "contrast, median",
     "signed_p75": "contrast, upper quartile",
 }
+LOOSENESS_HEAD = ["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"]
 SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"]
 
 
@@ -60,6 +61,16 @@ def check_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
             cells = [compact(check["real"]), compact(check["inserted"]), found, _required(name, check["limit"])]
             rows.append([f"{_label(prefix, time=time)}: {_CHECKS[name]}", *cells, verdict(check["holds"])])
     return rows
+
+
+def looseness_cells(boxes: Mapping[str, Any]) -> list[str]:
+    """Return the factors of real and inserted boxes, and of real against inserted ones, each with its number."""
+    cells = []
+    for key in ("real", "inserted", "real_against_inserted"):
+        found = boxes[key]
+        factor = "-" if found is None else f"{found['factor']:.2f} ({found['ci'][0]:.2f} to {found['ci'][1]:.2f})"
+        cells += [factor, "-" if found is None else f"{found['n']:,}"]
+    return cells
 
 
 def verdict(holds: bool | None) -> str:

@@ -169,9 +169,13 @@ def test_annotated_objects_are_left_out(tmp_path):
     for n in range(4):
         (labelled / f"{n:03}.txt").write_text(boxes)
     sharp = api.profile(plain, tmp_path / "a").profile.measured["edge_sigma_px"]
-    scenes = api.profile(labelled, tmp_path / "b").profile.measured["edge_sigma_px"]
+    report = api.profile(labelled, tmp_path / "b")
+    scenes = report.profile.measured["edge_sigma_px"]
     assert sharp[1] < 0.8
     assert scenes[1] > 1.2
+    # The boxes are 32 px wide around objects of 24 px.
+    boxes = read_profile(report.path).measured["box_looseness"]["car"]
+    assert boxes["factor"] == pytest.approx(32 / 24, abs=0.03)
 
 
 @pytest.mark.parametrize(

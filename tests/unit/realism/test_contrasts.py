@@ -1,14 +1,18 @@
-"""Contrast of real and inserted objects: slopes within images, quantiles, verdicts, and their page."""
+"""Contrast of real and inserted objects: slopes, quantiles, verdicts and their page; local share; loose boxes."""
 
 import json
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend.compositing.contrast import Contrast
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError
+from infrablend.pipeline.profile_objects import ObjectReadings, annotated_pictures, object_figures, read_objects
 from infrablend.realism.contrasts import (
     ObjectContrast,
     compare_contrasts,
@@ -17,6 +21,8 @@ from infrablend.realism.contrasts import (
     object_contrast,
     slope_within_images,
 )
+from infrablend.realism.local_share import bound_local_share
+from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
 from infrablend.report.realism_page import add_to_page
 
 
@@ -109,7 +115,8 @@ def report(time, real, inserted, category="Person"):
     scores = {
         "n": 10, "n_real": 20, "n_inserted": 15, "auc_logistic": 0.8, "ci": [0.7, 0.9], "auc_boosting": 0.85,
         "floor_logistic": None, "hard_paste_logistic": 0.99, "valid": False, "invalid_because": ["10 pairs"],
-        "medians": {"real": {}}, "contrast": compare_contrasts(real, inserted),
+        "medians": {"real": {}}, "box_looseness": {"real": None, "inserted": None, "real_against_inserted": None},
+        "contrast": compare_contrasts(real, inserted),
     }  # fmt: skip
     run = {"recipe": "people", "seed": 0, "frames": 9, "backgrounds": "b", "splits": ["val"], "real": "b"}
     return {"time_of_day": time, "run": {**run, "real_splits": ["val"]}, "classes": {category: scores}}
@@ -143,3 +150,84 @@ def test_a_file_of_that_name_that_is_no_page_is_kept(tmp_path):
     with pytest.raises(OutputError, match="is not a page on realism"):
         add_to_page(report("night", crowd(0.0), crowd(0.1)), tmp_path)
     assert (tmp_path / "realism.json").read_text() == '{"classes": {}}'
+
+
+# ---- local share and looseness of boxes
+
+
+def as_class(category, objects):
+    return [replace(o, category=category, image=f"{category}{o.image}") for o in objects]
+
+
+def test_the_local_share_is_bounded_by_the_class_that_follows_least():
+    objects = [*as_class("Person", crowd(0.1)), *as_class("Car", crowd(0.5, lift=-20))]
+    bound = bound_local_share(objects)
+    assert bound["upper_bound"] == pytest.approx(0.1, abs=0.03)
+    assert bound["ci"][0] < 0.1 < bound["ci"][1]
+    assert bound["recommended"] == pytest.approx(0.3, abs=0.03)
+    assert set(bound["classes"]) == {"Person", "Car"}
+    assert bound_local_share(crowd(0.1, images=4)) is None
+
+
+def blob(side, margin, others=()):
+    """A warm square of some side, blurred as by a lens, and its label with a margin on each side."""
+    picture = np.full((96, 96), 100, np.float32)
+    low, high = 48 - side // 2, 48 + side - side // 2
+    picture[low:high, low:high] = 200
+    for x0, y0, x1, y1 in others:
+        picture[y0:y1, x0:x1] = 200
+    box = np.array([low - margin, low - margin, high + margin, high + margin], np.float64)
+    return cv2.GaussianBlur(picture, (0, 0), 0.9), Instance("Person", box)
+
+
+@pytest.mark.parametrize(("side", "margin", "expected"), [(12, 3, 1.5), (20, 2, 1.2), (20, -2, 0.8)])
+def test_looseness_is_box_over_visible_extent(side, margin, expected):
+    picture, label = blob(side, margin)
+    contrast = object_contrast(picture, label, [label])
+    assert np.exp(box_extent(picture, label, [label], contrast, "a").log_factor) == pytest.approx(expected)
+
+
+def test_objects_that_run_on_into_their_surroundings_have_no_extent():
+    picture, label = blob(12, 2, [(0, 45, 96, 50)])
+    contrast = object_contrast(picture, label, [label])
+    assert box_extent(picture, label, [label], contrast, "a") is None
+    # The box of another label is not part of the object.
+    picture, label = blob(12, 2, [(56, 42, 68, 54)])
+    beside = Instance("Person", np.array([56.0, 42, 68, 54]))
+    contrast = object_contrast(picture, label, [label, beside])
+    assert box_extent(picture, label, [label, beside], contrast, "a") is not None
+
+
+def test_exact_boxes_cancel_the_bias_of_the_extent():
+    """Extents that are a tenth too small make exact boxes look loose; drawn ones are compared with those."""
+    sizes = np.arange(10, 40)
+
+    def boxes(factor):
+        return [BoxExtent("Person", str(s % 7), (1.1 * s * factor, 1.1 * s * factor), (s, s)) for s in sizes]
+
+    assert looseness(boxes(1.0))["factor"] == pytest.approx(1.1)
+    assert looseness(boxes(1.2))["factor"] == pytest.approx(1.32)
+    against = looseness_against(boxes(1.2) * 2, boxes(1.0) * 3)
+    assert against["factor"] == pytest.approx(1.2)
+    assert against["ci"] == pytest.approx([1.2, 1.2])
+    assert looseness(boxes(1.2)[:20]) is None
+    assert looseness_against(boxes(1.2), boxes(1.0)[:5]) is None
+
+
+def test_readings_leave_out_inserted_objects_and_regions_to_ignore(tmp_path):
+    picture, label = blob(14, 2)
+    path = tmp_path / "a.png"
+    Image.fromarray(picture.astype(np.uint8)).save(path)
+    labels = [label, replace(label, inserted=True), replace(label, category="DontCare")]
+    image = ImageRecord("a", path, "train", (96, 96), None, None, "night", tuple(labels))
+    dataset = Dataset(tmp_path, "coco", (Category(0, "Person"), Category(1, "DontCare", ignore=True)), (image,))
+    for inserted in (False, True):
+        assert annotated_pictures(dataset, inserted=inserted) == [image]
+        found = read_objects(dataset, [image], (16.0, 235.0), inserted=inserted)
+        assert [c.category for c in found.contrasts] == ["Person"]
+    many = ObjectReadings(crowd(0.1), [BoxExtent("Person", "a", (12, 12), (10, 10))] * 30)
+    figures = object_figures(many, ObjectReadings())
+    assert figures["local_share"]["night"]["upper_bound"] == pytest.approx(0.1, abs=0.03)
+    assert figures["box_looseness"]["Person"]["factor"] == 1.2
+    assert figures["box_looseness"]["Person"]["against_rendered"] is None
+    json.dumps(figures, allow_nan=False)

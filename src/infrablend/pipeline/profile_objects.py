@@ -1,0 +1,109 @@
+"""Readings of the annotated objects of a dataset for its profile: local share of the camera, looseness of the boxes."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError
+from infrablend.formats.images import load_background
+from infrablend.realism.contrasts import ObjectContrast, object_contrast
+from infrablend.realism.features import Picture, eight_bit
+from infrablend.realism.local_share import bound_local_share
+from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
+
+MAX_PICTURES = 1000
+"""Largest number of annotated pictures that are read, evenly spread."""
+
+
+@dataclass
+class ObjectReadings:
+    """Readings of objects.
+
+    Attributes:
+        contrasts: Contrast of each object.
+        extents: Box and visible extent of each object that has one.
+    """
+
+    contrasts: list[ObjectContrast] = field(default_factory=list)
+    extents: list[BoxExtent] = field(default_factory=list)
+
+
+def annotated_pictures(dataset: Dataset, *, inserted: bool = False) -> list[ImageRecord]:
+    """Return the pictures to read objects from: those with annotated objects, or those with inserted ones."""
+    found = [i for i in dataset.images if any(o.inserted == inserted for o in i.instances)]
+    count = min(len(found), MAX_PICTURES)
+    return [found[k * len(found) // count] for k in range(count)]
+
+
+def read_objects(
+    dataset: Dataset,
+    images: Sequence[ImageRecord],
+    levels: tuple[float, float],
+    *,
+    inserted: bool = False,
+    on_picture: Callable[[], None] | None = None,
+) -> ObjectReadings:
+    """Measure the annotated objects, or the inserted ones, of pictures; pictures that cannot be read are left out.
+
+    Args:
+        dataset: Dataset of the pictures; regions to ignore are no objects.
+        images: Pictures to read.
+        levels: Darkest and brightest level, for 16-bit pictures.
+        inserted: Whether to measure inserted objects instead of annotated ones.
+        on_picture: Called after each picture.
+    """
+    ignored = {c.name for c in dataset.categories if c.ignore}
+    found = ObjectReadings()
+    for image in images:
+        with contextlib.suppress(DatasetError):  # the problems of pictures are reported where the camera is fitted
+            picture = eight_bit(load_background(image.path, image.size_wh).pixels, levels)
+            objects = [o for o in image.instances if o.inserted == inserted and o.category not in ignored]
+            _read_picture(picture, image, objects, found)
+        if on_picture is not None:
+            on_picture()
+    return found
+
+
+def _read_picture(picture: Picture, image: ImageRecord, objects: Sequence[Instance], found: ObjectReadings) -> None:
+    key = f"{image.split}/{image.id}"
+    for o in objects:
+        contrast = None if o.truncated else object_contrast(picture, o, image.instances)
+        if contrast is None:
+            continue
+        found.contrasts.append(ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast))
+        extent = box_extent(picture, o, image.instances, contrast, key)
+        if extent is not None:
+            found.extents.append(extent)
+
+
+def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = None) -> dict[str, Any]:
+    """Return the figures of a dataset's annotated objects as plain JSON values.
+
+    Args:
+        annotated: Readings of annotated objects.
+        rendered: Readings of inserted objects of the same classes, whose boxes are exact.
+
+    Returns:
+        `local_share` by time of day (see `bound_local_share`) and `box_looseness` by class (see `looseness`, and
+        `against_rendered` from `looseness_against`); without times and classes that have too few objects.
+    """
+    share = {}
+    for time in ("night", "day", "unknown"):
+        bound = bound_local_share([c for c in annotated.contrasts if c.time_of_day == time])
+        if bound is not None:
+            share[time] = bound
+    boxes = {}
+    for category in sorted({e.category for e in annotated.extents}):
+        drawn = [e for e in annotated.extents if e.category == category]
+        figures = looseness(drawn)
+        if figures is None:
+            continue
+        if rendered is not None:
+            exact = [e for e in rendered.extents if e.category == category]
+            figures["against_rendered"] = looseness_against(drawn, exact)
+        boxes[category] = figures
+    return {"local_share": share, "box_looseness": boxes}

@@ -1,0 +1,166 @@
+"""Looseness of boxes: how much larger a box is than what can be seen of its object.
+
+The visible extent is where a picture differs from the surroundings by more than half of the object's contrast. Blur
+and parts without contrast make it smaller or larger than the object itself. Inserted objects, whose boxes are exact,
+show by how much; measured against those, the looseness of drawn boxes no longer depends on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.compositing.contrast import MIN_RING_PX, Contrast
+from infrablend.core.boxes import pixel_box
+from infrablend.core.dataset import Instance
+from infrablend.core.rng import stream
+from infrablend.realism.features import Picture
+
+MIN_BOXES = 30
+"""Fewest boxes of a class for a figure."""
+MIN_REFERENCE = 10
+"""Fewest inserted objects of similar extent that a drawn box is compared with."""
+MIN_CHANGE = 10.0
+"""Objects with less contrast, 8-bit levels, have no extent."""
+_BOOTSTRAPS = 1000
+
+
+@dataclass(frozen=True)
+class BoxExtent:
+    """The box and the visible extent of an object.
+
+    Attributes:
+        category: Class of the object.
+        image: Key of the picture.
+        box_wh: Width and height of the box, px.
+        extent_wh: Width and height of what can be seen, px.
+    """
+
+    category: str
+    image: str
+    box_wh: tuple[float, float]
+    extent_wh: tuple[float, float]
+
+    @property
+    def log_factor(self) -> float:
+        """Logarithm of the factor from extent to box, the same for width and height: their geometric mean."""
+        (w, h), (a, b) = self.box_wh, self.extent_wh
+        return 0.5 * math.log(w * h / (a * b))
+
+    @property
+    def size_class(self) -> int:
+        """Half octave of the longer side of the extent."""
+        return math.floor(2 * math.log2(max(self.extent_wh)))
+
+
+def visible_extent(
+    picture: Picture, instance: Instance, labels: Sequence[Instance], contrast: Contrast
+) -> tuple[float, float] | None:
+    """Return the width and height, px, of what can be seen of an object.
+
+    It is the connected region beyond half of the contrast that covers most of the box; it may leave the box.
+
+    Args:
+        picture: (h, w) in 8-bit levels.
+        instance: Label of the object.
+        labels: All labels of the picture; the boxes of the others do not belong to the object.
+        contrast: Contrast of the object.
+
+    Returns:
+        The extent; None for objects of too little contrast and for regions that run on into the surroundings.
+    """
+    if contrast.change < MIN_CHANGE:
+        return None
+    height, width = picture.shape
+    left, top, right, bottom = pixel_box(instance.box_xyxy, picture.shape)
+    reach = max(MIN_RING_PX, max(right - left, bottom - top) // 2)
+    x0, y0, x1, y1 = max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
+    beyond = ((picture[y0:y1, x0:x1] - contrast.ring) / contrast.signed > 0.5).astype(np.uint8)
+    others = np.zeros_like(beyond)
+    for other in labels:
+        if other is not instance:
+            a, b, c, d = pixel_box(other.box_xyxy, picture.shape)
+            others[max(b - y0, 0) : max(d - y0, 0), max(a - x0, 0) : max(c - x0, 0)] = 1
+    own = (slice(top - y0, bottom - y0), slice(left - x0, right - x0))
+    others[own] = 0
+    beyond[others > 0] = 0
+    _, regions, facts, _ = cv2.connectedComponentsWithStats(beyond, connectivity=8)
+    inside = np.bincount(regions[own].ravel(), minlength=len(facts))
+    inside[0] = 0
+    if not inside.any():
+        return None
+    x, y, w, h = (int(v) for v in facts[int(np.argmax(inside)), :4])
+    if x == 0 or y == 0 or x + w == beyond.shape[1] or y + h == beyond.shape[0]:
+        return None
+    return float(w), float(h)
+
+
+def box_extent(
+    picture: Picture, instance: Instance, labels: Sequence[Instance], contrast: Contrast, image: str
+) -> BoxExtent | None:
+    """Return the box and the visible extent of an object; None as for `visible_extent`."""
+    extent = visible_extent(picture, instance, labels, contrast)
+    x0, y0, x1, y1 = (float(v) for v in instance.box_xyxy)
+    return None if extent is None else BoxExtent(instance.category, image, (x1 - x0, y1 - y0), extent)
+
+
+def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
+    """Return how much larger boxes of one class are than the visible extent.
+
+    Returns:
+        `n`, the median `factor` from extent to box with its `ci` over resampled images, and the medians of `width` and
+        `height`, as plain JSON values; None with fewer than 30 boxes.
+    """
+    if len(boxes) < MIN_BOXES:
+        return None
+    factor, ci = _median_factor([b.log_factor for b in boxes], [b.image for b in boxes])
+    width, height = (np.median([b.box_wh[k] / b.extent_wh[k] for b in boxes]) for k in (0, 1))
+    return {
+        "n": len(boxes),
+        "factor": factor,
+        "ci": ci,
+        "width": round(float(width), 3),
+        "height": round(float(height), 3),
+    }
+
+
+def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) -> dict[str, Any] | None:
+    """Return how much larger drawn boxes are than exact ones around objects that look the same size.
+
+    The factor of each drawn box is divided by the median factor of the exact boxes around objects of the same extent,
+    to half an octave.
+
+    Returns:
+        `n`, `factor` and `ci` as in `looseness`; None with fewer than 30 drawn boxes that have their like.
+    """
+    reference: dict[int, list[float]] = {}
+    for e in exact:
+        reference.setdefault(e.size_class, []).append(e.log_factor)
+    typical = {size: float(np.median(of)) for size, of in reference.items() if len(of) >= MIN_REFERENCE}
+    used = [d for d in drawn if d.size_class in typical]
+    if len(used) < MIN_BOXES:
+        return None
+    factor, ci = _median_factor([d.log_factor - typical[d.size_class] for d in used], [d.image for d in used])
+    return {"n": len(used), "factor": factor, "ci": ci}
+
+
+def _median_factor(logs: Sequence[float], images: Sequence[str]) -> tuple[float, list[float]]:
+    """Return the median of factors, and its 95 % interval over resampled images."""
+    values = np.array(logs, np.float64)
+    names, number = np.unique(list(images), return_inverse=True)
+    order = np.argsort(values, kind="stable")
+    times = stream(0, "looseness").multinomial(len(names), np.full(len(names), 1 / len(names)), _BOOTSTRAPS)
+    draws: NDArray[np.float64] = np.array([_weighted_median(values[order], row[number[order]]) for row in times])
+    low, high = np.exp(np.percentile(draws, [2.5, 97.5]))
+    return round(float(np.exp(np.median(values))), 3), [round(float(low), 3), round(float(high), 3)]
+
+
+def _weighted_median(ordered: NDArray[np.float64], weights: NDArray[np.int64]) -> float:
+    total = np.cumsum(weights)
+    return float(ordered[np.searchsorted(total, total[-1] / 2)])
