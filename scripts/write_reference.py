@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
 # Order of the sections on the page about recipes.
 SECTIONS = (
-    "objects", "placement", "camera", "environment", "appearance", "matching", "overlay", "sensor", "render", "labels",
-    "output",
+    "objects", "placement", "occlusion", "camera", "environment", "appearance", "matching", "overlay", "sensor",
+    "render", "labels", "output",
 )  # fmt: skip
 
 

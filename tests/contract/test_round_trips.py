@@ -45,6 +45,10 @@ WITH: dict[str, Instance | dict[str, object]] = {
     "ignore": replace(PLAIN, category="DontCare"),
     "tracks": replace(PLAIN, track_id=7),
     "visibility": replace(PLAIN, visibility=0.5),
+    "occlusion": replace(
+        PLAIN,
+        extra={"occluded": True, "amodal_box": [8.0, 20.0, 18.0, 26.0], "visible_box": [10.0, 20.0, 18.0, 25.0]},
+    ),
     "truncated": replace(PLAIN, truncated=True),
     "difficult": replace(PLAIN, difficult=True),
     "fractions": replace(PLAIN, box_xyxy=np.array([10.25, 20.5, 18.125, 25.75])),
@@ -106,6 +110,7 @@ def held(field: str, given: ImageRecord, found: ImageRecord) -> bool:
         "ignore": lambda: b.category == "DontCare",
         "tracks": lambda: str(b.track_id) == str(a.track_id),
         "visibility": lambda: a.visibility == b.visibility,
+        "occlusion": lambda: all(b.extra.get(k) == v for k, v in a.extra.items()),
         "truncated": lambda: b.truncated is True,
         "difficult": lambda: b.difficult is True,
         "fractions": lambda: np.allclose(a.box_xyxy, b.box_xyxy, rtol=0, atol=ATOL_PX),

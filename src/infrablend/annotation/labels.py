@@ -194,8 +194,8 @@ def annotate(
         if mask is None:
             drops.append(Drop(k, category, "no_visible_pixel"))
             continue
-        direction = _heading(placed) if obb == "heading" else None
-        corners, held = _oriented_box(shape, direction, size_wh)
+        direction = heading_in_image(placed) if obb == "heading" else None
+        corners, held = oriented_box(shape.hull_xy, shape.truncated, direction, size_wh)
         kept.append(k)
         if fallback:
             fallbacks.append(k)
@@ -409,7 +409,7 @@ def _mask(
     return Mask.from_array(full), bool(fallback)
 
 
-def _heading(placed: PlacedObject) -> FloatArray | None:
+def heading_in_image(placed: PlacedObject) -> FloatArray | None:
     """Return the (2,) direction in the image of the object's heading (its own +X), or None if it is end-on.
 
     In perspective the direction depends on the place, so it is computed at the middle of the object's extent.
@@ -427,12 +427,21 @@ def _heading(placed: PlacedObject) -> FloatArray | None:
     return direction / length if length > _END_ON else None
 
 
-def _oriented_box(shape: _Shape, direction: FloatArray | None, size_wh: tuple[int, int]) -> tuple[FloatArray, bool]:
-    """Return the (4, 2) corners of the oriented box, and whether it was fitted into the frame."""
-    free = min_area_rectangle(shape.hull_xy) if direction is None else rectangle_along(shape.hull_xy, direction)
+def oriented_box(
+    hull_xy: FloatArray, truncated: bool, direction: FloatArray | None, size_wh: tuple[int, int]
+) -> tuple[FloatArray, bool]:
+    """Return the (4, 2) corners of the oriented box, and whether it was fitted into the frame.
+
+    Args:
+        hull_xy: (H, 2) convex hull of the visible part.
+        truncated: Whether the frame cuts the object.
+        direction: (2,) direction of the object's heading, for a box along it; None for the box of least area.
+        size_wh: Size of the frame.
+    """
+    free = min_area_rectangle(hull_xy) if direction is None else rectangle_along(hull_xy, direction)
     size = np.asarray(size_wh, np.float64)
     in_frame = corners_in_frame(free, size_wh, 1e-9)
-    if in_frame and (direction is None or not shape.truncated):
+    if in_frame and (direction is None or not truncated):
         return np.clip(free, 0.0, size), False
-    corners = smallest_rectangle_inside(shape.hull_xy, size_wh)
+    corners = smallest_rectangle_inside(hull_xy, size_wh)
     return (corners if direction is None else start_nearest(corners, direction)), True

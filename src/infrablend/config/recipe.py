@@ -265,6 +265,16 @@ class MetricPlacement(Placement):
     nothing but an empty sky raises its gain until the picture is pure noise."""
 
 
+class Occlusion(Strict):
+    """Partly hidden objects: branches, masts and fences that the background shows stay in front of them."""
+
+    share: float = Field(0.0, ge=0, le=1)
+    """Share of the objects that are to be partly hidden. With `placement.mode: metric`, such objects are placed where
+    the background shows suitable structures; without such a place, an object is inserted in front of everything."""
+    visible: range_of(0.05, 1) = (0.35, 0.8)  # type: ignore[valid-type]
+    """Range of the visible share of partly hidden objects; an object below it is not inserted."""
+
+
 # ---- Environment, appearance and matching
 
 
@@ -474,6 +484,9 @@ class Labels(Strict):
     """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
     hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as
     they are; COCO and the frame records also have the exact boxes."""
+    occluded_box: Literal["visible", "amodal"] = "visible"
+    """Boxes of objects that structures of the background hide in part: around the `visible` part, or `amodal`, as if
+    nothing were in front. COCO contains both."""
     dont_care: Literal["drop", "keep"] = "drop"
     """YOLO formats only: leave DontCare regions out (paper), or keep them as a class of their own."""
     remove_covered: float = Field(0.99, gt=0, le=1)
@@ -525,6 +538,8 @@ class _Sections(Strict):
     """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""
+    occlusion: Occlusion = Occlusion()
+    """Partly hidden objects."""
     overlay: Overlay = Overlay()
     """How the render is laid over the background."""
     render: Render = Render()

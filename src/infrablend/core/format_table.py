@@ -29,6 +29,7 @@ FIELDS: Mapping[str, tuple[str, str]] = {
     "ignore": ("regions to ignore", "ignore_dropped"),
     "tracks": ("track ids", "tracks_dropped"),
     "visibility": ("visible share", "visibility_dropped"),
+    "occlusion": ("flag `occluded`, whole and visible box", "occlusion_dropped"),
     "truncated": ("flag `truncated`", "truncated_dropped"),
     "difficult": ("flag `difficult`", "difficult_dropped"),
     "fractions": ("fractions of a pixel", "fraction_truncated"),
@@ -110,13 +111,13 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "hit-uav", "hit-uav", "HIT-UAV's normal_json and rotate_json",
-                lacks=frozenset({"masks", "tracks", "visibility", "truncated", "fractions", "sequence"}),
+                lacks=frozenset({"masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence"}),
                 fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
                 layout="unique",
             ),
             Writer(
                 "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
-                lacks=frozenset({"masks", "tracks", "visibility", "fractions", "telemetry", "sequence"}),
+                lacks=frozenset({"masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence"}),
                 fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
             ),
         ),
@@ -135,7 +136,9 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "birdsai", "birdsai", "BIRDSAI: one CSV of tracks per sequence",
-                lacks=frozenset({"obb", "masks", "ignore", "visibility", "truncated", "difficult", "inserted"}),
+                lacks=frozenset(
+                    {"obb", "masks", "ignore", "visibility", "occlusion", "truncated", "difficult", "inserted"}
+                ),
                 takes=frozenset({"dont_care", "pictures"}),
             ),
         ),
@@ -157,7 +160,9 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "dota", "dota", "DOTA text files: four corners in pixels",
-                lacks=frozenset({"boxes", "masks", "tracks", "visibility", "truncated", "sequence", "inserted"}),
+                lacks=frozenset(
+                    {"boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "sequence", "inserted"}
+                ),
                 takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
             ),
         ),
@@ -203,7 +208,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "voc", "voc", "Pascal VOC: one XML file per picture",
-                lacks=frozenset({"obb", "masks", "tracks", "visibility", "sequence"}),
+                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "sequence"}),
                 takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
             ),
         ),

@@ -62,6 +62,7 @@ class ObjectSpec:
         yaw_rad: Heading, counter-clockwise seen from above, 0 along +X.
         scale: Extra factor on the model's size.
         kind: Number of the recipe's entry, from 0.
+        visible_aim: Visible share that structures of the background should leave; None for an object in front of them.
     """
 
     model: str
@@ -72,6 +73,7 @@ class ObjectSpec:
     yaw_rad: float
     scale: float = 1.0
     kind: int = 0
+    visible_aim: float | None = None
 
 
 @dataclass(frozen=True)

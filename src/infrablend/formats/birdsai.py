@@ -29,6 +29,7 @@ from infrablend.formats.annotation_files import read_text
 from infrablend.formats.base import Match, check_splits, require_options, sort_images
 from infrablend.formats.box_checks import check_box, snap
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
 from infrablend.formats.values import number_text, to_floats, to_int
@@ -590,11 +591,12 @@ def _line(
     losses["obb_dropped"] += instance.corners_xy is not None
     losses["mask_dropped"] += instance.mask is not None
     losses["visibility_dropped"] += instance.visibility is not None
+    losses["occlusion_dropped"] += loses_occlusion(instance, flag=False)
     losses["truncated_dropped"] += instance.truncated is True
     losses["difficult_dropped"] += instance.difficult is True
     losses["track_made"] += instance.track_id is None
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
-    hidden = instance.visibility is not None and instance.visibility < 1
+    hidden = instance.extra.get("occluded") is True or (instance.visibility is not None and instance.visibility < 1)
     occluded, noisy = hidden or instance.extra.get("occlusion") == 1, instance.extra.get("noise") == 1
     return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{int(occluded)},{int(noisy)}\n"

@@ -31,6 +31,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
@@ -43,6 +44,8 @@ _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
+# Boxes of partly hidden objects, as x, y, width and height.
+_OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -176,6 +179,7 @@ def annotation_record(
     a |= _known(track_id=instance.track_id)
     a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
     a |= {k: _tidy(np.array(instance.extra[k])) for k in (TIGHT_BOX, TIGHT_OBB) if k in instance.extra}
+    a |= _occlusion(instance)
     if instance.mask is not None:
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
             raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")
@@ -188,6 +192,24 @@ def annotation_record(
         if corners is not None:
             a["area"] = round(abs(polygon_area(corners)), _DIGITS)
     return a | source_id_field(instance, new)
+
+
+def _occlusion(instance: Instance) -> dict[str, Any]:
+    fields = occlusion_fields(instance)
+    for key, name in _OCCLUSION_BOXES.items():
+        if key in fields:
+            left, top, right, bottom = fields.pop(key)
+            fields[name] = _tidy(np.array([left, top, right - left, bottom - top]))
+    return fields
+
+
+def _read_occlusion(a: Mapping[str, Any]) -> dict[str, Any]:
+    fields: dict[str, Any] = {"occluded": a.get("occluded")}
+    for key, name in _OCCLUSION_BOXES.items():
+        if (box := to_floats(a.get(name), 4)) is not None:
+            x, y, w, h = box
+            fields[key] = [x, y, x + w, y + h]
+    return read_occlusion(fields)
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -450,7 +472,7 @@ def _read_annotations(
             continue
         corners = to_floats(a.get("obb"), 8)
         visibility = to_floats([a.get("visibility")], 1)
-        extra = {k: a[k] for k in ("source_id",) if k in a}
+        extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1
         exact = {TIGHT_BOX: to_floats(a.get(TIGHT_BOX), 4), TIGHT_OBB: to_floats(a.get(TIGHT_OBB), 8)}

@@ -30,6 +30,7 @@ from infrablend.formats.base import Match, check_splits, is_ignored_name, requir
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, overhang_px
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import assign_ids, check_link, list_pictures, read_size
 
 NAME = "dota"
@@ -93,6 +94,7 @@ def label_text(image: ImageRecord, names: Mapping[str, str], losses: Counter[str
         losses["obb_from_box"] += i.corners_xy is None
         losses["mask_dropped"] += i.mask is not None
         losses["visibility_dropped"] += i.visibility is not None
+        losses["occlusion_dropped"] += loses_occlusion(i)
         losses["truncated_dropped"] += i.truncated is True
         corners = corners_of_box(i.box_xyxy) if i.corners_xy is None else i.corners_xy
         numbers = " ".join(_number(v) for v in corners.reshape(-1).tolist())

@@ -24,6 +24,7 @@ LOSSES: Mapping[str, str] = {
     "truncated_dropped": "object flagged as truncated: the format has no such flag",
     "difficult_dropped": "object flagged as difficult: the format has no such flag",
     "visibility_dropped": "visible share of an object: the format holds none",
+    "occlusion_dropped": "flag `occluded` of a partly hidden object, or the boxes of the whole and of the visible part",
     "tracks_dropped": "track of an object: the format holds none",
     "telemetry_dropped": "pitch, altitude or time of day of a picture: the format holds none",
     "inserted_dropped": "mark of an inserted object: the format holds none, so the object looks like an original",

@@ -39,6 +39,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.images import load_background
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, check_name
 from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
@@ -134,6 +135,7 @@ def _table(
         if i.corners_xy is not None:
             row["corners_xy"] = i.corners_xy.tolist()
         row |= _known(visibility=i.visibility, truncated=i.truncated, difficult=i.difficult)
+        row |= occlusion_fields(i)
         objects.append(row | _known(track_id=i.track_id, source_id=i.source_id))
     top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
     top |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
@@ -307,7 +309,7 @@ def _read_object(
     return Instance(
         str(row["category"]), inside, corners, mask, visibility[0] if visibility else None,
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        _id(row.get("source_id")), {}, _id(row.get("track_id")),
+        _id(row.get("source_id")), read_occlusion(row), _id(row.get("track_id")),
     )  # fmt: skip
 
 

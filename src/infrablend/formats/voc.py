@@ -40,6 +40,7 @@ from infrablend.formats.base import (
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import is_hidden, list_pictures, read_size
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
 from infrablend.formats.values import number_text, to_bool, to_floats, to_size
@@ -429,6 +430,7 @@ def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> 
         losses["obb_dropped"] += i.corners_xy is not None
         losses["mask_dropped"] += i.mask is not None
         losses["visibility_dropped"] += i.visibility is not None
+        losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
         box = "".join(
             f"<{k}>{number_text(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
         )

@@ -31,6 +31,7 @@ from infrablend.formats.base import Match, check_splits, is_ignored_name, requir
 from infrablend.formats.box_checks import check_box, overhang_px, snap
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
 from infrablend.formats.losses import Text, Written
+from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import assign_ids, check_link, check_name, list_pictures, read_size
 from infrablend.formats.polygons import outline, rasterise
 
@@ -78,6 +79,7 @@ def _count_flags(instance: Instance, losses: Counter[str]) -> None:
     losses["truncated_dropped"] += instance.truncated is True
     losses["difficult_dropped"] += instance.difficult is True
     losses["visibility_dropped"] += instance.visibility is not None
+    losses["occlusion_dropped"] += loses_occlusion(instance)
 
 
 def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:

@@ -17,6 +17,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.compositing.gain import Backdrop
 from infrablend.compositing.local import match_locally
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, percentile_mapping
+from infrablend.compositing.occlusion import Scenery, Share, put_behind, restore_front
 from infrablend.compositing.overlay import compose, flat_layer, make_layer
 from infrablend.compositing.sensor import Sensor, apply_sensor, fit_sensor
 from infrablend.config.modes import recipe_from_json
@@ -40,6 +41,14 @@ from infrablend.pipeline.frame_settings import (
     sensor_strength,
 )
 from infrablend.pipeline.inserts import faint_inserts, measure_inserts
+from infrablend.pipeline.occlusion import (
+    Cover,
+    behind_front,
+    front_of,
+    label_objects,
+    occlusion_facts,
+    too_hidden,
+)
 from infrablend.pipeline.original import copy_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts
@@ -72,7 +81,8 @@ class FrameMaker:
             require_thermal_levels(background)
 
         # Scene: the objects, their places and temperatures.
-        key, site = frame.key(background.size_wh), self._site(frame, background)
+        cover = self._cover(background)
+        key, site = frame.key(background.size_wh), self._site(frame, background, cover)
         scene = sample_scene(key, recipe, self._models, self._settings.seed, site)
         scene = drop_barely_visible(scene, recipe.placement.min_visibility)
 
@@ -81,20 +91,28 @@ class FrameMaker:
         first: list[dict[str, Any]] = []
         while True:
             scene, mapping, matching_facts, faint = self._match(scene, frame, background)
+            hidden: list[int] = []
             if not faint:
                 sensor = self._sensor(scene, background)
                 rendered = self._renderer.render(scene)
-                pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, scene.spec.motion_px)
-                labels, label_report = annotate(scene, rendered, recipe.labels.obb)
-                inserts = measure_inserts(label_report.kept, labels, rendered, background.pixels, pixels, site)
+                occluders = {} if cover is None else cover.find(scene)
+                front = front_of(occluders, None if cover is None else cover.scenery, rendered)
+                motion_px = scene.spec.motion_px
+                pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, motion_px, front)
+                seen = behind_front(rendered, front, occluders)
+                labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
+                inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
                 first = first or [i.to_json() for i in inserts]
-                faint = faint_inserts(inserts, recipe, source.time_of_day)
+                hidden = too_hidden(labels, label_report, occluders, recipe.occlusion)
+                faint = sorted({*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
             if not faint:
                 break
             moves += 1
             if isinstance(recipe, MetricSections) and moves <= recipe.placement.contrast_redraws:
                 scene = move_objects(scene, faint, recipe, self._models, self._settings.seed, site, moves)
                 scene = drop_barely_visible(scene, recipe.placement.min_visibility)
+            elif hidden:
+                scene = scene.without(hidden, "too_hidden")
             else:
                 scene = scene.without(faint, "low_contrast")
         labels = tuple(i.labelled() for i in inserts)
@@ -119,6 +137,7 @@ class FrameMaker:
                 **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
                 **({"contrast_first": first} if moves and first else {}),
                 **({} if sensor is None else {"sensor": sensor.to_json()}),
+                **({} if cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
             },
             warnings=tuple(p.to_json() for p in background.problems),
             covered=covered_facts(merged),
@@ -130,7 +149,15 @@ class FrameMaker:
         """Release the renderer."""
         self._renderer.close()
 
-    def _site(self, frame: PlannedFrame, background: Background) -> Site:
+    def _cover(self, background: Background) -> Cover | None:
+        """Return what the background can hide; None if the recipe hides nothing."""
+        levels, rules = self._settings.levels, self._recipe.occlusion
+        if rules.share == 0:
+            return None
+        unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
+        return Cover(rules, Scenery(background.pixels, unit), self._models)
+
+    def _site(self, frame: PlannedFrame, background: Background, cover: Cover | None) -> Site:
         """Return the facts about the background that placement may use."""
         source, levels, recipe = frame.as_read, self._settings.levels, self._recipe
         return Site(
@@ -141,6 +168,7 @@ class FrameMaker:
             1.0 if levels is None else grey_unit(background.pixels, levels),
             recipe.matching.polarity == "black-hot",
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
+            cover,
         )
 
     def _match(
@@ -224,6 +252,7 @@ def overlay(
     style: Overlay,
     sensor: Sensor | None = None,
     motion_px: tuple[float, float] = (0.0, 0.0),
+    front: Share | None = None,
 ) -> GreyImage:
     """Lay a rendered scene over its background and return the picture.
 
@@ -234,12 +263,16 @@ def overlay(
         style: Softness of the edge, or flat silhouettes (paper), for pictures without `sensor`.
         sensor: The camera to imitate; None to imitate none.
         motion_px: The scene's motion tail; only with `sensor`.
+        front: (h, w) share of each pixel of the background that stays in front; None for nothing.
     """
     if sensor is not None:
         layer = make_layer(rendered, mapping, sensor.layer_sigma_px(style.softness_px), motion_px)
-        return apply_sensor(background, layer, sensor)
-    layer = flat_layer(rendered, mapping) if style.flat else make_layer(rendered, mapping, style.softness_px)
-    return compose(background, layer)
+    else:
+        layer = flat_layer(rendered, mapping) if style.flat else make_layer(rendered, mapping, style.softness_px)
+    if front is not None:
+        layer = put_behind(layer, front)
+    picture = compose(background, layer) if sensor is None else apply_sensor(background, layer, sensor)
+    return picture if front is None else restore_front(picture, background, front)
 
 
 def make_frame_maker(settings: FrameSettings) -> FrameMaker:

@@ -69,7 +69,9 @@ def measure_inserts(
     for n, (number, label) in enumerate(zip(numbers, labels, strict=True)):
         others = boxes[: len(site.labels) + n] + boxes[len(site.labels) + n + 1 :]
         changed = visible_change(before, after, rendered.coverage[number], rendered.offset_xy, site.grey_unit)
-        found.append(Insert(number, label, changed, measure_contrast(after, label.box_xyxy, others, site.grey_unit)))
+        # Only the visible part of a partly hidden object can be seen.
+        box = np.asarray(label.extra.get("visible_box", label.box_xyxy), np.float64)
+        found.append(Insert(number, label, changed, measure_contrast(after, box, others, site.grey_unit)))
     return found
 
 

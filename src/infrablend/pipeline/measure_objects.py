@@ -23,6 +23,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, SaveKind, encode_image, load_background
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
+from infrablend.pipeline.occlusion import recorded_front
 from infrablend.pipeline.record import FrameRecord
 from infrablend.realism.contrasts import ObjectContrast, object_contrast
 from infrablend.realism.controls import paste_controls
@@ -242,10 +243,11 @@ class ObjectMeasurer:
             self._renderer = make_renderer(self._settings.renderer, self._settings.device)
         rendered, mapping = self._renderer.render(scene), GreyMapping.from_json(record.mapping)
         free = Labels(background.pixels.shape, _labels_of(source, record)).free
+        front = recorded_front(record.facts, background.pixels, rendered)
         for step, sensor in sensor_steps(Sensor.from_json(fitted)).items():
             # The motion tail belongs to the optics, which the first step leaves out.
             motion_px = (0.0, 0.0) if step == SENSOR_STEPS[0] else record.scene.motion_px
-            pixels = overlay(rendered, background.pixels, mapping, self._recipe.overlay, sensor, motion_px)
+            pixels = overlay(rendered, background.pixels, mapping, self._recipe.overlay, sensor, motion_px, front)
             saved = _after_saving(pixels, background, self._recipe.output.image)
             picture = eight_bit(saved, self._settings.levels)
             for n in numbers:

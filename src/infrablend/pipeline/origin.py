@@ -24,7 +24,8 @@ _PLACED = {
     "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
     "above or on anything.",
     "metric": "Inserted objects were placed over a flat ground, with the camera's height and lens taken from the "
-    "recipe and the metadata: some stand where no such object could be, and nothing in the picture occludes them.",
+    "recipe and the metadata: some stand where no such object could be, and unless the recipe sets `occlusion`, "
+    "nothing in the picture hides them.",
 }
 _NOT_RADIOMETRIC = (
     "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels do not correspond to "

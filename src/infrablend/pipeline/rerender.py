@@ -22,6 +22,7 @@ from infrablend.formats.images import Background, encode_image, load_background
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
+from infrablend.pipeline.occlusion import recorded_front
 from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
@@ -107,13 +108,15 @@ def render_record(
     if record.scene is None or record.mapping is None:
         raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
     scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
+    rendered = renderer.render(scene)
     return overlay(
-        renderer.render(scene),
+        rendered,
         background.pixels,
         GreyMapping.from_json(record.mapping),
         recipe.overlay,
         None if fitted is None else Sensor.from_json(fitted),
         scene.spec.motion_px,
+        recorded_front(record.facts, background.pixels, rendered),
     )
 
 

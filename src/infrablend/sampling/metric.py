@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -43,10 +44,26 @@ _RELIEF_WINDOW_PX = 7
 _FEET_MARGIN_PX = 3
 # Share of an object's height, from below, that counts as its feet.
 _FEET = 0.12
+# Share of the attempts, from the first, that place an object where it can be partly hidden, and largest number of
+# places that are examined closely for that.
+_HIDDEN = 0.75
+_HIDING_PLACES = 12
 # Share of the attempts, from the first, that place a grouped object beside another; the rest place it anywhere.
 _IN_COMPANY = 0.5
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
+
+
+class Hiding(Protocol):
+    """What can hide objects in part: structures of the background."""
+
+    def has_structure(self, x: float, y: float) -> bool:
+        """Return whether there are structures at all around a position in the picture."""
+        ...
+
+    def hides(self, camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> bool:
+        """Return whether structures can hide an object with these world vertices as much as it asks for."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +78,7 @@ class Site:
         grey_unit: Levels of the picture per 8-bit level; 1 for 8-bit pictures.
         black_hot: Whether hot is dark.
         max_noise_grey: Noise above which nothing is inserted, 8-bit levels; None for no limit.
+        hiding: What can hide objects in part; None for nothing.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -70,6 +88,7 @@ class Site:
     grey_unit: float = 1.0
     black_hot: bool = False
     max_noise_grey: float | None = None
+    hiding: Hiding | None = None
 
     @cached_property
     def skyline(self) -> Skyline:
@@ -153,6 +172,8 @@ def place_metric(
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
             mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
+        hiding = None if item.visible_aim is None else site.hiding
+        examined = 0
         for attempt in range(rules.attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * rules.attempts
@@ -160,6 +181,13 @@ def place_metric(
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
+            if attempt >= _HIDDEN * rules.attempts or examined == _HIDING_PLACES:
+                hiding = None
+            if hiding is not None:
+                if not _has_structure(hiding, camera, pose):
+                    tally.reject("no_occluder")
+                    continue
+                examined += 1
             world = item.in_world(pose)
             reason = rejection(camera, world, item, rules)
             box = None if reason else box_px(camera, world, item)
@@ -171,6 +199,9 @@ def place_metric(
                     reason = "on_ignored"
                 elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):
                     reason = "on_annotated"
+                elif hiding is not None:
+                    # What hides an object is not even ground.
+                    reason = None if hiding.hides(camera, world, item) else "no_occluder"
                 elif item.model.stands and relief is not None:
                     feet = feet_box(camera, world)
                     reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
@@ -210,6 +241,11 @@ def _draw(camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random
         return "beyond_ground"
     place = camera.position_m + away * pixel_ray(camera, u, v)
     return float(place[0]), float(place[1]), float(place[2]), yaw
+
+
+def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose) -> bool:
+    (xy,), (depth_m,) = camera.project(np.array([pose[:3]]))
+    return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]))
 
 
 def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:

@@ -34,6 +34,7 @@ class PlacementRequest:
         params: Arguments of the model's `build`.
         mesh: Geometry in object coordinates, unscaled.
         scale: Extra factor on the model's size.
+        visible_aim: Visible share that structures of the background should leave, or None.
     """
 
     kind: Object
@@ -41,6 +42,7 @@ class PlacementRequest:
     params: Mapping[str, Any]
     mesh: Mesh
     scale: float
+    visible_aim: float | None = None
 
     @property
     def labelled(self) -> NDArray[np.bool_]:

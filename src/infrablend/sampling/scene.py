@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +94,7 @@ def sample_scene(
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
     weather = _weather(frame, recipe, air_k, seed) if isinstance(recipe, PhysicalSections) else None
     lit = stream(seed, frame.frame_id, "sun") if weather is not None and weather.sun is not None else None
+    wanted = _to_hide(frame, recipe, wanted, seed)
     tally = DrawStatistics()
     asked = len(wanted)
     if unfit is not None:
@@ -128,6 +129,7 @@ def sample_scene(
                 yaw_rad=pose[3],
                 scale=item.scale,
                 kind=recipe.objects.index(item.kind),
+                visible_aim=item.visible_aim,
             )
         )
     look = recipe.appearance
@@ -255,7 +257,8 @@ def move_objects(
     for k in moved:
         placed = scene.objects[k]
         o = placed.spec
-        requests.append(PlacementRequest(recipe.objects[o.kind], models[o.model], o.params, placed.mesh, o.scale))
+        kind = recipe.objects[o.kind]
+        requests.append(PlacementRequest(kind, models[o.model], o.params, placed.mesh, o.scale, o.visible_aim))
     tally = DrawStatistics()
     occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
     poses = dict(zip(moved, place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied), strict=True))
@@ -349,6 +352,18 @@ def _wanted(
             low, high = kind.scale
             scale = math.exp(rng.uniform(math.log(low), math.log(high)))
             result.append(PlacementRequest(kind, models[kind.model], params, models[kind.model].build(params), scale))
+    return result
+
+
+def _to_hide(frame: FrameKey, recipe: Recipe, wanted: Sequence[PlacementRequest], seed: int) -> list[PlacementRequest]:
+    """Draw which objects are to be partly hidden, and their visible share, from a stream of its own."""
+    rng, o = stream(seed, frame.frame_id, "occlusion"), recipe.occlusion
+    low, high = o.visible
+    result = []
+    for item in wanted:
+        chosen, share = (float(v) for v in rng.random(2))
+        aim = round(low + (high - low) * share, 4) if chosen < o.share else None
+        result.append(replace(item, visible_aim=aim))
     return result
 
 

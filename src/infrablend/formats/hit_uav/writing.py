@@ -20,6 +20,7 @@ from infrablend.formats.base import category_ids, number_ids, require_size, sort
 from infrablend.formats.box_checks import obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
 
 # Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
 _COORDINATE_DIGITS = 8
@@ -101,6 +102,7 @@ _Numbered = tuple[ImageRecord, int, list[int]]
 def _count_losses(instance: Instance, form: Form, losses: Counter[str]) -> None:
     losses["mask_dropped"] += instance.mask is not None
     losses["visibility_dropped"] += instance.visibility is not None
+    losses["occlusion_dropped"] += loses_occlusion(instance)
     if form.endswith("_json"):
         losses["truncated_dropped"] += instance.truncated is True
     if form == "normal_json":

@@ -1,0 +1,145 @@
+"""Partly hidden objects of a frame: where they may be placed, what is in front of them, and their labels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from infrablend.annotation.labels import LabelReport, annotate
+from infrablend.annotation.occluded import label_occluded
+from infrablend.assets.model import ObjectModel
+from infrablend.compositing.mapping import GreyImage
+from infrablend.compositing.occlusion import Occluder, Scenery, Share, Wanted, front_matte
+from infrablend.config.recipe import Labels, Occlusion
+from infrablend.core.boxes import box_of_points
+from infrablend.core.camera import CameraSpec
+from infrablend.core.dataset import Instance
+from infrablend.core.mesh import FloatArray
+from infrablend.core.placed import PlacedScene
+from infrablend.core.raster import project_triangles, silhouette
+from infrablend.core.render import RenderResult
+from infrablend.sampling.placement import PlacementRequest
+
+# Places with less texture than this share of what has to be hidden, this far around them, are not examined further.
+_LEAST_TEXTURE = 0.5
+_AROUND_PX = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """What a background can hide, for the objects of one frame.
+
+    Attributes:
+        rules: The recipe's section.
+        scenery: The background.
+        models: The recipe's models, by the name used in the recipe.
+    """
+
+    rules: Occlusion
+    scenery: Scenery
+    models: Mapping[str, ObjectModel]
+
+    def has_structure(self, x: float, y: float) -> bool:
+        """Return whether there are structures at all around a position in the picture."""
+        around = np.array([x - _AROUND_PX, y - _AROUND_PX, x + _AROUND_PX, y + _AROUND_PX])
+        return bool(self.scenery.texture(around) > _LEAST_TEXTURE * (1 - self.rules.visible[1]))
+
+    def hides(self, camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> bool:
+        """Return whether the background can hide an object with these world vertices as much as it asks for."""
+        if item.visible_aim is None:
+            return False
+        roles = item.model.roles(item.params)
+        labelled = np.array([roles[n].label for n in item.mesh.part_names])[item.mesh.part_of_triangle]
+        xy = project_triangles(camera, world_m, item.mesh.triangles[labelled]).xy
+        return self._find(xy, camera.size_wh, item.visible_aim, item.model.stands) is not None
+
+    def find(self, scene: PlacedScene) -> dict[int, Occluder]:
+        """Return the occluder of each object that is to be hidden and can be, by its number."""
+        found = {}
+        for k, placed in enumerate(scene.objects):
+            spec = placed.spec
+            if spec.visible_aim is None:
+                continue
+            labelled = np.array([spec.parts[n].label for n in placed.mesh.part_names])[placed.mesh.part_of_triangle]
+            xy = placed.triangles_of(labelled).xy
+            occluder = self._find(xy, placed.camera.size_wh, spec.visible_aim, self.models[spec.model].stands)
+            if occluder is not None:
+                found[k] = occluder
+        return found
+
+    def _find(self, xy: FloatArray, size_wh: tuple[int, int], aim: float, stands: bool) -> Occluder | None:
+        if not len(xy):
+            return None
+        box = np.clip(box_of_points(xy.reshape(-1, 2)), 0, np.array([*size_wh, *size_wh]))
+        low, high = self.rules.visible
+        offset_xy = (math.floor(box[0]), math.floor(box[1]))
+        crop_wh = (math.ceil(box[2]) - offset_xy[0], math.ceil(box[3]) - offset_xy[1])
+        return self.scenery.find(
+            silhouette(xy, offset_xy, crop_wh), offset_xy, Wanted(aim, low, high), lines=not stands
+        )
+
+
+def front_of(occluders: Mapping[int, Occluder], scenery: Scenery | None, rendered: RenderResult) -> Share | None:
+    """Return the (h, w) share of each pixel of the picture that stays in front of the objects; None for nothing."""
+    if scenery is None or not occluders:
+        return None
+    return front_matte(occluders, scenery, rendered.coverage, rendered.offset_xy)
+
+
+def recorded_front(facts: Mapping[str, Any], background: GreyImage, rendered: RenderResult) -> Share | None:
+    """Return the same from the facts of a frame's record."""
+    recorded = {o["object"]: Occluder.from_json(o) for o in facts.get("occlusion", ()) if "window" in o}
+    return front_of(recorded, Scenery(background), rendered)
+
+
+def behind_front(rendered: RenderResult, front: Share | None, numbers: Iterable[int]) -> RenderResult:
+    """Return the render with the coverage of some objects reduced to what is visible behind `front`."""
+    if front is None:
+        return rendered
+    (x, y), (h, w) = rendered.offset_xy, rendered.alpha.shape
+    seen = rendered.coverage.copy()
+    seen[list(numbers)] *= 1 - front[y : y + h, x : x + w]
+    return replace(rendered, coverage=seen)
+
+
+def label_objects(
+    scene: PlacedScene, rendered: RenderResult, seen: RenderResult, occluded: Iterable[int], labels: Labels
+) -> tuple[tuple[Instance, ...], LabelReport]:
+    """Label the objects of a frame, some of which are partly hidden.
+
+    Args:
+        scene: The scene.
+        rendered: The rendered scene.
+        seen: The same with the coverage of what is visible.
+        occluded: Numbers of the partly hidden objects.
+        labels: The recipe's section.
+    """
+    found, report = annotate(scene, seen, labels.obb)
+    hidden = set(occluded)
+    result = []
+    for k, label in zip(report.kept, found, strict=True):
+        if k in hidden:
+            share = float(seen.coverage[k].sum()) / max(float(rendered.coverage[k].sum()), 1e-9)
+            label = label_occluded(label, scene.objects[k], share, labels.occluded_box, labels.obb)
+        result.append(label)
+    return tuple(result), report
+
+
+def too_hidden(labels: Sequence[Instance], report: LabelReport, occluded: Iterable[int], rules: Occlusion) -> list[int]:
+    """Return the numbers of the partly hidden objects of which less is visible than the recipe asks for."""
+    visible = {k: label.visibility or 0.0 for k, label in zip(report.kept, labels, strict=True)}
+    return [k for k in sorted(occluded) if visible.get(k, 0.0) < rules.visible[0]]
+
+
+def occlusion_facts(scene: PlacedScene, occluders: Mapping[int, Occluder]) -> list[dict[str, Any]]:
+    """Return what the record of a frame says about the objects that were to be hidden."""
+    facts: list[dict[str, Any]] = []
+    for k, placed in enumerate(scene.objects):
+        if (aim := placed.spec.visible_aim) is not None:
+            found = occluders[k].to_json() if k in occluders else {"reason": "no_occluder"}
+            facts.append({"object": k, "aim": aim, **found})
+    return facts

@@ -1,0 +1,161 @@
+"""Partly hidden objects in the pipeline, with the software renderer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from infrablend import api
+from infrablend.compositing.occlusion import Occluder, Scenery
+from infrablend.pipeline.record import FrameRecord, read_record
+
+SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
+
+
+def wood(seed: int, branches: int = 2500) -> np.ndarray:
+    """Even ground under bright branches in all directions, as seen by night."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((512, 640), 70.0)
+    for _ in range(branches):
+        x, y, turn, length = rng.uniform((0, 0, 0, 10), (640, 512, np.pi, 40))
+        dx, dy = length / 2 * np.cos(turn), length / 2 * np.sin(turn)
+        ends = [(int(x + s * dx), int(y + s * dy)) for s in (-1, 1)]
+        cv2.line(picture, ends[0], ends[1], float(rng.uniform(100, 150)), 2)
+    grain = rng.normal(0, 1.5, picture.shape)
+    return np.clip(cv2.GaussianBlur(picture, (0, 0), 0.8) + grain, 16, 235).round().astype(np.uint8)
+
+
+def folder(root: Path, *pictures: np.ndarray) -> Path:
+    root.mkdir()
+    rows = ["file,pitch_deg,altitude_m,time_of_day"]
+    for n, picture in enumerate(pictures):
+        Image.fromarray(picture).save(root / f"{n}.png")
+        rows.append(f"{n}.png,60,100,night")
+    (root / "metadata.csv").write_text("\n".join(rows) + "\n")
+    return root
+
+
+def generate(data: Path, out: Path, *settings: str, limit: int | None = None) -> Any:
+    given = ["output.image=png", "objects=[{model: deer, count: 3}]", "placement.min_contrast=off", *settings]
+    how = api.Execution(renderer="flat", in_process=True)
+    return api.generate("monet-deer-physical", data, out, settings=given, limit=limit, execution=how)
+
+
+def records(run: Path) -> list[FrameRecord]:
+    return [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+
+
+def pictures(run: Path, data: Path, record: FrameRecord) -> tuple[np.ndarray, np.ndarray]:
+    before, after = (Image.open(p) for p in (data / record.background["path"], run / "images" / record.image))
+    return np.array(before).astype(int), np.array(after).astype(int)
+
+
+@pytest.mark.parametrize("kind", ["8 bit", "black-hot", "16 bit"])
+def test_the_labels_describe_what_the_picture_shows(tmp_path: Path, kind: str) -> None:
+    picture: Any = wood(0)
+    picture = {"8 bit": picture, "black-hot": 255 - picture, "16 bit": picture.astype(np.uint16) * 20 + 7000}[kind]
+    data, run = folder(tmp_path / "data", picture), tmp_path / "run"
+    more = ["placement.max_noise_grey=50", f"matching.polarity={'black' if kind == 'black-hot' else 'white'}-hot"]
+    generate(data, run, SHARE, "sensor.profile=off", "overlay.softness_px=0", *more)
+    generate(data, tmp_path / "amodal", SHARE, "sensor.profile=off", "labels.occluded_box=amodal", *more)
+    (record,), (amodal,) = records(run), records(tmp_path / "amodal")
+    before, after = pictures(run, data, record)
+    changed = before != after
+    occluders = {o["object"]: o for o in record.facts["occlusion"] if "window" in o}
+    hidden = [i for i in record.inserted if i.extra.get("occluded")]
+    assert {i.extra["object"] for i in hidden} == set(occluders)
+    assert len(hidden) >= 2
+    every = np.zeros(changed.shape, np.bool_)
+    for label, whole in zip(record.inserted, amodal.inserted, strict=True):
+        assert label.mask is not None and label.visibility is not None
+        mask = label.mask.to_array()
+        every |= mask
+        # The object is far warmer than branches and ground, so each of its pixels changes.
+        assert changed[mask].mean() > 0.95
+        if not label.extra.get("occluded"):
+            continue
+        assert 0.4 <= label.visibility <= 0.75
+        assert label.visibility == pytest.approx(occluders[label.extra["object"]]["visible"], abs=0.03)
+        assert label.extra["amodal_box"] == whole.extra["amodal_box"] == pytest.approx(whole.box_xyxy.tolist())
+        assert label.extra["visible_box"] == pytest.approx(label.box_xyxy.tolist())
+        rows, columns = np.nonzero(mask)
+        tight = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        assert label.box_xyxy == pytest.approx(tight, abs=1)
+    # What changes beside the masks are pixels at outlines, which object and background share.
+    near = cv2.dilate(every.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    assert changed[~near].sum() <= 0.05 * changed.sum()
+
+
+def test_other_frames_and_rerendering_do_not_change_the_bytes(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0), wood(1))
+    generate(data, tmp_path / "both", SHARE)
+    generate(data, tmp_path / "one", SHARE, limit=1)
+    record, _ = records(tmp_path / "both")
+    assert [r.to_json() for r in records(tmp_path / "one")] == [record.to_json()]
+    assert any(i.extra.get("occluded") for i in record.inserted)
+    again = api.rerender(tmp_path / "both", record.frame_id, tmp_path / "again.png")
+    assert again.read_bytes() == (tmp_path / "both" / "images" / record.image).read_bytes()
+
+
+def test_the_sensor_chain_does_not_change_what_is_in_front(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0))
+    generate(data, tmp_path / "run", SHARE)
+    (record,) = records(tmp_path / "run")
+    before, after = pictures(tmp_path / "run", data, record)
+    scenery = Scenery(before.astype(np.uint8))
+    found = [Occluder.from_json(o) for o in record.facts["occlusion"] if "window" in o]
+    assert found
+    for occluder in found:
+        left, top, right, bottom = occluder.window
+        opaque = scenery.matte(occluder) >= 1
+        part = (slice(top, bottom), slice(left, right))
+        assert opaque.any()
+        assert (before[part] == after[part])[opaque].all()
+
+
+def test_objects_are_in_front_where_nothing_can_hide_them(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0, branches=0))
+    generate(data, tmp_path / "run", SHARE)
+    generate(data, tmp_path / "off")
+    (record,), (off,) = records(tmp_path / "run"), records(tmp_path / "off")
+    assert len(record.inserted) == len(off.inserted) == 3
+    assert [o["reason"] for o in record.facts["occlusion"]] == ["no_occluder"] * 3
+    assert "occlusion" not in off.facts
+    assert all("amodal_box" not in i.extra for i in record.inserted)
+    assert record.scene is not None
+    assert record.scene.draws["rejected"]["no_occluder"] > 0
+
+
+def test_coco_has_both_boxes_and_other_formats_count_the_loss(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0))
+    report = generate(data, tmp_path / "run", SHARE, "output.formats=[coco, yolo]")
+    annotations = json.loads((tmp_path / "run" / "coco" / "train.json").read_text())["annotations"]
+    hidden = [a for a in annotations if a.get("occluded")]
+    assert len(hidden) >= 2
+    for a in hidden:
+        assert a["bbox"] == a["bbox_visible"]
+        assert a["bbox_amodal"][2] * a["bbox_amodal"][3] >= a["bbox_visible"][2] * a["bbox_visible"][3]
+        assert a["visibility"] < 0.76
+    assert report.ok
+    losses = json.loads((tmp_path / "run" / "run.json").read_text())["losses"]
+    assert losses["yolo.occlusion_dropped"] == len(hidden)
+    assert "coco.occlusion_dropped" not in losses
+
+
+def test_what_would_be_less_visible_than_stated_is_left_out_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from infrablend.pipeline import frame
+
+    monkeypatch.setattr(frame, "too_hidden", lambda labels, report, occluded, rules: sorted(occluded))
+    report = generate(folder(tmp_path / "data", wood(0)), tmp_path / "run", SHARE, "placement.contrast_redraws=1")
+    (record,) = records(tmp_path / "run")
+    assert record.scene is not None
+    assert record.scene.draws["absent"]["too_hidden"] >= 1
+    assert report.counts["frames_without_object"] == int(not record.inserted)
