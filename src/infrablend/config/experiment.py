@@ -236,8 +236,8 @@ class Row(Strict):
 
     title: str = Field(min_length=1)
     """Text of the first cell."""
-    evaluation: Name | None = None
-    """Evaluation that gives the figures; the table's by default."""
+    evaluation: Names | None = None
+    """Evaluation that gives the figures, the table's by default; or several, to show means of those of the scale."""
     category: str = "all"
     """Class, or `all`."""
     paper: Figures = Figures()
@@ -371,9 +371,9 @@ class Experiment(Strict):
             yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in self.evaluations)
         for k, table in enumerate(self.tables):
             for row in table.rows:
-                of = row.evaluation or table.evaluation
-                if of not in self.evaluations:
-                    yield f"tables.{k}: {row.title}: no evaluation {of}"
+                for of in row.evaluation or (table.evaluation,):
+                    if of not in self.evaluations:
+                        yield f"tables.{k}: {row.title}: no evaluation {of}"
         for k, f in enumerate(self.facts):
             yield from (f"facts.{k}.data: no source or data {d}" for d in f.data if d not in items)
         for k, check in enumerate(self.checks):

@@ -163,7 +163,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def test_every_shipped_experiment_is_whole() -> None:
     assert {
-        "datasets", "hit-uav", "hit-uav-drone", "leak-free", "monet-deer", "pitch-alignment", "transfer-car",
+        "datasets", "hit-uav", "hit-uav-drone", "leak-free", "mix", "monet-deer", "pitch-alignment", "transfer-car",
         "transfer-drone", "transfer-person", "visible-vs-thermal",
     } <= set(list_experiments())  # fmt: skip
     for name in list_experiments():
@@ -197,6 +197,8 @@ trainings: {a: {data: hit-uav, task: guess}}
     ("more", "what"),
     [
         ("data: {x: {kind: convert, of: nobody}}", "data.x: no source or data nobody"),
+        ("data: {x: {kind: merge, parts: [{of: nobody}]}}", "data.x: no source or data nobody"),
+        ("data: {x: {kind: paste, of: hit-uav, category: c, like: hit-uav}}", "data.x.like: hit-uav is no data item"),
         ("trainings: {x: {data: nobody}}", "trainings.x.data: no source or data nobody"),
         ("evaluations: {x: {training: nobody, data: hit-uav}}", "evaluations.x.training: no training nobody"),
         ("comparisons: {x: {a: nobody, b: nobody}}", "comparisons.x: no evaluation nobody"),
@@ -601,6 +603,32 @@ def test_only_evaluations_on_the_same_images_are_compared(which: str, data: Path
         assert "compare:added-class" in keys(str(mine), data, tmp_path, scale="small")
 
 
+def test_merged_and_pasted_data_are_made_and_rows_show_means(bench: Bench, tmp_path: Path) -> None:
+    """On drawn pictures of the sky, which stand in for both sources of `transfer-drone`."""
+    text = (SHIPPED / "transfer-drone.yaml").read_text()
+    mine = tmp_path / "mine.yaml"
+    seeds = [f"{n}-{k}" for n in ("inserted", "pasted", "real") for k in (1, 2)]
+    for line in (f"  {n}: [small, paper]\n" for n in (*seeds, "inserted-pasted", "inserted-real")):
+        assert line in text
+        text = text.replace(line, "")
+    text = text.replace("{train: 8, val: 2}", "{train: 3, val: 1}")
+    mine.write_text(text.replace("settings:\n  small: {passes: 4000}", "settings:\n  smoke: {epochs: 3}"))
+    report = run(str(mine), [], tmp_path / "work")
+    assert report.status == "complete" and len(bench.trained) == 9 and bench.compared == [(3, 3), (3, 3)]
+    trained = [json.loads((p / "train.json").read_text()) for p in bench.trained]
+    assert all(t["settings"]["epochs"] == 3 for t in trained)
+    records = {p.parent.parent.name: json.loads(p.read_text()) for p in (tmp_path / "work").glob("*/*/stage.json")}
+    inserted, pasted, real = (records[k]["result"] for k in ("generate", "paste", "merge"))
+    assert pasted["labels"] == inserted["labels"] and pasted["pasted"]["left_out"] == 0
+    assert pasted["pasted"]["objects"] == inserted["run"]["objects_inserted"] > 0
+    assert real["images"] == {"train": 3 + 6, "val": 1} and real["labels"]["train"]["drone"] == 6
+    row = report.facts["tables"][0]["rows"][0]
+    assert row["means_of"] == ["inserted", "inserted-1", "inserted-2"] and set(row["ours"]["range"]) >= {"map50"}
+    page = report.page.read_text("utf-8")
+    assert "show means of 3 trainings" in page and "Control: no sensor chain" not in page
+    assert "infrablend experiment transfer-drone --scale smoke\n" in page
+
+
 # What does not fit.
 
 
@@ -778,7 +806,7 @@ def test_conclusions_follow_from_intervals(expect: Any, low: float, high: float,
 
 def test_ratio_is_compared_with_its_minimum() -> None:
     figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
-    check = Check(text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7)
+    check = Check(text="t", ratio=(("a",), ("b",)), category="Person", metric="map50", expect="at_least", least=0.7)
     found = check_claim(check, figures, {}, {})
     assert found["ratio"] == 0.7 and found["holds"] is True
     figures["a"]["classes"]["Person"]["map50"] = 0.34
@@ -794,12 +822,24 @@ def test_claim_about_a_time_of_day_uses_the_figures_of_its_images_alone():
         }
 
     check = Check(
-        text="t", ratio=("a", "b"), category="Person", metric="map50", expect="at_least", least=0.7, time="day"
+        text="t", ratio=(("a",), ("b",)), category="Person", metric="map50", expect="at_least", least=0.7, time="day"
     )
     found = check_claim(check, {"a": evaluation(0.2), "b": evaluation(0.5)}, {}, {})
     assert (found["ratio"], found["holds"]) == (0.4, False)
     night = check.model_copy(update={"time": "night"})
     assert check_claim(night, {"a": evaluation(0.2), "b": evaluation(0.5)}, {}, {})["holds"] is None
+
+
+def test_ratio_of_several_seeds_is_that_of_their_means() -> None:
+    figures = {n: {"classes": {"drone": {"map50": v}}} for n, v in (("a", 0.3), ("a-1", 0.5), ("b", 0.4), ("b-1", 0.6))}
+    check = Check(
+        text="t", ratio=(("a", "a-1"), ("b", "b-1")), category="drone", metric="map50", expect="at_least", least=0.8
+    )
+    found = check_claim(check, figures, {}, {})
+    assert found["values"] == [0.4, 0.5] and found["ratio"] == 0.8 and found["holds"] is True
+    assert found["ratio_of"] == ["a, a-1", "b, b-1"]
+    del figures["b-1"]
+    assert check_claim(check, figures, {}, {"b-1": "too few"})["missing"] == "too few"
 
 
 @pytest.mark.parametrize(

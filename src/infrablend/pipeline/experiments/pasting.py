@@ -45,7 +45,6 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         found = f"no usable object of {spec.category} in the split {spec.split}; unusable: {dict(unusable) or 'none'}"
         problem = Problem(job.stage.id, "class-none", found, "objects that stand out from their surroundings")
         raise DatasetError(f"{job.stage.id}: nothing to paste", [problem])
-    backgrounds = {(i.split, i.id): i for i in read_dataset(onto.dataset, options=onto.reader_options).images}
     made, scenes, out = read_dataset(run.dataset), RunLayout(run.dataset.parent), job.empty_out()
     paster = Paster(cuts, spec.category, job.stage.inputs["seed"])
     report = paced(job.on_progress)
@@ -55,8 +54,8 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         if record is None:
             problem = Problem(frame.id, "frame-record", "no record of the frame", "the record that the run wrote")
             raise DatasetError(f"{job.stage.id}: the run {spec.like} is incomplete; delete {run.folder}", [problem])
-        background = backgrounds[frame.split, str(record.background["id"])]
-        images.append(paster.replace_inserts(frame, background.path, out / "images" / frame.split / frame.name))
+        background = onto.dataset / str(record.background["path"])
+        images.append(paster.replace_inserts(frame, background, out / "images" / frame.split / frame.name))
         if report is not None:
             report(number, len(made.images))
     coco.write(out, images, with_category(made.categories, spec.category))

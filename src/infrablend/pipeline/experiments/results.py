@@ -174,34 +174,64 @@ def _rows(
     """Yield the rows of a table: those of the file, then further classes of the table's own evaluation."""
     shown: set[str] = set()
     for row in rows:
-        e = row.evaluation or default or ""
-        figures = evaluations.get(e, {}).get("classes", {})
-        name = find_class(figures, row.category)
-        shown |= {name} if name is not None and e == default else set()
-        if left_out.get(e) == OTHER_SCALES:
+        names = [e for e in row.evaluation or (default or "",) if left_out.get(e) != OTHER_SCALES]
+        if not names:
             continue
-        row = row.model_copy(update={"evaluation": e})
-        yield _row(row, figures.get(name), left_out.get(e))
+        figures = [_class_figures(evaluations.get(e, {}), row.category) for e in names]
+        if names == [default] and figures[0] is not None:
+            shown.add(find_class(evaluations[names[0]]["classes"], row.category) or "")
+        yield _row(row, names, figures, next((left_out[e] for e in names if e in left_out), None))
     of_table = evaluations.get(default or "", {}).get("classes", {})
     for name in sorted(of_table):
         if name not in shown:
-            yield _row(Row(title=name, evaluation=default, category=name), of_table[name], None)
+            yield _row(Row(title=name, category=name), [default or ""], [of_table[name]], None)
 
 
-def _row(row: Row, ours: Mapping[str, Any] | None, why: str | None) -> dict[str, Any]:
-    """Return the paper's figures, ours, and their differences."""
+def _class_figures(evaluation: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:
+    """Return the figures of a class in an evaluation, or None."""
+    figures = evaluation.get("classes", {})
+    found: Mapping[str, Any] | None = figures.get(find_class(figures, category))
+    return found
+
+
+def _row(
+    row: Row, names: Sequence[str], figures: Sequence[Mapping[str, Any] | None], why: str | None
+) -> dict[str, Any]:
+    """Return the paper's figures, ours, and their differences.
+
+    Args:
+        row: Row of the file.
+        names: Evaluations that give our figures.
+        figures: Figures of the row's class in each of them.
+        why: Reason why they are missing, if one is known.
+    """
+    known = [f for f in figures if f is not None]
+    ours = None if len(known) < len(names) else known[0] if len(known) == 1 else _means(known)
     paper = row.paper.model_dump()
     found = {k: (ours or {}).get(k) for k in _FIGURES}
     both = {k: (found[k], paper.get(k)) for k in METRICS}
+    extent = {} if ours is None or "range" not in ours else {"range": ours["range"]}
     return {
         "title": row.title,
-        "evaluation": row.evaluation,
+        "evaluation": names[0],
+        **({"means_of": list(names)} if len(names) > 1 else {}),
         "class": row.category,
         "paper": paper,
-        "ours": None if ours is None else {**found, "ci": ours.get("ci")},
+        "ours": None if ours is None else {**found, "ci": ours.get("ci"), **extent},
         "difference": {k: round(a - b, 6) for k, (a, b) in both.items() if a is not None and b is not None},
         "missing": None if ours is not None else why or "not run yet, or the class does not occur",
     }
+
+
+def _means(figures: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the means of figures on the same images, with the smallest and largest value of each metric."""
+    means: dict[str, Any] = {k: figures[0].get(k) for k in _FIGURES}
+    extent: dict[str, list[float]] = {}
+    for k in METRICS:
+        values = [f[k] for f in figures if f.get(k) is not None]
+        means[k] = round(sum(values) / len(values), 6) if values else None
+        extent |= {k: [min(values), max(values)]} if values else {}
+    return {**means, "range": extent}
 
 
 def _dataset_row(row: FactsRow, graph: StageGraph, finished: Finished) -> dict[str, Any]:

@@ -118,9 +118,13 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
                 cell += f" ({r['difference'][k]:+.3f})"
             if interval := (ours.get("ci") or {}).get(k):
                 cell += f" [{interval[0]:.3f}, {interval[1]:.3f}]"
+            if extent := (ours.get("range") or {}).get(k):
+                cell += f" ({extent[0]:.3f} to {extent[1]:.3f})"
             cells.append(cell)
         lines.append(cells)
     text = markdown_table(["", *(k.capitalize() for k in shown), *METRICS.values()], lines)
+    if several := max((len(r.get("means_of", ())) for r in rows), default=0):
+        text += f"\n\nRows with a range in round brackets show means of {several} trainings, smallest to largest."
     why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})
     return text + ("\n\nRows without our figures: " + "; ".join(why) + "." if why else "")
 
