@@ -45,11 +45,15 @@ _LEAST_SLOPE = 0.45
 _MOST_ALIKE = 0.7
 # Share of the difference between structures and surroundings by which structures must differ more from the ground.
 _CLEARLY = 0.5
+# Least share of structures, and largest agreement in direction of all edges, this far around an object on the ground.
+_TANGLE_PX = 12
+_LEAST_TANGLE = 0.35
+_MOST_TANGLE_ALIKE = 0.35
 # The ground is the smoothest share of the picture this far around an object, px.
 _AROUND_PX = 40
 _SMOOTH_SHARE = 0.3
 # Largest hidden share of an object in spots that do not reach beyond its outline.
-_MOST_HOLES = 0.25
+_MOST_HOLES = 0.1
 
 
 @dataclass(frozen=True)
@@ -117,17 +121,17 @@ class Scenery:
         return max(_LEAST_NOISE * noise_of(self.pixels, self.grey_unit), _LEAST_GREY) * self.grey_unit
 
     @cached_property
-    def _slope(self) -> Share:
-        """(h, w) slope of the picture, levels per pixel."""
+    def _gradient(self) -> tuple[Share, Share]:
+        """(h, w) slopes of the picture to the right and down, levels per pixel."""
         grey = cv2.GaussianBlur(self.pixels.astype(np.float32), (0, 0), _SMOOTHING_PX)
-        return np.asarray(np.hypot(*(cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))))
+        x, y = (cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
     def _ground_grey(self, window: tuple[int, int, int, int]) -> float:
         """Return the level of the ground around a window: that of the smoothest pixels."""
-        left, top, right, bottom = window
-        r = _AROUND_PX
-        part = (slice(max(top - r, 0), bottom + r), slice(max(left - r, 0), right + r))
-        slope = self._slope[part]
+        part = _around(window, _AROUND_PX)
+        x, y = self._gradient
+        slope = np.hypot(x[part], y[part])
         return float(np.median(self.pixels[part][slope <= np.quantile(slope, _SMOOTH_SHARE)]))
 
     @cached_property
@@ -197,6 +201,8 @@ class Scenery:
         inner = silhouette[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         at_x, at_y = x + int(columns[0]) - left, y + int(rows[0]) - top
         share[at_y : at_y + inner.shape[0], at_x : at_x + inner.shape[1]] = inner
+        if not lines and not self._is_tangled(window):
+            return None
         best, most = None, 0.0
         for width in _widths(inner.shape):
             for bright in (True, False):
@@ -246,14 +252,23 @@ class Scenery:
         ahead = abs(front - ground) - abs(behind - ground)
         return ahead if ahead >= _CLEARLY * abs(front - behind) else 0.0
 
+    def _is_tangled(self, window: tuple[int, int, int, int]) -> bool:
+        """Return whether structures in all directions fill the surroundings, as in a canopy, unlike on a road."""
+        left, top, right, bottom = window
+        r = _TANGLE_PX
+        if self.texture(np.array([left - r, top - r, right + r, bottom + r], np.float64)) < _LEAST_TANGLE:
+            return False
+        part = _around(window, r)
+        x, y = (g[part] for g in self._gradient)
+        return _agreement(x, y) <= _MOST_TANGLE_ALIKE
+
     def _is_outlined(self, window: tuple[int, int, int, int], matte: Share, share: Share, lines: bool) -> bool:
         """Return whether the picture itself shows an edge where the structures cut the object.
 
         Without `lines`, the edges must not all run the same way, as those of kerbs, road markings and roofs do.
         """
-        left, top, right, bottom = window
-        grey = cv2.GaussianBlur(self.pixels[top:bottom, left:right].astype(np.float32), (0, 0), _SMOOTHING_PX)
-        x, y = (cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
+        part = _around(window, 0)
+        x, y = (g[part] for g in self._gradient)
         core = (matte > 0.5).astype(np.uint8)
         _, spots = cv2.connectedComponents(core, connectivity=8)
         reaching = np.unique(spots[(share < 0.5) & (core > 0)])
@@ -265,9 +280,9 @@ class Scenery:
         if not outline.any():
             return False
         steep = np.hypot(x, y)[outline]
-        xx, yy, xy = (float((p * q)[outline].sum()) for p, q in ((x, x), (y, y), (x, y)))
-        alike = math.hypot(xx - yy, 2 * xy) / max(xx + yy, 1e-6)
-        return float(np.median(steep)) >= _LEAST_SLOPE * self.least_grey and (lines or alike <= _MOST_ALIKE)
+        return float(np.median(steep)) >= _LEAST_SLOPE * self.least_grey and (
+            lines or _agreement(x[outline], y[outline]) <= _MOST_ALIKE
+        )
 
 
 def front_matte(
@@ -320,6 +335,17 @@ def _matte_of(strength: Share, limit: float, soft: float) -> Share:
     # The soft edge of a structure reaches beyond its core.
     near = cv2.dilate(large[labels].astype(np.uint8), np.ones((3, 3), np.uint8))
     return np.asarray(matte * near, np.float32)
+
+
+def _around(window: tuple[int, int, int, int], margin_px: int) -> tuple[slice, slice]:
+    left, top, right, bottom = window
+    return slice(max(top - margin_px, 0), bottom + margin_px), slice(max(left - margin_px, 0), right + margin_px)
+
+
+def _agreement(x: Share, y: Share) -> float:
+    """Return how far slopes agree in direction (or its opposite): 0 for all directions alike, 1 for one direction."""
+    xx, yy, xy = (float((p * q).sum()) for p, q in ((x, x), (y, y), (x, y)))
+    return math.hypot(xx - yy, 2 * xy) / max(xx + yy, 1e-6)
 
 
 def _widths(shape_hw: tuple[int, ...]) -> list[int]:

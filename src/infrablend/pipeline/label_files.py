@@ -61,6 +61,7 @@ def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
         finished = replace(finished, counts={**finished.counts, "boxes_loosened": loosened, "loosened_by": by})
     problems += absent_warnings(finished.draws)
     problems += limit_warnings([r for _, r in records])
+    problems += hiding_warnings(finished.counts)
     if images:
         problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
     # The three YOLO formats warn alike of a missing split.
@@ -214,6 +215,8 @@ def summarize(
         "frames_without_object_because": empty_frames([r for _, r in records]),
         "frames_of_other_size": other_size,
     }
+    if hiding := hiding_statistics([r for _, r in records]):
+        counts["partly_hidden"] = hiding
     if contrast := contrast_statistics([r for _, r in records]):
         counts["contrast_grey"] = contrast
     return LabelSummary(counts, draw_statistics([r for _, r in records]), tuple(removed))
@@ -233,6 +236,22 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))
+
+
+def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
+    """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
+    asked = [o for r in records for o in r.facts.get("occlusion", ())]
+    return {"wanted": len(asked), "hidden": sum("window" in o for o in asked)} if asked else {}
+
+
+def hiding_warnings(counts: Mapping[str, Any]) -> list[Problem]:
+    """Return a warning if backgrounds show too little to hide half of the objects that were to be partly hidden."""
+    n = counts.get("partly_hidden", {})
+    if not n or 2 * n["hidden"] >= n["wanted"]:
+        return []
+    found = f"{n['wanted'] - n['hidden']} of {n['wanted']} objects that were to be partly hidden are in front"
+    todo = "widen occlusion.visible, or use backgrounds with branches, masts or fences"
+    return [Problem("occlusion", "nothing-in-front", found, "structures that can hide them", todo, "warning")]
 
 
 def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:

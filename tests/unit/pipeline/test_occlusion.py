@@ -121,7 +121,9 @@ def test_the_sensor_chain_does_not_change_what_is_in_front(tmp_path: Path) -> No
 
 def test_objects_are_in_front_where_nothing_can_hide_them(tmp_path: Path) -> None:
     data = folder(tmp_path / "data", wood(0, branches=0))
-    generate(data, tmp_path / "run", SHARE)
+    report = generate(data, tmp_path / "run", SHARE)
+    assert report.counts["partly_hidden"] == {"wanted": 3, "hidden": 0}
+    assert "nothing-in-front" in [p.code for p in report.problems]
     generate(data, tmp_path / "off")
     (record,), (off,) = records(tmp_path / "run"), records(tmp_path / "off")
     assert len(record.inserted) == len(off.inserted) == 3
