@@ -399,7 +399,7 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
     return {
         "seed": about["seed"],
         "recipe": about["recipe"]["name"],
-        "frames": about["frames"],
+        "frames": len(RunLayout(run).records()),
         "backgrounds": dataset.root.resolve().name,
         "splits": splits,
         "real": real.root.resolve().name,

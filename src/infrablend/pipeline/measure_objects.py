@@ -207,7 +207,7 @@ class ObjectMeasurer:
                 time = source.time_of_day or "unknown"
                 of_object = ObjectContrast(instance.category, key, time, contrast)
                 found.contrasts.setdefault(population, []).append(of_object)
-                extent = box_extent(picture, instance, labels, contrast, key)
+                extent = box_extent(picture, instance, labels, of_object)
                 if extent is not None:
                     found.extents.setdefault(population, []).append(extent)
             reason = reason_not_measured(instance, where)

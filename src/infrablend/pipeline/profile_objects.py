@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,7 @@ from infrablend.realism.features import Picture, eight_bit
 from infrablend.realism.local_share import bound_local_share
 from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
 
+TIMES = ("night", "day", "unknown")
 MAX_PICTURES = 1000
 """Largest number of annotated pictures that are read, evenly spread."""
 
@@ -74,8 +75,9 @@ def _read_picture(picture: Picture, image: ImageRecord, objects: Sequence[Instan
         contrast = None if o.truncated else object_contrast(picture, o, image.instances)
         if contrast is None:
             continue
-        found.contrasts.append(ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast))
-        extent = box_extent(picture, o, image.instances, contrast, key)
+        of_object = ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast)
+        found.contrasts.append(of_object)
+        extent = box_extent(picture, o, image.instances, of_object)
         if extent is not None:
             found.extents.append(extent)
 
@@ -88,22 +90,38 @@ def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = 
         rendered: Readings of inserted objects of the same classes, whose boxes are exact.
 
     Returns:
-        `local_share` by time of day (see `bound_local_share`) and `box_looseness` by class (see `looseness`, and
-        `against_rendered` from `looseness_against`); without times and classes that have too few objects.
+        `local_share` by time of day (see `bound_local_share`) and `box_looseness` by class: `by_time` (see `looseness`,
+        and `against_rendered` from `looseness_against`), and the figures of the time with the smallest factor, because
+        parts that cannot be seen make the extent smaller, never larger. Without times and classes that have too few
+        objects.
     """
     share = {}
-    for time in ("night", "day", "unknown"):
+    for time in TIMES:
         bound = bound_local_share([c for c in annotated.contrasts if c.time_of_day == time])
         if bound is not None:
             share[time] = bound
     boxes = {}
     for category in sorted({e.category for e in annotated.extents}):
-        drawn = [e for e in annotated.extents if e.category == category]
-        figures = looseness(drawn)
-        if figures is None:
-            continue
-        if rendered is not None:
-            exact = [e for e in rendered.extents if e.category == category]
-            figures["against_rendered"] = looseness_against(drawn, exact)
-        boxes[category] = figures
+        by_time = {time: found for time in TIMES if (found := _looseness(annotated, rendered, category, time))}
+        if by_time:
+            least = min(by_time, key=lambda time: _corrected_factor(by_time[time]))
+            boxes[category] = {**by_time[least], "by_time": by_time}
     return {"local_share": share, "box_looseness": boxes}
+
+
+def _looseness(
+    annotated: ObjectReadings, rendered: ObjectReadings | None, category: str, time: str
+) -> dict[str, Any] | None:
+    drawn, exact = (
+        [e for e in (of.extents if of else ()) if (e.category, e.time_of_day) == (category, time)]
+        for of in (annotated, rendered)
+    )
+    figures = looseness(drawn)
+    if figures is not None and rendered is not None:
+        figures["against_rendered"] = looseness_against(drawn, exact)
+    return figures
+
+
+def _corrected_factor(figures: Mapping[str, Any]) -> float:
+    against = figures.get("against_rendered")
+    return float((against or figures)["factor"])

@@ -20,6 +20,7 @@ from infrablend.compositing.contrast import MIN_RING_PX, Contrast
 from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
+from infrablend.realism.contrasts import ObjectContrast
 from infrablend.realism.features import Picture
 
 MIN_BOXES = 30
@@ -28,6 +29,8 @@ MIN_REFERENCE = 10
 """Fewest inserted objects of similar extent that a drawn box is compared with."""
 MIN_CHANGE = 10.0
 """Objects with less contrast, 8-bit levels, have no extent."""
+MAX_OTHER_END = 0.5
+"""Objects whose other end is farther beyond the ring, as a share of the largest change, have no single outline."""
 _BOOTSTRAPS = 1000
 
 
@@ -38,12 +41,14 @@ class BoxExtent:
     Attributes:
         category: Class of the object.
         image: Key of the picture.
+        time_of_day: `night`, `day` or `unknown`.
         box_wh: Width and height of the box, px.
         extent_wh: Width and height of what can be seen, px.
     """
 
     category: str
     image: str
+    time_of_day: str
     box_wh: tuple[float, float]
     extent_wh: tuple[float, float]
 
@@ -73,9 +78,11 @@ def visible_extent(
         contrast: Contrast of the object.
 
     Returns:
-        The extent; None for objects of too little contrast and for regions that run on into the surroundings.
+        The extent; None for objects of too little contrast, for those with both bright and dark parts, and for regions
+        that run on into the surroundings.
     """
-    if contrast.change < MIN_CHANGE:
+    other_end = min(contrast.high - contrast.ring, contrast.ring - contrast.low)  # below 0 if both are on one side
+    if contrast.change < MIN_CHANGE or other_end > MAX_OTHER_END * contrast.change:
         return None
     height, width = picture.shape
     left, top, right, bottom = pixel_box(instance.box_xyxy, picture.shape)
@@ -102,12 +109,12 @@ def visible_extent(
 
 
 def box_extent(
-    picture: Picture, instance: Instance, labels: Sequence[Instance], contrast: Contrast, image: str
+    picture: Picture, instance: Instance, labels: Sequence[Instance], of: ObjectContrast
 ) -> BoxExtent | None:
-    """Return the box and the visible extent of an object; None as for `visible_extent`."""
-    extent = visible_extent(picture, instance, labels, contrast)
+    """Return the box and the visible extent of an object of known contrast; None as for `visible_extent`."""
+    extent = visible_extent(picture, instance, labels, of.contrast)
     x0, y0, x1, y1 = (float(v) for v in instance.box_xyxy)
-    return None if extent is None else BoxExtent(instance.category, image, (x1 - x0, y1 - y0), extent)
+    return None if extent is None else BoxExtent(of.category, of.image, of.time_of_day, (x1 - x0, y1 - y0), extent)
 
 
 def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:

@@ -180,22 +180,29 @@ def blob(side, margin, others=()):
     return cv2.GaussianBlur(picture, (0, 0), 0.9), Instance("Person", box)
 
 
+def extent_of(picture, label, *others):
+    labels = [label, *others]
+    contrast = ObjectContrast("Person", "a", "night", object_contrast(picture, label, labels))
+    return box_extent(picture, label, labels, contrast)
+
+
 @pytest.mark.parametrize(("side", "margin", "expected"), [(12, 3, 1.5), (20, 2, 1.2), (20, -2, 0.8)])
 def test_looseness_is_box_over_visible_extent(side, margin, expected):
     picture, label = blob(side, margin)
-    contrast = object_contrast(picture, label, [label])
-    assert np.exp(box_extent(picture, label, [label], contrast, "a").log_factor) == pytest.approx(expected)
+    assert np.exp(extent_of(picture, label).log_factor) == pytest.approx(expected)
 
 
 def test_objects_that_run_on_into_their_surroundings_have_no_extent():
     picture, label = blob(12, 2, [(0, 45, 96, 50)])
-    contrast = object_contrast(picture, label, [label])
-    assert box_extent(picture, label, [label], contrast, "a") is None
+    assert extent_of(picture, label) is None
     # The box of another label is not part of the object.
     picture, label = blob(12, 2, [(56, 42, 68, 54)])
     beside = Instance("Person", np.array([56.0, 42, 68, 54]))
-    contrast = object_contrast(picture, label, [label, beside])
-    assert box_extent(picture, label, [label, beside], contrast, "a") is not None
+    assert extent_of(picture, label, beside) is not None
+    # Half of the object is as dark as the other is bright: neither is its outline.
+    picture, label = blob(12, 2)
+    picture[42:48] = 200 - picture[42:48]
+    assert extent_of(picture, label) is None
 
 
 def test_exact_boxes_cancel_the_bias_of_the_extent():
@@ -203,7 +210,7 @@ def test_exact_boxes_cancel_the_bias_of_the_extent():
     sizes = np.arange(10, 40)
 
     def boxes(factor):
-        return [BoxExtent("Person", str(s % 7), (1.1 * s * factor, 1.1 * s * factor), (s, s)) for s in sizes]
+        return [BoxExtent("Person", str(s % 7), "night", (1.1 * s * factor, 1.1 * s * factor), (s, s)) for s in sizes]
 
     assert looseness(boxes(1.0))["factor"] == pytest.approx(1.1)
     assert looseness(boxes(1.2))["factor"] == pytest.approx(1.32)
@@ -225,9 +232,15 @@ def test_readings_leave_out_inserted_objects_and_regions_to_ignore(tmp_path):
         assert annotated_pictures(dataset, inserted=inserted) == [image]
         found = read_objects(dataset, [image], (16.0, 235.0), inserted=inserted)
         assert [c.category for c in found.contrasts] == ["Person"]
-    many = ObjectReadings(crowd(0.1), [BoxExtent("Person", "a", (12, 12), (10, 10))] * 30)
+    extents = [
+        BoxExtent("Person", "a", time, (12, 12), (side, side))
+        for time, side in (("night", 10), ("day", 8))
+        for _ in range(30)
+    ]
+    many = ObjectReadings(crowd(0.1), extents)
     figures = object_figures(many, ObjectReadings())
     assert figures["local_share"]["night"]["upper_bound"] == pytest.approx(0.1, abs=0.03)
     assert figures["box_looseness"]["Person"]["factor"] == 1.2
     assert figures["box_looseness"]["Person"]["against_rendered"] is None
+    assert figures["box_looseness"]["Person"]["by_time"]["day"]["factor"] == 1.5
     json.dumps(figures, allow_nan=False)
