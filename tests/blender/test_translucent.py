@@ -51,6 +51,22 @@ def test_over_the_background_alpha_is_the_opacity(blender, opacity):
         assert not thin.coverage.any()
 
 
+def test_ground_that_an_object_warms_adds_its_light_without_texture(blender):
+    """A glow of 3 K over ground at air temperature, black, whatever the texture of bodies."""
+    state = PartState(AIR_K + 3.0, 1.0, label=False, ior=1.0, opacity=0.4, glow=True)
+    spec = scene([ObjectSpec("a", "a", {}, {"disc": state}, (0.0, 0.0, 0.0), 0.0)], **LEVEL)
+    look = dataclasses.replace(spec.appearance, texture_k=4.0)
+    seen = both("physical", blender, dataclasses.replace(spec, appearance=look), [sheet()])
+    assert seen.ground_radiance == pytest.approx(float(band_radiance(AIR_K)))
+    inside = seen.alpha > 0.399
+    added = seen.radiance[inside] - np.float32(seen.ground_radiance) * seen.alpha[inside]
+    expected = 0.4 * float(band_radiance(AIR_K + 3.0) - band_radiance(AIR_K))
+    np.testing.assert_allclose(added, expected, rtol=0.02)
+    propeller = PartState(AIR_K, 0.9, label=False, opacity=0.1)
+    mixed = [ObjectSpec("a", "a", {}, {"disc": s}, (0.0, 0.0, 0.0), 0.0) for s in (state, propeller)]
+    assert both("physical", blender, scene(mixed, **LEVEL), [sheet(), sheet()]).ground_radiance is None
+
+
 def test_a_thin_smooth_sheet_mirrors_the_sky_above_it(blender):
     for pitch, beyond in ((np.pi / 2, sky_radiance(AIR_K, CLEAR.dew_point_k, 0.07)), (-np.pi / 2, None)):
         surface = thing(kelvin=AIR_K, label=False, parts=("disc",), opacity=0.5, emissivity=0.6, ior=1.5)

@@ -58,6 +58,7 @@ class PartRange:
         metal: Whether the surface reflects at all angles.
         opacity: In (0, 1]; a part below 1 is translucent, and labels ignore it.
         sun: Response to sunlight, which replaces `delta_t_k` in scenes with a sun; None for none.
+        glow: Whether a translucent part is ground that the object warms, see `core.scene.PartState`.
 
     Raises:
         ValueError: A range is reversed or a value is outside its limits.
@@ -73,6 +74,7 @@ class PartRange:
     metal: bool = False
     opacity: float = 1.0
     sun: SunResponse | None = None
+    glow: bool = False
 
     def __post_init__(self) -> None:
         (cold, warm), (low, high) = self.delta_t_k, self.emissivity

@@ -26,6 +26,7 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import Device, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
+from infrablend.rendering.glow import ground_radiance
 
 ZERO_C_K = 273.15
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
@@ -106,7 +107,7 @@ class BlenderRenderer:
             "render": rendered - built,
             "read": time.perf_counter() - rendered,
         }
-        return RenderResult((x0, y0), (w, h), radiance, alpha, coverage, seconds)
+        return RenderResult((x0, y0), (w, h), radiance, alpha, coverage, ground_radiance(scene), seconds)
 
     def close(self) -> None:
         """Remove the scratch folder and empty the scene."""
@@ -243,9 +244,10 @@ def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> 
     data.polygons.foreach_set("use_smooth", np.ascontiguousarray(mesh.smooth))
     states = [spec.parts[name] for name in mesh.part_names]
     temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
+    glow = np.repeat(np.array([s.glow for s in states])[mesh.part_of_triangle], 3)
     columns = {
         "temperature_c": _corner_values(mesh, temperature_c, mesh.smooth)
-        + _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()]
+        + np.where(glow, 0, _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()])
         + placed.sun_rise_k.astype(np.float32),
         "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), mesh.smooth),
         "ior": _corner_values(mesh, np.array([s.ior for s in states])),

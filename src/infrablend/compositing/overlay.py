@@ -24,7 +24,7 @@ class Layer:
 
     Attributes:
         offset_xy: Column and row of the crop's top left pixel in the frame.
-        grey: (h, w) float32 premultiplied by alpha, in the background's levels.
+        grey: (h, w) float32 premultiplied by alpha, in the background's levels; where alpha is 0, light that is added.
         alpha: (h, w) float32 in [0, 1].
     """
 
@@ -51,6 +51,12 @@ def make_layer(
     if not result.alpha.size:
         return Layer((0, 0), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32))
     grey, alpha = mapping.apply(result.radiance, result.alpha, (x0, y0)), result.alpha
+    if result.ground_radiance is not None:
+        # The translucent share adds its light to the background: what it has in common with the ground is taken out.
+        solid = np.minimum(result.coverage.sum(axis=0), alpha)
+        ground = alpha - solid
+        grey = grey - mapping.apply(np.float32(result.ground_radiance) * ground, ground, (x0, y0))
+        alpha = solid
     moves = math.hypot(*motion_px) > 0
     if moves:
         kernel = motion_kernel(motion_px, softness_px)
@@ -68,7 +74,7 @@ def make_layer(
             # OpenCV correlates; a kernel turned by 180 degrees makes that a convolution.
             soft = cv2.filter2D(inner, cv2.CV_32F, kernel[::-1, ::-1], borderType=cv2.BORDER_REPLICATE)
             # OpenCV applies large kernels by Fourier transform, which leaves rounding errors.
-            soft[soft[..., 1] < _NOTHING] = 0
+            soft[np.abs(soft).max(axis=-1) < _NOTHING] = 0
         else:
             line = cv2.getGaussianKernel(2 * reach + 1, softness_px, cv2.CV_32F)
             soft = cv2.sepFilter2D(inner, cv2.CV_32F, line, line, borderType=cv2.BORDER_REPLICATE)
@@ -155,7 +161,7 @@ def compose(background: GreyImage, layer: Layer) -> GreyImage:
     top = np.iinfo(background.dtype).max
     picture = background.copy()
     part = picture[_covered(layer)]
-    part[...] = np.where(layer.alpha > 0, np.clip(np.rint(blend(background, layer)), 0, top), part)
+    part[...] = np.clip(np.rint(blend(background, layer)), 0, top)
     return picture
 
 

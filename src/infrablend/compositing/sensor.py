@@ -33,6 +33,8 @@ PIXEL_BOX_VARIANCE = 1 / 12
 # Weight of the profile's own sharpness, as a number of edges. It is high because a camera's optics hardly change, and
 # the soft edges of some scenes (sunlit ground) would be mistaken for blur of the camera.
 _PRIOR_EDGES = 100.0
+# Coverage below this changes a pixel by at most two levels and is no reason to compress its block.
+_LEAST_COVER = 0.01
 
 
 @dataclass(frozen=True)
@@ -186,8 +188,8 @@ def fit_sensor(
 def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyImage:
     """Lay the layer, already blurred by the optics, over its background as the camera would show it.
 
-    Halo, grain and range apply to what the layer changes, the codec to the 8 px blocks with a changed pixel. With every
-    step off the result is that of `overlay.compose`.
+    Halo, grain and range apply to what the layer changes, the codec to the 8 px blocks that it covers in part. With all
+    steps off the result is that of `overlay.compose`.
     """
     rows, columns = layer.alpha.shape
     if not layer.alpha.size:
@@ -205,7 +207,7 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     alpha[inner] = layer.alpha
     grey = np.zeros(ground.shape)
     grey[inner] = layer.grey
-    mixed = np.where(alpha > 0, grey + (1 - alpha) * ground, ground)
+    mixed = grey + (1 - alpha) * ground
     if sensor.halo_gain > 0:
         # The background is already sharpened. The part hidden by the insert must be subtracted in its unsharpened form;
         # otherwise its texture would show through the insert, inverted.
@@ -214,8 +216,7 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
         around = background[top - up : bottom + wide, left - back : right + wide].astype(np.float64)
         before = unsharpen(around, sensor.halo_gain, sensor.halo_radius_px)
         before = before[up : up + bottom - top, back : back + right - left]
-        added = np.where(alpha > 0, grey - alpha * before, 0.0)
-        mixed = ground + enhance(added, sensor.halo_gain, sensor.halo_radius_px)
+        mixed = ground + enhance(grey - alpha * before, sensor.halo_gain, sensor.halo_radius_px)
     if sensor.noise_grey > 0:
         # The background keeps (1 - alpha) of its own grain; this weight restores the full variance.
         weight = np.sqrt(alpha * (2 - alpha))
@@ -266,17 +267,18 @@ def recode(
     quality: int,
     cover: NDArray[np.float32],
 ) -> GreyImage:
-    """Return the picture with its touched 8 px blocks (those with a changed pixel) JPEG-compressed at that quality.
+    """Return the picture with the 8 px blocks that the insert covers in part JPEG-compressed at that quality.
 
     The background around the object has been through the codec already, so its grain is restored: only the object and
-    its edges are compressed again.
+    its edges are compressed again. Blocks that show nothing but the faint ring of the detail enhancement stay as they
+    are, so that the codec carries no change further than a block from the object.
     """
     height, width = picture.shape
-    changed = picture != background
-    if not changed.any():
+    covered = cover >= _LEAST_COVER
+    if not covered.any():
         return picture
     b = CODEC_BLOCK
-    padded = np.pad(changed, ((0, -height % b), (0, -width % b)))
+    padded = np.pad(covered, ((0, -height % b), (0, -width % b)))
     touched = padded.reshape(padded.shape[0] // b, b, padded.shape[1] // b, b).any(axis=(1, 3))
     block_rows, block_columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
     y0, y1 = int(block_rows[0]) * b, min((int(block_rows[-1]) + 1) * b, height)

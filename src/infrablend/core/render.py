@@ -26,6 +26,8 @@ class RenderResult:
         radiance: (h, w) radiance premultiplied by alpha: `radiance + (1 - alpha) * background` is the picture.
         alpha: (h, w) share of the pixel covered by objects, in [0, 1].
         coverage: (n, h, w) share of the pixel in which labelled parts of object k are the nearest surface.
+        ground_radiance: Radiance of ground at air temperature if the translucent parts are ground that objects warm
+            (`PartState.glow`): what exceeds it is added to the background. None if translucent parts cover it.
         seconds: Time spent per step, for the run record; never part of any output that must repeat.
     """
 
@@ -34,6 +36,7 @@ class RenderResult:
     radiance: Image32
     alpha: Image32
     coverage: Image32
+    ground_radiance: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -26,6 +26,8 @@ class PartState:
         metal: Whether the surface mirrors at all angles; physical look only.
         opacity: Share of the light from behind that the part blocks, in (0, 1]. Labels ignore a part below 1.
         sun_k: Rise of the surface temperature by an irradiance of 1 kW/m².
+        glow: Whether a translucent part is ground that the object warms: the light by which it exceeds ground at air
+            temperature is added to the background, whatever that shows, and nothing is blocked.
 
     Raises:
         ValueError: A value is outside its limits.
@@ -39,6 +41,7 @@ class PartState:
     metal: bool = False
     opacity: float = 1.0
     sun_k: float = 0.0
+    glow: bool = False
 
     def __post_init__(self) -> None:
         if not self.temperature_k > 0:
@@ -47,6 +50,8 @@ class PartState:
             raise ValueError(f"emissivity {self.emissivity:g}; expected a number from 0 to 1")
         if not 0 < self.opacity <= 1 or (self.opacity < 1 and self.label):
             raise ValueError(f"opacity {self.opacity:g}; expected above 0 and up to 1, below 1 only without label")
+        if self.glow and self.opacity == 1:
+            raise ValueError("a glow of opacity 1; expected an opacity below 1")
 
 
 @dataclass(frozen=True)

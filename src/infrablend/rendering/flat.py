@@ -17,6 +17,7 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import visible
 from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import PartState, SceneSpec
+from infrablend.rendering.glow import ground_radiance
 from infrablend.thermal.radiometry import band_radiance
 
 SUPERSAMPLE = 4
@@ -60,7 +61,8 @@ class FlatRenderer:
             share = np.float32(parts.opacity[k]) * shares(opaque_triangle | own, np.where(own, 0, 1), 1)[0]
             radiance += share * (np.float32(parts.radiance[k]) - radiance)
             alpha += share * (1 - alpha)
-        return RenderResult((x0, y0), (w, h), radiance, np.minimum(alpha, 1), np.minimum(coverage, 1))
+        of_ground = ground_radiance(scene)
+        return RenderResult((x0, y0), (w, h), radiance, np.minimum(alpha, 1), np.minimum(coverage, 1), of_ground)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

@@ -412,5 +412,6 @@ def _parts(
                 metal=role.metal,
                 opacity=role.opacity,
                 sun_k=0.0 if sun is None else sun.rise_k[0] + (sun.rise_k[1] - sun.rise_k[0]) * absorbs[sun.surface],
+                glow=role.glow,
             )
     return parts

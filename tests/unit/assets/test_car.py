@@ -183,6 +183,11 @@ def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
     opacities = [roles[p].opacity for p in car.GROUND_RINGS]
     assert opacities == sorted(opacities, reverse=True) and max(opacities) < 0.5
     assert not any(roles[p].label for p in car.GROUND_RINGS)
+    # It adds to whatever ground there is, at most as much as beside real cars.
+    assert all(
+        roles[p].glow and roles[p].emissivity == (1, 1) and roles[p].delta_t_k == (0, 4) for p in car.GROUND_RINGS
+    )
+    assert not any(r.glow for p, r in roles.items() if p not in car.GROUND_RINGS)
     assert MODEL.sample(stream(0, "x"), {"sheltered": True})["sheltered"]
     with pytest.raises(ModelError, match="sheltered"):
         MODEL.sample(stream(0, "x"), {"sheltered": 1})

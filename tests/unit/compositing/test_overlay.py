@@ -99,3 +99,31 @@ def test_flat_paste_is_one_level_for_each_object_with_a_hard_edge():
     # Median of 40, 80 and 180 for the first; the second covers no pixel by half and gets the one it has.
     assert picture[2, 4:10].tolist() == [7, 80, 80, 80, 7, 100]
     assert (picture != 7).sum() == 4
+
+
+@pytest.mark.parametrize(("dark", "bright", "added"), [(0.0, 200.0, 8), (220.0, 20.0, -8)])
+@pytest.mark.parametrize("softness_px", [0.0, 0.6])
+def test_warmed_ground_adds_the_same_light_to_dark_and_bright_ground(dark, bright, added, softness_px):
+    background = np.full((16, 20), 40, np.uint8)
+    background[:, 10:] = 150
+    alpha = np.full((10, 14), 0.4, np.float32)  # ground at 0.5 that is warmed to 0.6, as seen through 40 % of the sheet
+    light = RenderResult((3, 3), (20, 16), alpha * np.float32(0.6), alpha, np.zeros((1, 10, 14), np.float32), 0.5)
+    layer = make_layer(light, GreyMapping(dark, bright), softness_px)
+    assert (layer.alpha == 0).all()
+    change = compose(background, layer).astype(int) - background
+    assert (change[6:10, 6:14] == added).all()
+    covering = RenderResult((3, 3), (20, 16), light.radiance, alpha, light.coverage)
+    change = compose(background, make_layer(covering, GreyMapping(dark, bright), 0.0)).astype(int) - background
+    assert change[8, 6] != change[8, 14]
+
+
+def test_an_object_on_warmed_ground_hides_it():
+    coverage = np.zeros((1, 4, 4), np.float32)
+    coverage[0, 1:3, 1:3] = 1
+    solid = coverage[0]
+    alpha = solid + 0.5 * (1 - solid)
+    light = RenderResult((2, 2), (20, 16), 0.9 * solid + 0.3 * 0.5 * (1 - solid), alpha, coverage, 0.2)
+    picture = compose(np.full((16, 20), 60, np.uint8), make_layer(light, GreyMapping(0, 200), 0.0))
+    expected = np.full((4, 4), 70)
+    expected[1:3, 1:3] = 180
+    np.testing.assert_array_equal(picture[2:6, 2:6], expected)

@@ -33,7 +33,9 @@ from infrablend.compositing.sensor import (
 from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.recipe import Sensor as SensorFields
 from infrablend.config.sensor_profile import PROFILES
+from infrablend.core.render import RenderResult
 from infrablend.pipeline.record import read_record
+from infrablend.realism.surroundings import BANDS_PX, largest_changes
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.sampling.scene import rebuild_scene
 
@@ -201,6 +203,23 @@ def test_pixels_out_of_reach_keep_their_bits(at):
     # Untouched are whole blocks of the codec's grid, nothing smaller.
     blocks = (picture != ground).reshape(20, 8, 25, 8).any(axis=(1, 3))
     assert blocks.sum() <= ((40 + 2 * reach) // 8 + 1) ** 2
+
+
+@pytest.mark.parametrize(("ground", "shown"), [(60, 160), (140, 40), (100, 200)])
+def test_on_even_ground_an_insert_changes_little_beside_it(ground, shown):
+    """A square that differs by 100 levels: real objects of that contrast change the ground 8 px away by 2 levels."""
+    worst = np.zeros(4)
+    for at in range(8):
+        background = np.full((96, 96), ground, np.uint8)
+        square = np.ones((17, 23), np.float32)
+        result = RenderResult((36 + at, 36), (96, 96), square * (shown / 255), square, square[None])
+        sensor = fit_sensor(background, "hit-uav", SensorStrength(), LEVELS, at, range_m=80.0)
+        picture = apply_sensor(background, make_layer(result, GreyMapping(0, 255), sensor.layer_sigma_px(0.45)), sensor)
+        changes = largest_changes(
+            background.astype(float), picture.astype(float), [np.array([36.0 + at, 36, 59 + at, 53])]
+        )
+        worst = np.maximum(worst, [changes[BANDS_PX.index(px) + 1 :].max() for px in (2, 4, 8, 12)])
+    assert (worst <= [20, 12, 5, 0]).all(), worst
 
 
 def test_levels_stay_within_the_limits_before_the_codec_and_ring_after_it():
