@@ -48,6 +48,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 SHOULDER_HEIGHT_M = (0.4, 1.6)
 TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6}
 HEAD_TURN_RAD = 0.35
+BEND_DEG = (0.0, 70.0)
 
 # Surface minus air. The level is that of trunks measured in winter, +6..+8 K. A deer should be a nearly uniform warm
 # body with cooler legs, ears and antlers: legs and ears are therefore colder than the trunk here, although published
@@ -114,6 +115,9 @@ _TRUNK = np.array(
     ]
 )
 _WITHERS_X = 0.27
+_SPINE_X = (-0.42, 0.34)
+# Smaller bends do not show.
+_STRAIGHT_RAD = 1e-3
 
 Point = tuple[float, float, float]
 
@@ -675,6 +679,21 @@ def _rotated_about_vertical(points: FloatArray, pivot: FloatArray, angle_rad: Fl
     return np.column_stack([pivot[0] + c * x - s * y, pivot[1] + s * x + c * y, points[:, 2]])
 
 
+def _bent(points: FloatArray, angle_rad: float) -> FloatArray:
+    """Bend (N, 3) points along a horizontal arc from hips to withers, towards the left; neck and head follow."""
+    hips, withers = _SPINE_X
+    along = np.clip(points[:, 0], hips, withers)
+    share = (along - hips) / (withers - hips) - 0.5
+    turn = angle_rad * share
+    # The spine keeps its length; its middle stays where it is.
+    radius = (withers - hips) / angle_rad
+    x, y = radius * np.sin(turn), radius * (1.0 - np.cos(turn))
+    beyond, aside = points[:, 0] - along, points[:, 1]
+    c, s = np.cos(turn), np.sin(turn)
+    middle = 0.5 * (hips + withers)
+    return np.column_stack([middle + x + beyond * c - aside * s, y + beyond * s + aside * c, points[:, 2]])
+
+
 DEFAULTS: Mapping[str, Any] = {
     "pose": "standing",
     "variant": "alert",
@@ -686,6 +705,7 @@ DEFAULTS: Mapping[str, Any] = {
     "width_factor": 1.0,
     "neck_turn_rad": 0.0,
     "head_turn_rad": 0.0,
+    "spine_bend_rad": 0.0,
     "mirror": False,
     "time_of_day": "night",
 }
@@ -706,7 +726,7 @@ def _checked(params: Params) -> dict[str, Any]:
     _CHECKS.number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M)
     for name in ("length_factor", "width_factor"):
         _CHECKS.number(f"parameter {name}", p[name], 0.8, 1.25)
-    for name in ("neck_turn_rad", "head_turn_rad"):
+    for name in ("neck_turn_rad", "head_turn_rad", "spine_bend_rad"):
         _CHECKS.number(f"parameter {name}", p[name], -1.2, 1.2)
     _CHECKS.flag("parameter mirror", p["mirror"])
     return p
@@ -724,6 +744,8 @@ def build(params: Params) -> Mesh:
             shoulder_height_m: Height of the withers when standing; a lying deer of that size is lower.
             length_factor, width_factor: Extra factors along x and y.
             neck_turn_rad, head_turn_rad: Turn about the vertical, positive to the deer's left, before mirroring.
+            spine_bend_rad: Angle between hips and shoulders about the vertical, positive to the deer's left, before
+                mirroring.
             mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
 
@@ -735,6 +757,8 @@ def build(params: Params) -> Mesh:
     v = shape.vertices
     v = _rotated_about_vertical(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
     v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
+    if abs(float(p["spine_bend_rad"])) > _STRAIGHT_RAD:
+        v = _bent(v, float(p["spine_bend_rad"]))
     triangles = shape.triangles
     if p["mirror"]:
         v = v * np.array([1.0, -1.0, 1.0])
@@ -756,7 +780,8 @@ def build(params: Params) -> Mesh:
 def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """Draw the parameters of one deer, JSON values only.
 
-    Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn.
+    Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn. The
+    option `bend_deg` alone takes one more, after all others.
 
     Args:
         rng: Random stream to draw from.
@@ -779,6 +804,13 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     forms = _CHECKS.some_of("option antler_form", options.get("antler_form", ANTLER_FORMS), ANTLER_FORMS)
     odds = {"spike": 0.15, "roe": 0.05 + 0.6 * (1 - tall), "white-tailed": 0.35, "red": 0.05 + 0.6 * tall}
     turn = TURN_RAD[pose]
+    neck_turn = turn * (u[8] + u[9] - 1.0)
+    bend = {}
+    if "bend_deg" in options:
+        least, most = _CHECKS.number_range("option bend_deg", options["bend_deg"], *BEND_DEG)
+        angle = np.deg2rad(least + (most - least) * float(rng.random()))
+        # A deer that looks aside bends its whole body to that side.
+        bend = {"spine_bend_rad": float(np.copysign(angle, neck_turn))}
     return {
         "pose": pose,
         "variant": pick(VARIANTS[pose], [1.0] * len(VARIANTS[pose]), u[3]),
@@ -789,10 +821,11 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "length_factor": 0.94 + 0.12 * u[6],
         "width_factor": 0.93 + 0.16 * u[7],
         # The mean of two draws: usually straight ahead, seldom far to the side.
-        "neck_turn_rad": turn * (u[8] + u[9] - 1.0),
+        "neck_turn_rad": neck_turn,
         "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0),
         "mirror": u[11] < 0.5,
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
+        **bend,
     }
 
 
@@ -806,6 +839,7 @@ OPTIONS: Mapping[str, str] = {
     "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of several",
     "build": "one of " + ", ".join(BUILDS) + ", or a list of several",
     "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]",
+    "bend_deg": "angle between hips and shoulders seen from above, 0 to 70 degrees, or [low, high]; by default 0",
     "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, or night",
 }
 

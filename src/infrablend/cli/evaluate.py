@@ -77,6 +77,15 @@ def evaluate(
         DrawnBy, typer.Option(help="Unit to draw: images, sequences, days, or runs of frame numbers.")
     ] = DrawnBy.IMAGE,
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    list_first: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="List which objects are found among the N detections with the highest scores; 0: no list.",
+        ),
+    ] = 0,
+    list_iou: Annotated[float, typer.Option(metavar="IOU", help="Least overlap to be listed as found.")] = 0.3,
     against: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Another evaluation on the same images, to compare with.")
     ] = None,
@@ -105,6 +114,8 @@ def evaluate(
         bootstrap=bootstrap,
         group=group.value,
         seed=seed,
+        list_first=list_first,
+        list_iou=list_iou,
     )
     source = make_reading(format=format, form=form, metadata=metadata, options=reading)
     with shown_progress(session, "detecting") as on_progress:
@@ -146,8 +157,18 @@ def _blocks(report: EvaluationReport) -> list[str]:
                 lines.append([name, decimals(d["ours"]), decimals(d["theirs"]), f"{d['difference']:+.3f}", ends])
         head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
+    if metrics.get("first_detections"):
+        blocks.append(_found_list(metrics["first_detections"]))
     detector = metrics["detector"]
     if "image_size" in detector:
         size = f"a longer side of {detector['image_size']} px" if detector["image_size"] else "their own size"
         blocks.append(f"pictures at {size}: {detector.get('image_size_from', 'as saved')}")
     return [*blocks, str(report.out / "evaluation.html")]
+
+
+def _found_list(listed: Any) -> str:
+    """Return the list of objects found and missed among the first detections."""
+    from infrablend.cli.results import grid
+    from infrablend.report.evaluation import FOUND_HEAD, found_rows, found_title
+
+    return f"{found_title(listed)}:\n" + grid(FOUND_HEAD, found_rows(listed))

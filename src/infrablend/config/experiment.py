@@ -201,6 +201,11 @@ class Evaluation(Strict):
     """Classes to evaluate; `joint` for those that both detector and images have; all by default."""
     group: Literal["image", "sequence"] = "image"
     """Unit that the bootstrap draws."""
+    list_first: int | None = Field(None, ge=1)
+    """List every object on the page, found or missed among this many detections with the highest scores; for tests with
+    few objects."""
+    list_iou: float = Field(0.3, gt=0, le=1)
+    """Least overlap with an object to be listed as found."""
 
 
 class Comparison(Strict):

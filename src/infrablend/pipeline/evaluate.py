@@ -29,6 +29,7 @@ from infrablend.evaluation.comparison import (
 )
 from infrablend.evaluation.detections import Predictions, Task, write_predictions
 from infrablend.evaluation.figures import Case, Draws, figures
+from infrablend.evaluation.first_detections import list_found
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
 from infrablend.formats.pictures import with_sizes
@@ -102,6 +103,10 @@ def evaluate_detector(
         write_predictions(out / PREDICTIONS, predictions)
         case = prepared.case(predictions)
         problems += _count_detections(predictions, case, prepared.counts)
+        if settings.list_first:
+            listed = {"first_detections": list_found(case, settings.list_first, settings.list_iou)}
+        else:
+            listed = {}
         metrics, matches = figures(case, Draws(settings.bootstrap, prepared.groups, settings.seed))
         stored = StoredMatches(case.classes, matches, prepared.groups)
         problems += _no_match_warning(metrics["classes"], prepared.counts)
@@ -127,6 +132,7 @@ def evaluate_detector(
             },
             "counts": prepared.counts,
             **metrics,
+            **listed,
             "ultralytics": _by_ultralytics(case),
             "paired": None
             if other is None

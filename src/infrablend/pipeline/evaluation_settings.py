@@ -29,6 +29,9 @@ class EvaluationSettings:
         bootstrap: Number of draws for the intervals; 0 for none.
         group: What is drawn: image, sequence, date or gap.
         seed: Seed of the draws.
+        list_first: Number of detections with the highest scores among which the objects are listed as found or missed;
+            0 for no list.
+        list_iou: Least overlap with an object to be listed as found.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -43,6 +46,8 @@ class EvaluationSettings:
     bootstrap: int = 1000
     group: str = "image"
     seed: int = 0
+    list_first: int = 0
+    list_iou: float = 0.3
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)
@@ -50,8 +55,10 @@ class EvaluationSettings:
             raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.group not in GROUPS:
             raise DatasetError(f"group: found {self.group!r}, expected one of {', '.join(GROUPS)}")
-        if self.bootstrap < 0 or (self.image_size or 0) < 0:
-            raise DatasetError("bootstrap and image_size: expected numbers of at least 0")
+        if self.bootstrap < 0 or (self.image_size or 0) < 0 or self.list_first < 0:
+            raise DatasetError("bootstrap, image_size and list_first: expected numbers of at least 0")
+        if not 0 < self.list_iou <= 1:
+            raise DatasetError(f"list_iou: found {self.list_iou}, expected a number above 0 and up to 1")
 
 
 DEFAULT_SETTINGS = EvaluationSettings()

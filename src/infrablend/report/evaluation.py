@@ -14,6 +14,7 @@ from infrablend.report.page import render_page
 COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
 HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
 _COLOURS = ("#1b1b1b", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9a9a9a")
+FOUND_HEAD = ("image", "class", "box, px", "rank", "score", "IoU")
 STRATA = {
     "size": "longer side, px",
     "pitch": "pitch, degrees below the horizon",
@@ -30,6 +31,22 @@ def table_rows(classes: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
 def class_interval(ci: Mapping[str, Sequence[float] | None] | None, measure: str) -> str:
     """Return a measure's interval as text, or `-` where a class has none."""
     return interval(None if ci is None else ci[measure])
+
+
+def found_rows(listed: Mapping[str, Any]) -> list[list[str]]:
+    """Return the list of objects found and missed among the first detections as text; missed ones have no rank."""
+    rows = []
+    for o in listed["objects"]:
+        box = ", ".join(f"{v:g}" for v in o["box"])
+        hit = [str(o["rank"]), decimals(o["score"]), f"{o['iou']:.2f}"] if o["rank"] else ["missed", "", ""]
+        rows.append([o["image"], o["class"], box, *hit])
+    return rows
+
+
+def found_title(listed: Mapping[str, Any]) -> str:
+    """Return how many objects are among the first detections, in words."""
+    among = f"the {listed['detections']} detections with the highest scores"
+    return f"{listed['found']} of {len(listed['objects'])} objects are among {among} (IoU at least {listed['iou']:g})"
 
 
 # -- plots
@@ -127,6 +144,7 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
     detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
     settings = facts["settings"]
     classes = facts["classes"]
+    listed = facts.get("first_detections")
     return render_page(
         "evaluation",
         title="Evaluation",
@@ -147,6 +165,10 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
             (kind, title, _stratum_rows(facts["strata"][kind], classes) if facts["strata"].get(kind) else None)
             for kind, title in STRATA.items()
         ],
+        listed=listed is not None,
+        found_title=found_title(listed) if listed else "",
+        found_head=list(FOUND_HEAD),
+        found_rows=found_rows(listed) if listed else [],
         plots=plots,
         # Files that could not be read are errors, one each; a single warning counts them.
         warnings=[p["found"] for p in facts["problems"] if p["severity"] == "warning"],

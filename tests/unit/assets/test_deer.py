@@ -112,6 +112,22 @@ def test_turning_the_neck_moves_the_head_and_nothing_behind() -> None:
     assert areas(turned).min() > 1e-10
 
 
+def test_a_bent_spine_keeps_heights_and_turns_hips_against_shoulders() -> None:
+    straight, bent = deer.build({}), deer.build({"spine_bend_rad": 1.0})
+    assert np.array_equal(straight.vertices_m[:, 2], bent.vertices_m[:, 2])
+    nose, tail = np.argmax(straight.vertices_m[:, 0]), np.argmin(straight.vertices_m[:, 0])
+    for end, side in ((nose, 1), (tail, 1)):
+        assert side * (bent.vertices_m[end, 1] - straight.vertices_m[end, 1]) > 0.1
+    length = np.ptp(straight.vertices_m[:, 0])
+    assert 0.75 * length < np.ptp(bent.vertices_m[:, 0]) < length
+    drawn = [deer.sample(np.random.default_rng(k), {"bend_deg": [20, 60]}) for k in range(30)]
+    angles = [np.degrees(abs(p["spine_bend_rad"])) for p in drawn]
+    assert 20 <= min(angles) < 30 and 50 < max(angles) <= 60
+    assert all(p["spine_bend_rad"] * p["neck_turn_rad"] > 0 for p in drawn)
+    plain = deer.sample(np.random.default_rng(3), {})
+    assert {k: v for k, v in drawn[3].items() if k != "spine_bend_rad"} == plain
+
+
 def test_draws_vary_and_build() -> None:
     drawn = [deer.sample(stream(seed, "s"), {}) for seed in range(200)]
     assert {d["pose"] for d in drawn} == set(deer.POSES)

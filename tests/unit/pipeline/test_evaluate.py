@@ -118,6 +118,23 @@ def test_written_files(saved: Path, tmp_path: Path) -> None:
     assert "<script" not in page
 
 
+def test_objects_found_and_missed_are_listed_on_request(saved: Path, tmp_path: Path) -> None:
+    plain = run(saved, tmp_path / "plain")
+    assert "first_detections" not in plain.metrics
+    report = run(saved, tmp_path / "out", list_first=12, list_iou=0.4)
+    listed = report.metrics["first_detections"]
+    assert (listed["first"], listed["iou"], listed["detections"]) == (12, 0.4, 12)
+    objects = listed["objects"]
+    assert len(objects) == report.metrics["classes"]["all"]["instances"]
+    ranks = sorted(o["rank"] for o in objects if o["rank"])
+    assert 6 < len(ranks) == listed["found"] <= 12 and set(ranks) <= set(range(1, 13))
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    assert "Objects found and missed" in page and page.count("<td>missed</td>") == len(objects) - len(ranks)
+    assert "Objects found and missed" not in (tmp_path / "plain" / "evaluation.html").read_text()
+    with pytest.raises(DatasetError, match="list_iou"):
+        EvaluationSettings(list_iou=0)
+
+
 def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(saved: Path, tmp_path: Path) -> None:
     run(saved, tmp_path / "a")
     run(tmp_path / "a" / "predictions.json", tmp_path / "b")

@@ -110,6 +110,11 @@ class Bench:
             "curves": {"recall": [0.0, 1.0], "precision": {n: [1.0, 0.5] for n in table if n != "all"}},
         }
         out.mkdir(parents=True)
+        if settings.list_first:
+            hit = {"image": "test/a", "class": "Car", "box": [1, 2, 3, 4], "rank": 1, "score": 0.9, "iou": 0.5}
+            miss = {**hit, "box": [5, 6, 7, 8], "rank": None, "score": None, "iou": None}
+            listed = {"first": settings.list_first, "iou": settings.list_iou, "detections": 7, "found": 1}
+            metrics["first_detections"] = {**listed, "objects": [hit, miss]}
         (out / "evaluation.json").write_text(json.dumps(metrics))
         (out / "predictions.json").write_text("{}")
         return SimpleNamespace(out=out, metrics=metrics)
@@ -230,6 +235,20 @@ def test_circular_data_items_are_refused(data: Path, tmp_path: Path, bench: Benc
 
 
 # A run.
+
+
+def test_the_page_lists_objects_found_and_missed(bench: Bench, data: Path, tmp_path: Path) -> None:
+    path = tmp_path / "few.yaml"
+    path.write_text(
+        "name: few\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
+        "trainings: {t: {data: hit-uav}}\n"
+        "evaluations: {plain: {training: t, data: hit-uav}, few: {training: t, data: hit-uav, list_first: 9}}\n"
+    )
+    page = run(str(path), data, tmp_path / "w").page.read_text("utf-8")
+    assert "## Found and missed: `few`" in page and "`plain`\n\n1 of 2" not in page
+    assert "1 of 2 objects are among the 7 detections with the highest scores (IoU at least 0.3)." in page
+    assert "| test/a | Car | 1, 2, 3, 4 | 1 | 0.900 | 0.50 |" in page
+    assert "| test/a | Car | 5, 6, 7, 8 | missed |  |  |" in page
 
 
 def test_run_writes_a_page_and_repeating_it_does_nothing(bench: Bench, data: Path, tmp_path: Path) -> None:

@@ -262,6 +262,8 @@ class _Builder:
             "bootstrap": BOOTSTRAP[self.request.scale],
             "seed": self.request.seed,
         }
+        if spec.list_first is not None:
+            inputs |= {"list_first": spec.list_first, "list_iou": spec.list_iou}
         needs = {"training": f"train:{spec.training}", "data": self.made_by[spec.data]}
         images = self.stages[self.made_by[spec.data]].images
         used = {str(s): n for s, n in images.items() if s == spec.split}

@@ -198,6 +198,8 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
             bootstrap=job.stage.inputs["bootstrap"],
             group=spec.group,
             seed=job.request.seed,
+            list_first=spec.list_first or 0,
+            list_iou=spec.list_iou,
         ),
         device=job.request.device,
         on_image=paced(job.on_progress),

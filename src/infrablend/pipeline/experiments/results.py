@@ -17,6 +17,7 @@ Finished = Mapping[str, FinishedStage]
 
 _DATA_KINDS = ("world", "source", "generate", "convert", "split", "merge", "paste")
 _OF_EVALUATION = ("classes", "confidence", "ultralytics", "strata", "counts", "settings", "curves")
+_IF_LISTED = "first_detections"
 _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "status", "adopted",
@@ -35,7 +36,7 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
     """
     experiment, graph, request = prepared.experiment, prepared.graph, prepared.request
     evaluations = {
-        n: {k: finished[i].result["metrics"].get(k) for k in _OF_EVALUATION}
+        n: _evaluation(finished[i].result["metrics"])
         for n in experiment.evaluations
         if (i := f"evaluate:{n}") in finished
     }
@@ -87,6 +88,12 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
             if request.scale in c.scales
         ],
     }
+
+
+def _evaluation(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of an evaluation that the page shows, and its list of objects if it has one."""
+    listed = {_IF_LISTED: metrics[_IF_LISTED]} if _IF_LISTED in metrics else {}
+    return {k: metrics.get(k) for k in _OF_EVALUATION} | listed
 
 
 def _command(prepared: PreparedExperiment) -> str:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from infrablend.report.evaluation import FOUND_HEAD, found_rows, found_title
 from infrablend.report.figures import markdown_table
 from infrablend.report.results.differences import list_differences
 from infrablend.report.results.text import (
@@ -62,6 +63,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
             "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
             "pycocotools with at most 300 detections per image."
         )
+    blocks += _found_lists(facts["evaluations"])
     if facts["datasets"]:
         blocks += ["## Datasets", _datasets_table(facts["datasets"])]
     if facts["checks"]:
@@ -127,6 +129,15 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
         text += f"\n\nRows with a range in round brackets show means of {several} trainings, smallest to largest."
     why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})
     return text + ("\n\nRows without our figures: " + "; ".join(why) + "." if why else "")
+
+
+def _found_lists(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield a section per evaluation that lists its objects one by one."""
+    for name, evaluation in evaluations.items():
+        if listed := evaluation.get("first_detections"):
+            yield f"## Found and missed: `{name}`"
+            yield f"{found_title(listed)}."
+            yield markdown_table(FOUND_HEAD, found_rows(listed))
 
 
 def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
