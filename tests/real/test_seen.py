@@ -17,6 +17,8 @@ CASES = [
     ("hit-uav-drone-physical", "wisard", STATED),
     ("monet-deer-physical", "wisard", STATED),
     ("monet-deer-physical", "birdsai", STATED),
+    ("deer-above", "hit-uav", []),
+    ("deer-above", "wisard", []),
     ("drone-sky", "halmstad/backgrounds", []),
 ]
 

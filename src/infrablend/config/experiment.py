@@ -84,7 +84,7 @@ class Convert(Strict):
     of: Name
     """Source or data item to take the part from."""
     rename: dict[str, str] = Field(default_factory=dict)
-    """New class names by old ones."""
+    """New class names by old ones; classes that the data do not have are ignored."""
     drop: tuple[str, ...] = ()
     """Classes to drop, by their new names."""
     only: str | None = None

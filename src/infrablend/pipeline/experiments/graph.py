@@ -255,7 +255,7 @@ class _Builder:
         training = self.experiment.trainings[spec.training]
         if self.skips(name, [spec.training, spec.data, training.data]):
             return
-        inputs = {
+        inputs: dict[str, Any] = {
             "split": spec.split,
             "classes": spec.classes,
             "group": spec.group,

@@ -97,7 +97,8 @@ def _make_part(job: StageJob) -> dict[str, Any]:
     dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
     images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
     dataset = replace(dataset, images=tuple(images))
-    classes = ClassChanges(spec.rename, spec.drop, spec.only)
+    known = {c.name for c in dataset.categories}
+    classes = ClassChanges({old: new for old, new in spec.rename.items() if old in known}, spec.drop, spec.only)
     report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen)
     return {**dataset_facts(read_dataset(out)), **_loosened(report.counts), "dataset": "out", "there": ["out"]}
 
