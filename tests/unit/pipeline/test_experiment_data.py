@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infrablend.api import plan_experiment
 from infrablend.config.experiment import load_experiment
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
@@ -164,3 +165,17 @@ def test_a_folder_with_an_equals_sign_in_its_name_is_a_folder(tmp_path: Path) ->
     folder = tmp_path / "a=b"
     folder.mkdir()
     assert ExperimentRequest("x", [folder]).folders == [(None, folder)]
+
+
+def test_experiments_on_drones_are_planned_and_share_stages(birds: Path, drones: Path, tmp_path: Path) -> None:
+    def keys(name: str) -> dict[str, str]:
+        plan = plan_experiment(ExperimentRequest(name, [birds, drones], tmp_path / "work", scale="small"))
+        assert plan.facts["to_do"] == len(plan.facts["stages"])
+        return {s["stage"]: s["key"] for s in plan.facts["stages"]}
+
+    drone, mix = keys("transfer-drone"), keys("mix")
+    assert not (tmp_path / "work").exists()
+    assert {f"train:{n}{k}" for n in ("inserted", "pasted", "real") for k in ("", "-1", "-2")} <= set(drone)
+    assert mix["evaluate:with-0"] == drone["evaluate:inserted"]
+    assert mix["evaluate:real-185"] == drone["evaluate:real"]
+    assert len({v for k, v in mix.items() if k.startswith("merge")}) == 6
