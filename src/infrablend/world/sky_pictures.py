@@ -1,12 +1,12 @@
 """Makes thermal pictures of the sky with small objects: a stand-in for a ground camera's dataset, without rendering.
 
-Each picture shows a cold, smooth sky with faint clouds above a warm tree line, and one small warm object. The outline
-differs by class, so that there is something to learn; nothing else is physical.
+Each picture shows a cold, smooth sky with faint clouds above a warm tree line, and one small warm object. Airplanes,
+birds, drones and helicopters differ in outline, so that there is something to learn; nothing is physical.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -25,13 +25,13 @@ SIZE_WH = (320, 256)
 _SKY, _TREES, _OBJECT, _NOISE = 70.0, 150.0, (60.0, 120.0), 1.5
 # Longest side of objects, px.
 _SIZE_PX = (14.0, 26.0)
-# Bars from the middle of an object, as (length, angle): by class, in turn.
-_SHAPES = (
-    ((1.0, 0.4), (1.0, 2.7), (1.0, 3.6), (1.0, 5.8)),
-    ((1.0, 0.0), (1.0, 3.14), (0.7, 1.57)),
-    ((1.0, 0.5), (1.0, 2.6)),
-    ((1.0, 0.0), (0.4, 3.14), (0.5, 4.71)),
-)
+# Bars from the middle of an object, as (length, angle), by class; other classes look like drones.
+_SHAPES: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "airplane": ((1.0, 0.0), (1.0, 3.14), (0.7, 1.57)),
+    "bird": ((1.0, 0.5), (1.0, 2.6)),
+    "drone": ((1.0, 0.4), (1.0, 2.7), (1.0, 3.6), (1.0, 5.8)),
+    "helicopter": ((1.0, 0.0), (0.4, 3.14), (0.5, 4.71)),
+}
 
 
 def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str]) -> None:
@@ -54,7 +54,7 @@ def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str])
         for number in range(per_split[split]):
             category = classes[number % len(classes)]
             rng = stream(seed, "sky", *classes, split, number)
-            grey, box = _picture(rng, _SHAPES[number % len(classes) % len(_SHAPES)])
+            grey, box = _picture(rng, _SHAPES.get(category, _SHAPES["drone"]))
             path = out / "images" / split / f"sky_{number:05d}.png"
             write_bytes(path, png_bytes(grey))
             label = Instance(category, box)
