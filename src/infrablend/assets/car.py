@@ -17,11 +17,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, sun_response
+from infrablend.assets.model import SHADOW_PARAM, ObjectModel, Params, PartRange, part_role, sun_response
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -68,6 +69,11 @@ GROUND_RINGS: Mapping[str, tuple[float, float]] = {
     "ground_near": (0.15, 0.42), "ground_mid": (0.35, 0.28), "ground_far": (0.6, 0.12), "ground_edge": (0.85, 0.03),
 }  # fmt: skip
 _GROUND_K = (0.0, 4.0)
+# By day it keeps the sun off the ground beside it: a translucent sheet, through which the texture of the ground shows.
+# Shaded ground is near the air's temperature; it was in the sun an hour or two ago (est.).
+SHADOW = "ground_shadow"
+_SHADOW_K = (-1.0, 3.0)
+_SHADOW_OPACITY = 0.6
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
@@ -128,6 +134,9 @@ def parts_for(params: Params) -> dict[str, PartRange]:
         # Black, because the sky that ground mirrors is part of its apparent temperature already.
         role = part_role("asphalt", _GROUND_K, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
         roles[part] = replace(role, glow=True)
+        roles[part] = part_role("asphalt", _GROUND_K, what, label=False, opacity=opacity)
+    if params.get(SHADOW_PARAM):
+        roles[SHADOW] = _shadow_role()
     if params["state"] in ("day_sun", "day_driven"):
         driven = _DRIVEN if params["state"] == "day_driven" else {}
         for part, (kind, _) in _SURFACES.items():
@@ -137,6 +146,10 @@ def parts_for(params: Params) -> dict[str, PartRange]:
             paint = _ABSORPTIVITY[params["colour"]] if kind == "car_paint" else None
             roles[part] = replace(roles[part], sun=sun_response(kind, shade, kind, paint))
     return roles
+
+
+def _shadow_role() -> PartRange:
+    return part_role("asphalt", _SHADOW_K, "ground in the car's shade (est.)", label=False, opacity=_SHADOW_OPACITY)
 
 
 def _deltas(state: str, colour: str) -> dict[str, Range]:
@@ -151,7 +164,7 @@ def _deltas(state: str, colour: str) -> dict[str, Range]:
 
 
 PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
-_PART_NAMES = tuple(PARTS)
+_PART_NAMES = (*PARTS, SHADOW)
 _PANELS = [_PART_NAMES.index(part) for part in ("roof", "pillar", "side", "wing", "front", "rear")]
 _LID = [_PART_NAMES.index(part) for part in ("bonnet", "cowl")]
 
@@ -311,7 +324,7 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 
 def _require_params(params: Params) -> None:
-    _CHECKS.known("parameter", params, tuple(NOMINAL))
+    _CHECKS.known("parameter", params, (*NOMINAL, SHADOW_PARAM))
     _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
         where, value = f"parameter {name}", params[name]
@@ -704,6 +717,11 @@ def build_car(params: Params) -> Mesh:
         rings = _ground_rings(float(reach[0]), 0.94 * float(reach[1]))
         pieces = [*pieces, rings]
         vertices = np.concatenate([vertices, rings[1]])
+        pieces = [*pieces, *_ground_rings(float(reach[0]), 0.94 * float(reach[1]))]
+        vertices = np.concatenate([vertices, *(v for _, v, _, _ in pieces[-len(GROUND_RINGS) :])])
+    if params.get(SHADOW_PARAM):
+        pieces = [*pieces, _ground_shadow(vertices, params[SHADOW_PARAM])]
+        vertices = np.concatenate([vertices, pieces[-1][1]])
     first = np.cumsum([0, *(len(v) for _, v, _, _ in pieces[:-1])])
     parts = np.concatenate([p for p, _, _, _ in pieces])
     used, index = np.unique(parts, return_inverse=True)
@@ -748,6 +766,25 @@ def _ground_rings(half_x_m: float, half_y_m: float) -> Piece:
     return parts, vertices, triangles, True
 
 
+def _casts_shadow(params: Params) -> bool:
+    return bool(params["state"] == "day_sun")
+
+
+def _ground_shadow(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:
+    """Return the shadow as a flat sheet just above the ground: the hull of the vertices along the sun's rays."""
+    flat = vertices[:, :2] + vertices[:, 2:] * np.asarray(shift_xy, np.float64)
+    points = np.concatenate([flat, vertices[:, :2]]).astype(np.float32)
+    hull = cv2.convexHull(points)[:, 0].astype(np.float64)
+    # OpenCV's order depends on its version; ours is counter-clockwise seen from above.
+    x, y = hull.T
+    if float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) < 0:
+        hull = hull[::-1]
+    n = np.arange(1, len(hull) - 1, dtype=np.int32)
+    triangles = np.stack([np.zeros_like(n), n, n + 1], axis=1)
+    sheet = np.concatenate([hull, np.full((len(hull), 1), 0.005)], axis=1)
+    return np.full(len(triangles), _PART_NAMES.index(SHADOW), np.int32), sheet, triangles, False
+
+
 def _option_text(name: str) -> str:
     if name == "sheltered":
         return (
@@ -765,7 +802,7 @@ MODEL = ObjectModel(
     description="A saloon, hatchback, SUV, estate or van: parked on a cold night, just driven, or in the sun.",
     origin="on the ground below the middle of the car; +X is its nose",
     stands=True,
-    parts=PARTS,
+    parts={**PARTS, SHADOW: _shadow_role()},
     sample=sample_params,
     build=build_car,
     options={
@@ -773,4 +810,5 @@ MODEL = ObjectModel(
         "time_of_day": "day or night: selects the states that can be drawn; by default that of the background",
     },
     parts_for=parts_for,
+    casts_shadow=_casts_shadow,
 )

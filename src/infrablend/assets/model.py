@@ -12,6 +12,8 @@ from infrablend.assets.materials import MATERIALS, SUNLIT, Range
 from infrablend.core.mesh import Mesh
 
 Params = Mapping[str, Any]
+# Parameter of objects with a thermal shadow; see `ObjectModel.casts_shadow`.
+SHADOW_PARAM = "shadow_xy"
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,9 @@ class ObjectModel:
         parts_for: Function that returns the thermal roles of the individual with given `params`, for models whose roles
             differ between individuals. It covers every part of the mesh with the same `label` as `parts`, which then
             contains typical roles.
+        casts_shadow: Function that returns whether an individual stands still for long enough to throw a thermal shadow
+            on the ground. `build` and `parts_for` then take `shadow_xy` in addition (`SHADOW_PARAM`): the shift of the
+            shadow per metre of height, in the object's frame. None for models that always move.
     """
 
     name: str
@@ -138,6 +143,7 @@ class ObjectModel:
     build: Callable[[Params], Mesh]
     options: Mapping[str, str] = field(default_factory=dict)
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
+    casts_shadow: Callable[[Params], bool] | None = None
 
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""

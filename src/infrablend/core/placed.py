@@ -7,7 +7,7 @@ this computation, so that they always agree.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -88,7 +88,8 @@ class PlacedObject:
         if self.sun is None or not gain.any():
             return np.zeros(3 * len(gain))
         opaque = np.array([s.opacity == 1 for s in states])[self.mesh.part_of_triangle]
-        return np.repeat(gain, 3) * surface_irradiance(self.mesh, self.world_m, self.sun, opaque) / 1000
+        sun = replace(self.sun, direct_w_m2=0.0) if self.spec.shaded else self.sun
+        return np.repeat(gain, 3) * surface_irradiance(self.mesh, self.world_m, sun, opaque) / 1000
 
     @cached_property
     def part_sun_rise_k(self) -> Mapping[str, float]:

@@ -68,6 +68,7 @@ class ObjectSpec:
         scale: Extra factor on the model's size.
         kind: Number of the recipe's entry, from 0.
         visible_aim: Visible share that structures of the background should leave; None for an object in front of them.
+        shaded: Whether the sun's rays do not reach the object, by day.
     """
 
     model: str
@@ -79,6 +80,7 @@ class ObjectSpec:
     scale: float = 1.0
     kind: int = 0
     visible_aim: float | None = None
+    shaded: bool = False
 
 
 @dataclass(frozen=True)

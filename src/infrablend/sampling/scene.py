@@ -32,7 +32,8 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
 from infrablend.errors import ModelError
 from infrablend.sampling.metric import Site, place_metric, real_camera
-from infrablend.sampling.placement import DrawStatistics, PlacementRequest, place_as_paper
+from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
+from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.thermal.sun import irradiance, sun_position, time_of
 
 ZERO_C_K = 273.15
@@ -114,6 +115,9 @@ def sample_scene(
     objects, meshes = [], []
     for item, pose in zip(wanted, poses, strict=True):
         kind, model = item.kind, item.model
+        shaded = False
+        if weather is not None and weather.sun is not None and site is not None and pose is not None:
+            item, shaded = _shade(item, pose, camera, weather.sun, site)
         # Drawn even if the object found no place, so that the draws of later objects do not depend on that.
         parts = _parts(kind, model.roles(item.params), item.mesh, air_k, rng["heat"], lit)
         if pose is None:
@@ -130,6 +134,7 @@ def sample_scene(
                 scale=item.scale,
                 kind=recipe.objects.index(item.kind),
                 visible_aim=item.visible_aim,
+                shaded=shaded,
             )
         )
     look = recipe.appearance
@@ -215,6 +220,17 @@ def _sun(frame: FrameKey, environment: PhysicalEnvironment, share: float, turn: 
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, "computed" if source == "computed" else "drawn")
 
 
+def _shade(
+    item: PlacementRequest, pose: Pose, camera: CameraSpec, sun: Sun, site: Site
+) -> tuple[PlacementRequest, bool]:
+    """Return a placed object with any thermal shadow of its own, and whether it stands in the shade itself."""
+    if not item.model.stands:
+        return item, False
+    if in_shade(camera, item.in_world(pose), site):
+        return item, True
+    return with_shadow(item, pose, camera, sun, site.labels), False
+
+
 def _motion(frame: FrameKey, recipe: Recipe, seed: int) -> tuple[float, float]:
     """Draw length and direction of the motion tail, in pixels, from a stream of its own."""
     length, turn = stream(seed, frame.frame_id, "motion").random(2)
@@ -258,7 +274,8 @@ def move_objects(
         placed = scene.objects[k]
         o = placed.spec
         kind = recipe.objects[o.kind]
-        requests.append(PlacementRequest(kind, models[o.model], o.params, placed.mesh, o.scale, o.visible_aim))
+        request = PlacementRequest(kind, models[o.model], o.params, placed.mesh, o.scale, o.visible_aim)
+        requests.append(without_shadow(request))
     tally = DrawStatistics()
     occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
     poses = dict(zip(moved, place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied), strict=True))
@@ -268,10 +285,25 @@ def move_objects(
             pose = poses[k]
             if pose is None:
                 continue
-            objects.append(replace(placed.spec, position_m=pose[:3], yaw_rad=pose[3]))
+            item, shaded = requests[moved.index(k)], False
+            parts = placed.spec.parts
+            if spec.weather is not None and spec.weather.sun is not None:
+                shadowed, shaded = _shade(item, pose, spec.camera, spec.weather.sun, site)
+                # An object that threw no shadow at its first place has no state for one.
+                item = shadowed if set(shadowed.mesh.part_names) <= set(parts) else item
+            moved_to = replace(
+                placed.spec,
+                params=item.params,
+                parts={name: parts[name] for name in parts if name in item.mesh.part_names},
+                position_m=pose[:3],
+                yaw_rad=pose[3],
+                shaded=shaded,
+            )
+            objects.append(moved_to)
+            meshes.append(item.mesh)
         else:
             objects.append(placed.spec)
-        meshes.append(placed.mesh)
+            meshes.append(placed.mesh)
     draws = dict(spec.draws)
     draws["attempts"] += tally.attempts
     draws["moved"] = draws.get("moved", 0) + len(moved)
