@@ -188,9 +188,12 @@ def test_the_expected_gain_may_differ_by_day(tmp_path):
     table = data / "metadata.csv"
     table.write_text(table.read_text().replace(f"{RECORDS[0]}.png,60,80,night", f"{RECORDS[0]}.png,60,80,day"))
     priors = ["matching.gain_prior_grey_per_k=12", "matching.gain_prior_spread=0.001"]
-    for name, settings, by_day in (("a", [], 12), ("b", ["matching.gain_prior_day_grey_per_k=6"], 6)):
+    for name, settings, by_day in (
+        ("a", ["matching.gain_prior_day_grey_per_k=null"], 12),
+        ("b", ["matching.gain_prior_day_grey_per_k=6"], 6),
+    ):
         generate(data, tmp_path / name, "hit-uav-person", [*priors, *settings])
-        found = {r.background["id"]: r.facts["matching"]["gain"]["warm"] for r in records(tmp_path / name)}
+        found = {r.background["id"]: next(iter(r.facts["matching"]["gain"].values())) for r in records(tmp_path / name)}
         assert [found[i]["grey_per_k"] for i in RECORDS] == pytest.approx([by_day, 12, 12], rel=0.01)
 
 
