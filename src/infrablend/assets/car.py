@@ -134,7 +134,6 @@ def parts_for(params: Params) -> dict[str, PartRange]:
         # Black, because the sky that ground mirrors is part of its apparent temperature already.
         role = part_role("asphalt", _GROUND_K, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
         roles[part] = replace(role, glow=True)
-        roles[part] = part_role("asphalt", _GROUND_K, what, label=False, opacity=opacity)
     if params.get(SHADOW_PARAM):
         roles[SHADOW] = _shadow_role()
     if params["state"] in ("day_sun", "day_driven"):
@@ -717,8 +716,6 @@ def build_car(params: Params) -> Mesh:
         rings = _ground_rings(float(reach[0]), 0.94 * float(reach[1]))
         pieces = [*pieces, rings]
         vertices = np.concatenate([vertices, rings[1]])
-        pieces = [*pieces, *_ground_rings(float(reach[0]), 0.94 * float(reach[1]))]
-        vertices = np.concatenate([vertices, *(v for _, v, _, _ in pieces[-len(GROUND_RINGS) :])])
     if params.get(SHADOW_PARAM):
         pieces = [*pieces, _ground_shadow(vertices, params[SHADOW_PARAM])]
         vertices = np.concatenate([vertices, pieces[-1][1]])

@@ -106,7 +106,9 @@ def test_visible_options() -> None:
 def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
     for colour in CHOICES["colour"]:
         roles = MODEL.roles({**NOMINAL, "state": state, "colour": colour})
-        assert list(roles) == list(MODEL.parts)
+        assert [*roles, "ground_shadow"] == list(MODEL.parts)
+        shadowed = MODEL.roles({**NOMINAL, "state": state, "colour": colour, "shadow_xy": [1.0, 0.5]})
+        assert set(shadowed) == set(MODEL.parts) and not shadowed["ground_shadow"].label
         for part, role in roles.items():
             assert role.delta_t_k[0] <= role.delta_t_k[1] <= 250, part
             assert 0.8 <= role.emissivity[0] <= role.emissivity[1] <= 1
@@ -169,7 +171,7 @@ def test_draws_fit_their_body_and_show_every_part() -> None:
         assert low <= d["length_m"] <= high
         assert not d["panelled"] or d["body"] == "van"
     built = {p for d in draws[:60] for p in MODEL.build(d).part_names}
-    assert built == set(MODEL.parts) - set(car.GROUND_RINGS)
+    assert built == set(MODEL.parts) - set(car.GROUND_RINGS) - {car.SHADOW}
 
 
 def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
