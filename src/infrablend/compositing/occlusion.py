@@ -201,7 +201,7 @@ class Scenery:
         inner = silhouette[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         at_x, at_y = x + int(columns[0]) - left, y + int(rows[0]) - top
         share[at_y : at_y + inner.shape[0], at_x : at_x + inner.shape[1]] = inner
-        if not lines and not self._is_tangled(window):
+        if not lines and not self.is_tangled(np.array(window, np.float64)):
             return None
         best, most = None, 0.0
         for width in _widths(inner.shape):
@@ -252,14 +252,15 @@ class Scenery:
         ahead = abs(front - ground) - abs(behind - ground)
         return ahead if ahead >= _CLEARLY * abs(front - behind) else 0.0
 
-    def _is_tangled(self, window: tuple[int, int, int, int]) -> bool:
-        """Return whether structures in all directions fill the surroundings, as in a canopy, unlike on a road."""
-        left, top, right, bottom = window
-        r = _TANGLE_PX
-        if self.texture(np.array([left - r, top - r, right + r, bottom + r], np.float64)) < _LEAST_TANGLE:
+    def is_tangled(self, box_xyxy: NDArray[np.float64]) -> bool:
+        """Return whether structures in all directions fill the surroundings of a box, as in a canopy, unlike a road."""
+        h, w = self.pixels.shape
+        limits = np.array([w, h, w, h])
+        around = np.clip(box_xyxy + _TANGLE_PX * np.array([-1, -1, 1, 1]), 0, limits)
+        if self.texture(around) < _LEAST_TANGLE:
             return False
-        part = _around(window, r)
-        x, y = (g[part] for g in self._gradient)
+        left, top, right, bottom = (int(v) for v in around)
+        x, y = (g[top:bottom, left:right] for g in self._gradient)
         return _agreement(x, y) <= _MOST_TANGLE_ALIKE
 
     def _is_outlined(self, window: tuple[int, int, int, int], matte: Share, share: Share, lines: bool) -> bool:

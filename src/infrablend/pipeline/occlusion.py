@@ -43,9 +43,11 @@ class Cover:
     scenery: Scenery
     models: Mapping[str, ObjectModel]
 
-    def has_structure(self, x: float, y: float) -> bool:
-        """Return whether there are structures at all around a position in the picture."""
+    def has_structure(self, x: float, y: float, stands: bool) -> bool:
+        """Return whether structures around a position in the picture may hide an object that stands or flies there."""
         around = np.array([x - _AROUND_PX, y - _AROUND_PX, x + _AROUND_PX, y + _AROUND_PX])
+        if stands:
+            return self.scenery.is_tangled(around)
         return bool(self.scenery.texture(around) > _LEAST_TEXTURE * (1 - self.rules.visible[1]))
 
     def hides(self, camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> bool:

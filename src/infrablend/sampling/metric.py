@@ -47,7 +47,7 @@ _FEET = 0.12
 # Share of the attempts, from the first, that place an object where it can be partly hidden, and largest number of
 # places that are examined closely for that.
 _HIDDEN = 0.75
-_HIDING_PLACES = 12
+_HIDING_PLACES = 8
 # Share of the attempts, from the first, that place a grouped object beside another; the rest place it anywhere.
 _IN_COMPANY = 0.5
 # Largest difference in heading between neighbouring parked cars, degrees.
@@ -57,8 +57,8 @@ _ROW_TURN_DEG = 4.0
 class Hiding(Protocol):
     """What can hide objects in part: structures of the background."""
 
-    def has_structure(self, x: float, y: float) -> bool:
-        """Return whether there are structures at all around a position in the picture."""
+    def has_structure(self, x: float, y: float, stands: bool) -> bool:
+        """Return whether structures around a position in the picture may hide an object that stands or flies there."""
         ...
 
     def hides(self, camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> bool:
@@ -184,7 +184,7 @@ def place_metric(
             if attempt >= _HIDDEN * rules.attempts or examined == _HIDING_PLACES:
                 hiding = None
             if hiding is not None:
-                if not _has_structure(hiding, camera, pose):
+                if not _has_structure(hiding, camera, pose, item):
                     tally.reject("no_occluder")
                     continue
                 examined += 1
@@ -243,9 +243,9 @@ def _draw(camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random
     return float(place[0]), float(place[1]), float(place[2]), yaw
 
 
-def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose) -> bool:
+def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose, item: PlacementRequest) -> bool:
     (xy,), (depth_m,) = camera.project(np.array([pose[:3]]))
-    return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]))
+    return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]), item.model.stands)
 
 
 def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
