@@ -63,6 +63,7 @@ def test_drones_are_as_bright_against_the_sky_as_real_ones(tmp_path, real_data: 
     signed = [i.extra["contrast_grey"] for r in found for i in r.inserted]
     sky = [k for r in found for k in r.facts.get("matching", {}).get("behind", ())]
     assert len(signed) >= 0.8 * sum(r.facts != {} for r in found)
-    assert sky.count("sky") >= 0.9 * len(sky)
+    # The others hover below the horizon or in front of trees.
+    assert sky.count("sky") >= 0.8 * len(sky)
     assert np.median(signed) >= 60
     assert np.percentile(signed, 5) >= 17

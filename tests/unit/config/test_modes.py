@@ -118,9 +118,12 @@ def test_setting_a_mode_drops_the_fields_of_the_old_mode_and_lists_them(caplog):
     load_recipe("hit-uav-person", ["appearance.mode=artistic"])
     assert [r.getMessage().split(":")[0] for r in caplog.records] == [
         "environment.clear_share",
+        "environment.sun_elevation_deg",
+        "environment.ground_above_air_day_k",
         "environment.ground_above_air_night_k",
         "matching.gain_grey_per_k",
         "matching.gain_prior_grey_per_k",
+        "matching.gain_prior_day_grey_per_k",
         "matching.gain_prior_spread",
         "matching.clothing_above_air_k",
     ]

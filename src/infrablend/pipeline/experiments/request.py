@@ -61,6 +61,7 @@ class ExperimentRequest:
             require_whole("workers", self.workers, 1)
         require_choice("renderer", self.renderer, RENDERERS)
         paths = {
+            "data": _as_paths(self.data),
             "work": Path(self.work),
             "results": None if self.results is None else Path(self.results),
             "adopt": {stage: Path(folder) for stage, folder in self.adopt.items()},
@@ -73,8 +74,7 @@ class ExperimentRequest:
         """Folders of the datasets, with the name of their source where it is given."""
         if isinstance(self.data, Mapping):
             return [(name, Path(folder)) for name, folder in self.data.items()]
-        given = [self.data] if isinstance(self.data, str | Path) else self.data
-        return [_named_folder(str(folder)) for folder in given]
+        return [_named_folder(str(folder)) for folder in self.data]
 
     @property
     def results_folder(self) -> Path:
@@ -82,6 +82,12 @@ class ExperimentRequest:
         if self.results is not None:
             return self.results
         return self.work / "results" if self.scale == "smoke" else DEFAULT_RESULTS
+
+
+def _as_paths(data: str | Path | Sequence[str | Path] | Mapping[str, str | Path]) -> list[Path] | dict[str, Path]:
+    if isinstance(data, Mapping):
+        return {name: Path(folder) for name, folder in data.items()}
+    return [Path(folder) for folder in ([data] if isinstance(data, str | Path) else data)]
 
 
 def _named_folder(text: str) -> tuple[str | None, Path]:
