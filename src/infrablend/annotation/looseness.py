@@ -41,6 +41,18 @@ def loosen_inserted(images: Sequence[ImageRecord], factors: Factors) -> tuple[li
     return loose, count
 
 
+def loosened_text(count: int, factors: Factors) -> str:
+    """Return a sentence for a dataset's card on how many boxes were enlarged, and by how much."""
+    if isinstance(factors, Mapping):
+        by = ", ".join(f"{k} {v:g}" for k, v in factors.items())
+    else:
+        by = f"the factor {factors:g}"
+    return (
+        f"The boxes of {count} inserted objects were enlarged by {by}, up to the border of the picture, because "
+        "hand-drawn boxes have a margin."
+    )
+
+
 def is_loosened(instance: Instance) -> bool:
     """Return whether the box of the object has been enlarged already."""
     return TIGHT_BOX in instance.extra

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
-from infrablend.core.boxes import pixel_box
+from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import TimeOfDay
 
@@ -38,6 +38,10 @@ class Least:
 
     change: float
     scr: float
+
+    def is_met(self, change: float, clutter: float) -> bool:
+        """Return whether a change over a clutter, 8-bit levels, is enough."""
+        return change >= self.change and change >= self.scr * (clutter + 1)
 
 
 # What 99 of 100 annotated objects show: HIT-UAV's train split by class and time of day. For all other classes: what 99
@@ -120,29 +124,52 @@ def measure_contrast(
     Returns:
         The contrast; None if the box is empty or too few pixels of the ring are free.
     """
-    height, width = picture.shape
+    around = ring_levels(picture, box_xyxy, others, min_ring_px)
+    if around is None:
+        return None
+    ring = around / scale
     left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
-    if left >= right or top >= bottom:
-        return None
-    reach = max(min_ring_px, max(right - left, bottom - top) // 2)
-    x0, y0, x1, y1 = max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
-    around = np.asarray(picture[y0:y1, x0:x1], np.float64) / scale
-    ring = np.ones(around.shape, np.bool_)
-    for box in (box_xyxy, *others):
-        a, b, c, d = pixel_box(box, picture.shape)
-        ring[max(b - y0, 0) : max(d - y0, 0), max(a - x0, 0) : max(c - x0, 0)] = False
-    if np.count_nonzero(ring) < MIN_RING_PIXELS:
-        return None
-    inside = around[top - y0 : bottom - y0, left - x0 : right - x0]
+    inside = np.asarray(picture[top:bottom, left:right], np.float64) / scale
     h, w = inside.shape
     low, high = np.percentile(inside, [5, 95])
     return Contrast(
         high=float(high),
         low=float(low),
         middle=float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4])),
-        ring=float(np.median(around[ring])),
-        clutter=float(around[ring].std()),
+        ring=float(np.median(ring)),
+        clutter=float(ring.std()),
     )
+
+
+def ring_window(
+    box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...], min_ring_px: int = MIN_RING_PX
+) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom edge of a box and its ring, within the frame."""
+    height, width = shape_hw
+    left, top, right, bottom = pixel_box(box_xyxy, shape_hw)
+    reach = max(min_ring_px, max(right - left, bottom - top) // 2)
+    return max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
+
+
+def ring_levels(
+    picture: GreyImage | NDArray[np.float32],
+    box_xyxy: NDArray[np.float64],
+    others: Sequence[NDArray[np.float64]] = (),
+    min_ring_px: int = MIN_RING_PX,
+) -> NDArray[np.float64] | None:
+    """Return the levels of the free pixels around a box; None if the box is empty or too few are free.
+
+    Arguments as for `measure_contrast`; levels are the picture's own.
+    """
+    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
+    if left >= right or top >= bottom:
+        return None
+    window = ring_window(box_xyxy, picture.shape, min_ring_px)
+    x0, y0, x1, y1 = window
+    ring = ~boxes_mask((box_xyxy, *others), picture.shape, window)
+    if np.count_nonzero(ring) < MIN_RING_PIXELS:
+        return None
+    return np.asarray(picture[y0:y1, x0:x1][ring], np.float64)
 
 
 def near_edge(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> bool:

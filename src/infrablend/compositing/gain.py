@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage, grey_unit
-from infrablend.core.boxes import pixel_box
+from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance, TimeOfDay
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
@@ -87,11 +87,7 @@ class Backdrop:
 
     def free(self) -> NDArray[np.bool_]:
         """Mark the (h, w) pixels outside all labels' boxes."""
-        free = np.ones(self.pixels.shape, np.bool_)
-        for i in self.labels:
-            x0, y0, x1, y1 = pixel_box(i.box_xyxy, self.pixels.shape)
-            free[y0:y1, x0:x1] = False
-        return free
+        return ~boxes_mask((i.box_xyxy for i in self.labels), self.pixels.shape)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.overlay import Layer
+from infrablend.core.boxes import pixel_box
 from infrablend.core.skyline import noise_of
 
 Share = NDArray[np.float32]
@@ -144,9 +145,7 @@ class Scenery:
 
     def texture(self, box_xyxy: NDArray[np.float64]) -> float:
         """Return the share of a box that structures of the picture cover, whatever their size."""
-        h, w = self.pixels.shape
-        x0, y0 = (int(np.clip(math.floor(v), 0, n)) for v, n in zip(box_xyxy[:2], (w, h), strict=True))
-        x1, y1 = (int(np.clip(math.ceil(v), 0, n)) for v, n in zip(box_xyxy[2:], (w, h), strict=True))
+        x0, y0, x1, y1 = pixel_box(box_xyxy, self.pixels.shape)
         if x1 <= x0 or y1 <= y0:
             return 0.0
         s = self._texture_sums

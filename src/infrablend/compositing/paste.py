@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.contrast import MIN_RING_PIXELS
+from infrablend.compositing.contrast import ring_levels
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 
@@ -71,7 +71,7 @@ def cut_out(
     height, width = picture.shape
     left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
     x0, y0, x1, y1 = left - FEATHER_PX, top - FEATHER_PX, right + FEATHER_PX, bottom + FEATHER_PX
-    around = _ring_levels(picture, box_xyxy, others)
+    around = ring_levels(picture, box_xyxy, others, _MIN_RING_PX)
     if left >= right or top >= bottom or min(x0, y0) < 0 or x1 > width or y1 > height or around is None:
         return None
     level = float(np.median(around))
@@ -132,7 +132,7 @@ def paste(
     """
     (x, y), (w, h) = offset_xy, cut.size_wh
     part = (slice(y, y + h), slice(x, x + w))
-    around = _ring_levels(background, placed_box(cut, offset_xy), others)
+    around = ring_levels(background, placed_box(cut, offset_xy), others, _MIN_RING_PX)
     below = np.asarray(background[part], np.float32)
     level = np.float32(np.median(below if around is None else around))
     mixed = below + cut.cover * (level - below) + cut.difference
@@ -140,23 +140,6 @@ def paste(
     limit = np.iinfo(background.dtype).max
     pasted[part] = np.clip(np.rint(mixed), 0, limit).astype(background.dtype)
     return pasted
-
-
-def _ring_levels(
-    picture: GreyImage, box_xyxy: NDArray[np.float64], others: Sequence[NDArray[np.float64]]
-) -> NDArray[np.float64] | None:
-    """Return the levels of the pixels around a box; None if too few are free."""
-    height, width = picture.shape
-    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
-    reach = max(_MIN_RING_PX, max(right - left, bottom - top) // 2)
-    x0, y0, x1, y1 = max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
-    ring = np.ones((max(y1 - y0, 0), max(x1 - x0, 0)), np.bool_)
-    for box in (box_xyxy, *others):
-        a, b, c, d = pixel_box(box, picture.shape)
-        ring[max(b - y0, 0) : max(d - y0, 0), max(a - x0, 0) : max(c - x0, 0)] = False
-    if np.count_nonzero(ring) < MIN_RING_PIXELS:
-        return None
-    return np.asarray(picture[y0:y1, x0:x1][ring], np.float64)
 
 
 def _feather(shape_hw: tuple[int, ...]) -> NDArray[np.float32]:

@@ -7,6 +7,7 @@ so a positive angle turns clockwise on screen. "Clockwise" below always means cl
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,27 @@ def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple
         int(np.clip(math.ceil(x1), 0, w)),
         int(np.clip(math.ceil(y1), 0, h)),
     )
+
+
+def boxes_mask(
+    boxes_xyxy: Iterable[FloatArray], shape_hw: tuple[int, ...], window: tuple[int, int, int, int] | None = None
+) -> NDArray[np.bool_]:
+    """Mark the pixels that boxes, grown to whole pixels, cover.
+
+    Args:
+        boxes_xyxy: Boxes of 4 numbers each.
+        shape_hw: Size of the frame.
+        window: Left, top, right and bottom edge of the part of the frame to return; None for all of it.
+
+    Returns:
+        (h, w) mask of the window.
+    """
+    left, top, right, bottom = (0, 0, shape_hw[1], shape_hw[0]) if window is None else window
+    mask = np.zeros((bottom - top, right - left), np.bool_)
+    for box in boxes_xyxy:
+        x0, y0, x1, y1 = pixel_box(box, shape_hw)
+        mask[max(y0 - top, 0) : max(y1 - top, 0), max(x0 - left, 0) : max(x1 - left, 0)] = True
+    return mask
 
 
 # -- polygons ------------------------------------------------------------------------------------------------

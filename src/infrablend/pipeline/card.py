@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from infrablend.annotation.looseness import loosened_text
 from infrablend.annotation.merge import RemovalReason
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
@@ -82,12 +83,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
     if unlabelled := sum(counts["objects_without_label"].values()):
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
     if loosened := counts.get("boxes_loosened"):
-        by = labels.loosen
-        factors = f"the factor {by:g}" if isinstance(by, float) else ", ".join(f"{k} {v:g}" for k, v in by.items())
-        texts.append(
-            f"The boxes of {loosened} inserted objects were enlarged by {factors}, up to the border of the picture, "
-            "because hand-drawn boxes have a margin."
-        )
+        texts.append(loosened_text(loosened, labels.loosen))
     if labels.rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in labels.rename.items()) + ".")
     left_out = Counter(p.code for p in plan.problems if p.severity == "error")

@@ -13,7 +13,7 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
-from infrablend.annotation.looseness import is_loosened, loosen_inserted
+from infrablend.annotation.looseness import is_loosened, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -188,10 +188,7 @@ def convert_dataset(
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if loosen > 1:
-            changes.append(
-                f"The boxes of {loosened} inserted objects were enlarged by the factor {loosen:g}, up to the border of "
-                "the picture, because hand-drawn boxes have a margin."
-            )
+            changes.append(loosened_text(loosened, loosen))
         card = dataset_card(
             origin_of(dataset, images, rename),
             images,

@@ -81,8 +81,10 @@ class FrameMaker:
             require_thermal_levels(background)
 
         # Scene: the objects, their places and temperatures.
-        cover = self._cover(background)
-        key, site = frame.key(background.size_wh), self._site(frame, background, cover)
+        levels, rules = self._settings.levels, recipe.occlusion
+        unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
+        cover = None if rules.share == 0 else Cover(rules, Scenery(background.pixels, unit), self._models)
+        key, site = frame.key(background.size_wh), self._site(frame, background, unit, cover)
         scene = sample_scene(key, recipe, self._models, self._settings.seed, site)
         scene = drop_barely_visible(scene, recipe.placement.min_visibility)
 
@@ -103,7 +105,7 @@ class FrameMaker:
                 labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
                 first = first or [i.to_json() for i in inserts]
-                hidden = too_hidden(labels, label_report, occluders, recipe.occlusion)
+                hidden = too_hidden(labels, label_report, occluders, rules)
                 faint = sorted({*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
             if not faint:
                 break
@@ -149,23 +151,15 @@ class FrameMaker:
         """Release the renderer."""
         self._renderer.close()
 
-    def _cover(self, background: Background) -> Cover | None:
-        """Return what the background can hide; None if the recipe hides nothing."""
-        levels, rules = self._settings.levels, self._recipe.occlusion
-        if rules.share == 0:
-            return None
-        unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
-        return Cover(rules, Scenery(background.pixels, unit), self._models)
-
-    def _site(self, frame: PlannedFrame, background: Background, cover: Cover | None) -> Site:
+    def _site(self, frame: PlannedFrame, background: Background, unit: float, cover: Cover | None) -> Site:
         """Return the facts about the background that placement may use."""
-        source, levels, recipe = frame.as_read, self._settings.levels, self._recipe
+        source, recipe = frame.as_read, self._recipe
         return Site(
             background.pixels,
             source.instances,
             frozenset(self._settings.ignored),
             source.altitude_m,
-            1.0 if levels is None else grey_unit(background.pixels, levels),
+            unit,
             recipe.matching.polarity == "black-hot",
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,

@@ -86,6 +86,6 @@ def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOf
         # The box alone is not enough: the background's own structures stand out from the ring, too.
         seen = min(insert.changed_grey, np.inf if c is None else c.change)
         clutter = 0.0 if c is None else c.clutter
-        if seen < least.change or seen < least.scr * (clutter + 1):
+        if not least.is_met(seen, clutter):
             faint.append(insert.number)
     return faint

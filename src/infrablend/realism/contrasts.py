@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from infrablend.core.rng import stream
 from infrablend.realism.features import LEAST_PX, Picture
 
 Level = Literal["high", "middle"]
+LEVELS: tuple[Level, ...] = get_args(Level)
+TIMES = ("night", "day", "unknown")
 
 QUANTILES = (1, 5, 25, 50, 75, 95)
 UNCLIPPED = (22.0, 225.0)
@@ -97,6 +99,9 @@ class Slope:
         }
 
 
+Slopes = Mapping[Level, Slope | None]
+
+
 def slope_within_images(objects: Sequence[ObjectContrast], level: Level) -> Slope | None:
     """Return the slope of objects over their rings, or None if no image has enough unclipped objects.
 
@@ -137,18 +142,22 @@ def compare_contrasts(
         values. Times without inserted objects are left out.
     """
     found = {}
-    for time in ("night", "day", "unknown"):
+    for time in TIMES:
         sides = [[o for o in side if o.time_of_day == time] for side in (real, inserted)]
         if sides[1]:
-            figures = [contrast_figures(side) for side in sides]
-            checks = contrast_checks(sides[0], sides[1])
+            slopes = [_slopes(side) for side in sides]  # each resamples its images a thousand times
+            figures = [_figures(*of_side) for of_side in zip(sides, slopes, strict=True)]
+            checks = _checks(sides[0], sides[1], slopes[0], slopes[1])
             found[time] = {"real": figures[0], "inserted": figures[1], "checks": checks}
     return found
 
 
 def contrast_figures(objects: Sequence[ObjectContrast]) -> dict[str, Any]:
     """Return quantiles of contrast and signal to clutter, and both slopes, of objects of one class and time of day."""
-    slopes = {level: slope_within_images(objects, level) for level in ("high", "middle")}
+    return _figures(objects, _slopes(objects))
+
+
+def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any]:
     return {
         "n": len(objects),
         "images": len({o.image for o in objects}),
@@ -172,13 +181,20 @@ def contrast_checks(real: Sequence[ObjectContrast], inserted: Sequence[ObjectCon
         Name of the check to `real`, `inserted`, `found` (the difference or the ratio), its `ci` if known, `limit`
         and `holds`, which is None with fewer than 30 objects on either side.
     """
+    return _checks(real, inserted, _slopes(real), _slopes(inserted))
+
+
+def _slopes(objects: Sequence[ObjectContrast]) -> Slopes:
+    return {level: slope_within_images(objects, level) for level in LEVELS}
+
+
+def _checks(
+    real: Sequence[ObjectContrast], inserted: Sequence[ObjectContrast], real_slopes: Slopes, inserted_slopes: Slopes
+) -> dict[str, dict[str, Any]]:
     checks: dict[str, dict[str, Any]] = {}
     enough = min(len(real), len(inserted)) >= MIN_COMPARED
-    slopes: Mapping[Level, list[Slope | None]] = {
-        "high": [slope_within_images(side, "high") for side in (real, inserted)],
-        "middle": [slope_within_images(side, "middle") for side in (real, inserted)],
-    }
-    for level, (a, b) in slopes.items():
+    for level in LEVELS:
+        a, b = real_slopes[level], inserted_slopes[level]
         if a is not None and b is not None:
             n = min(len(a.draws), len(b.draws))
             spread = np.percentile(b.draws[:n] - a.draws[:n], [2.5, 97.5])

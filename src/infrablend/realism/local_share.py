@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, TypeGuard
 
-from infrablend.realism.contrasts import MIN_COMPARED, Level, ObjectContrast, Slope, slope_within_images
-
-LEVELS: tuple[Level, ...] = ("high", "middle")
+from infrablend.realism.contrasts import LEVELS, MIN_COMPARED, ObjectContrast, Slope, slope_within_images
 
 
 def bound_local_share(objects: Sequence[ObjectContrast]) -> dict[str, Any] | None:

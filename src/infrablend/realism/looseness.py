@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.contrast import MIN_RING_PX, Contrast
-from infrablend.core.boxes import pixel_box
+from infrablend.compositing.contrast import Contrast, ring_window
+from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
 from infrablend.realism.contrasts import ObjectContrast
@@ -84,19 +84,14 @@ def visible_extent(
     other_end = min(contrast.high - contrast.ring, contrast.ring - contrast.low)  # below 0 if both are on one side
     if contrast.change < MIN_CHANGE or other_end > MAX_OTHER_END * contrast.change:
         return None
-    height, width = picture.shape
     left, top, right, bottom = pixel_box(instance.box_xyxy, picture.shape)
-    reach = max(MIN_RING_PX, max(right - left, bottom - top) // 2)
-    x0, y0, x1, y1 = max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
+    window = ring_window(instance.box_xyxy, picture.shape)
+    x0, y0, x1, y1 = window
     beyond = ((picture[y0:y1, x0:x1] - contrast.ring) / contrast.signed > 0.5).astype(np.uint8)
-    others = np.zeros_like(beyond)
-    for other in labels:
-        if other is not instance:
-            a, b, c, d = pixel_box(other.box_xyxy, picture.shape)
-            others[max(b - y0, 0) : max(d - y0, 0), max(a - x0, 0) : max(c - x0, 0)] = 1
+    others = boxes_mask((o.box_xyxy for o in labels if o is not instance), picture.shape, window)
     own = (slice(top - y0, bottom - y0), slice(left - x0, right - x0))
-    others[own] = 0
-    beyond[others > 0] = 0
+    others[own] = False
+    beyond[others] = 0
     _, regions, facts, _ = cv2.connectedComponentsWithStats(beyond, connectivity=8)
     inside = np.bincount(regions[own].ravel(), minlength=len(facts))
     inside[0] = 0

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import pixel_box
+from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.mesh import FloatArray
 from infrablend.realism.features import Picture
 
@@ -25,11 +25,8 @@ _LEAST_PIXELS = 9
 
 def distance_px(shape_hw: tuple[int, ...], boxes_xyxy: Sequence[FloatArray]) -> NDArray[np.float32]:
     """Return the (h, w) distance of each pixel from the nearest box: that of rows or columns, 0 inside."""
-    outside = np.ones(shape_hw, np.uint8)
-    for box in boxes_xyxy:
-        x0, y0, x1, y1 = pixel_box(box, shape_hw)
-        outside[y0:y1, x0:x1] = 0
-    return np.asarray(cv2.distanceTransform(outside, cv2.DIST_C, 3), np.float32)
+    outside = ~boxes_mask(boxes_xyxy, shape_hw)
+    return np.asarray(cv2.distanceTransform(outside.astype(np.uint8), cv2.DIST_C, 3), np.float32)
 
 
 def largest_changes(before: Picture, after: Picture, boxes_xyxy: Sequence[FloatArray]) -> FloatArray:

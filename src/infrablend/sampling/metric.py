@@ -31,10 +31,9 @@ from infrablend.sampling.placement import (
     DrawStatistics,
     PlacementRequest,
     Pose,
-    box_px,
     boxes_of,
+    examine,
     overlaps,
-    rejection,
 )
 
 # A flying object is at most at this share of the way to the ground.
@@ -89,6 +88,11 @@ class Site:
     black_hot: bool = False
     max_noise_grey: float | None = None
     hiding: Hiding | None = None
+
+    @cached_property
+    def median_level(self) -> float:
+        """Median level of the picture."""
+        return float(np.median(self.pixels))
 
     @cached_property
     def skyline(self) -> Skyline:
@@ -189,8 +193,7 @@ def place_metric(
                     continue
                 examined += 1
             world = item.in_world(pose)
-            reason = rejection(camera, world, item, rules)
-            box = None if reason else box_px(camera, world, item)
+            reason, box = examine(camera, world, item, rules)
             if reason is None:
                 near = group.max_overlap if company and group is not None else MAX_OVERLAP
                 if overlaps(box, site.text_boxes, 0.0):

@@ -139,8 +139,8 @@ def place_as_paper(
                     pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
             tally.attempts += 1
             world = item.in_world(pose)
-            reason = rejection(camera, world, item, rules)
-            if reason is None and overlaps(box_px(camera, world, item), avoid):
+            reason, box = examine(camera, world, item, rules)
+            if reason is None and overlaps(box, avoid):
                 reason = "on_ignored"
             if reason is None:
                 accepted = True
@@ -152,21 +152,26 @@ def place_as_paper(
     return camera, poses
 
 
-def rejection(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest, rules: Placement) -> str | None:
-    """Return the rule on visibility or size that an object with these (V, 3) vertices breaks, or None."""
+def examine(
+    camera: CameraSpec, world_m: FloatArray, item: PlacementRequest, rules: Placement
+) -> tuple[str | None, FloatArray | None]:
+    """Return the rule on visibility or size that an object with these (V, 3) vertices breaks, or None, and its box.
+
+    The box is that of `box_px`; objects that are too near or outside the frame have none.
+    """
     inside, depth_m = inside_fraction(camera, world_m, item.mesh.triangles)
     if depth_m < rules.min_depth_m:
-        return "too_near"
+        return "too_near", None
     if inside < max(rules.min_inside, rules.min_visibility):
-        return "outside_frame"
+        return "outside_frame", None
+    box = box_px(camera, world_m, item)
     if rules.size_px is not None:
-        box = box_px(camera, world_m, item)
         size = 0.0 if box is None else float(max(box[2] - box[0], box[3] - box[1]))
         if size < rules.size_px[0]:
-            return "too_small"
+            return "too_small", box
         if size > rules.size_px[1]:
-            return "too_large"
-    return None
+            return "too_large", box
+    return None, box
 
 
 def box_px(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> FloatArray | None:

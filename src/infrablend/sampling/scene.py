@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from infrablend.config.recipe import (
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import TimeOfDay
 from infrablend.core.mesh import Mesh
-from infrablend.core.placed import PlacedScene, place
+from infrablend.core.placed import PlacedObject, PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
 from infrablend.errors import ModelError
@@ -210,14 +211,15 @@ def _sun(frame: FrameKey, environment: PhysicalEnvironment, share: float, turn: 
         cloud: Share of the sky that clouds cover.
     """
     low, high = environment.sun_elevation_deg
-    elevation, source = math.radians(low + (high - low) * share), "drawn"
+    elevation = math.radians(low + (high - low) * share)
+    source: Literal["computed", "drawn"] = "drawn"
     when, place = time_of(frame.captured), environment.place
     if place is not None and when is not None:
         _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
         if computed > 0:
             elevation, source = computed, "computed"
     direct, diffuse = irradiance(elevation, cloud)
-    return Sun(2 * math.pi * turn, elevation, direct, diffuse, "computed" if source == "computed" else "drawn")
+    return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)
 
 
 def _shade(
@@ -267,6 +269,7 @@ def move_objects(
     """
     spec, view = scene.spec, scene.spec.view
     assert view is not None
+    sun = None if spec.weather is None else spec.weather.sun
     rng = stream(seed, spec.frame_id, f"placement-{attempt}")
     moved = sorted(numbers)
     requests = []
@@ -279,38 +282,36 @@ def move_objects(
     tally = DrawStatistics()
     occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
     poses = dict(zip(moved, place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied), strict=True))
-    objects, meshes = [], []
+    objects = []
     for k, placed in enumerate(scene.objects):
-        if k in poses:
-            pose = poses[k]
-            if pose is None:
-                continue
-            item, shaded = requests[moved.index(k)], False
-            parts = placed.spec.parts
-            if spec.weather is not None and spec.weather.sun is not None:
-                shadowed, shaded = _shade(item, pose, spec.camera, spec.weather.sun, site)
-                # An object that threw no shadow at its first place has no state for one.
-                item = shadowed if set(shadowed.mesh.part_names) <= set(parts) else item
-            moved_to = replace(
-                placed.spec,
-                params=item.params,
-                parts={name: parts[name] for name in parts if name in item.mesh.part_names},
-                position_m=pose[:3],
-                yaw_rad=pose[3],
-                shaded=shaded,
-            )
-            objects.append(moved_to)
-            meshes.append(item.mesh)
-        else:
-            objects.append(placed.spec)
-            meshes.append(placed.mesh)
+        if k not in poses:
+            objects.append(placed)  # with the geometry that it has computed already
+            continue
+        pose = poses[k]
+        if pose is None:
+            continue
+        item, shaded = requests[moved.index(k)], False
+        parts = placed.spec.parts
+        if sun is not None:
+            shadowed, shaded = _shade(item, pose, spec.camera, sun, site)
+            # An object that threw no shadow at its first place has no state for one.
+            item = shadowed if set(shadowed.mesh.part_names) <= set(parts) else item
+        moved_to = replace(
+            placed.spec,
+            params=item.params,
+            parts={name: parts[name] for name in parts if name in item.mesh.part_names},
+            position_m=pose[:3],
+            yaw_rad=pose[3],
+            shaded=shaded,
+        )
+        objects.append(PlacedObject(moved_to, item.mesh, spec.camera, sun))
     draws = dict(spec.draws)
     draws["attempts"] += tally.attempts
     draws["moved"] = draws.get("moved", 0) + len(moved)
     for name, counts in (("rejected", tally.rejected), ("absent", tally.absent)):
         merged = Counter(draws[name]) + Counter(counts)
         draws[name] = dict(sorted(merged.items()))
-    return place(replace(spec, objects=tuple(objects), draws=draws), meshes)
+    return PlacedScene(replace(spec, objects=tuple(o.spec for o in objects), draws=draws), tuple(objects))
 
 
 def rebuild_scene(spec: SceneSpec, models: Mapping[str, ObjectModel]) -> PlacedScene:

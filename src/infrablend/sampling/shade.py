@@ -38,7 +38,7 @@ def in_shade(camera: CameraSpec, world_m: FloatArray, site: Site) -> bool:
     left, top = (int(np.clip(math.floor(v) - _MARGIN_PX, 0, n - 1)) for v, n in ((x0, w), (y0, h)))
     right, bottom = (int(np.clip(math.ceil(v) + _MARGIN_PX, 1, n)) for v, n in ((x1, w), (y1, h)))
     around = site.pixels[top : max(bottom, top + 1), left : max(right, left + 1)]
-    colder = float(np.median(site.pixels)) - float(np.median(around))
+    colder = site.median_level - float(np.median(around))
     return (-colder if site.black_hot else colder) > SHADE_GREY * site.grey_unit
 
 

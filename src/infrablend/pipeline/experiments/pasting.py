@@ -120,7 +120,7 @@ def _is_seen(
 ) -> bool:
     """Return whether an object has the contrast that is required of inserted ones."""
     contrast, least = measure_contrast(picture, box_xyxy, others), real_least(category, time_of_day)
-    return contrast is not None and contrast.change >= least.change and contrast.scr >= least.scr
+    return contrast is not None and least.is_met(contrast.change, contrast.clutter)
 
 
 class Paster:
