@@ -115,13 +115,13 @@ def convert(
 
 def split(
     data: str | Path, out: str | Path, rule: SplitRule, *, to: str = "native", lists: bool = False,
-    reading: Reading = READ_ALL,
+    reading: Reading = READ_ALL, overwrite: bool = False,
 ) -> SplitReport:  # fmt: skip
     """Write a dataset with new splits that do not share neighbouring frames, e.g. with `SplitRule("sequence")`.
 
     `to` is the format to write, as in `convert`. `lists` writes only three lists of pictures and `split.json`.
     """
-    return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists)
+    return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists, overwrite=overwrite)
 
 
 def profile(

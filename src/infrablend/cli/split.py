@@ -35,7 +35,7 @@ class By(StrEnum):
 def split(
     ctx: typer.Context,
     data: DatasetArgument,
-    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write, new or empty.")],
+    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
     by: Annotated[By, typer.Option(help="What stays in one split: a flight, a day, or a run of frame numbers.")],
     gap: Annotated[
         int | None,
@@ -52,6 +52,7 @@ def split(
         ),
     ] = None,
     lists: Annotated[bool, typer.Option("--list", help="Write only three lists of pictures and split.json.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier split dataset in DST.")] = False,
     form: FormOption = None,
     format: FormatOption = None,
     metadata: MetadataOption = None,
@@ -77,6 +78,7 @@ def split(
         to=to or "native",
         lists=lists,
         reading=make_reading(None, format, form, metadata, options),
+        overwrite=overwrite,
     )
     for problem in report.problems:
         typer.echo(f"{problem.severity}: {problem}", err=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import json
 import logging
 import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from infrablend.errors import OutputError, Problem
 
@@ -20,13 +21,42 @@ log = logging.getLogger(__name__)
 _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
+_LONGEST_NAME = 255
+
+
 def part_path(path: Path) -> Path:
     """Return the temporary path of a file while it is being written: hidden, in the same folder.
 
     The path keeps the suffix, which some writers require. It is always the same, so the next write replaces what a
-    killed process left behind.
+    killed process left behind. Where the name would be too long for a file system, a digest replaces the stem.
     """
-    return path.with_name(f".{path.stem}.part{path.suffix}")
+    name = f".{path.stem}.part{path.suffix}"
+    if len(os.fsencode(name)) > _LONGEST_NAME:
+        name = f".{hashlib.sha256(os.fsencode(path.stem)).hexdigest()}.part{path.suffix}"
+    return path.with_name(name)
+
+
+class WriteObserver(Protocol):
+    """Follows the files that this process writes."""
+
+    def before_write(self, path: Path) -> None:
+        """Take note that `path` is about to be written under its temporary name."""
+
+    def before_rename(self, path: Path, temporary: Path) -> None:
+        """Take note of the finished temporary file, just before it is renamed to `path`."""
+
+
+_observers: list[WriteObserver] = []
+
+
+@contextlib.contextmanager
+def observed_by(observer: WriteObserver) -> Iterator[None]:
+    """Have `observer` follow every file that this process writes within the block."""
+    _observers.append(observer)
+    try:
+        yield
+    finally:
+        _observers.remove(observer)
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
@@ -55,10 +85,14 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
     """
     temporary = beside or part_path(path)
     try:
+        for observer in _observers:
+            observer.before_write(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         if durable:
             flush(temporary)
+        for observer in _observers:
+            observer.before_rename(path, temporary)
         temporary.replace(path)
         if durable:
             flush(path.parent)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Dataset
+from infrablend.core.finished import require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.base import Match, shorten
@@ -51,11 +52,13 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
 
     Raises:
         UnknownFormatError: No format fits; `problems` gives the reason for each of them.
-        DatasetError: The folder cannot be read, or the format does not have one of the options.
+        DatasetError: The folder cannot be read, belongs to an unfinished run, conversion or split, or its format does
+            not have one of the options.
     """
     if not root.is_dir():
         problem = Problem(str(root), "folder-missing", "no such folder", "the folder of a dataset", "check the path")
         raise DatasetError("no dataset to read", [problem])
+    require_finished(root)
     format = reading.format
     if format is None:
         found = detect(root)

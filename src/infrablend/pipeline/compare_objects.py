@@ -21,6 +21,7 @@ from infrablend.config.modes import recipe_from_json
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.finished import require_finished
 from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
 from infrablend.core.run_layout import RunLayout
@@ -120,10 +121,12 @@ def measure_populations(
 
     Raises:
         OutputError: `run` is not a run.
-        DatasetError: The frames' backgrounds are not in the dataset, or there is nothing to compare.
+        DatasetError: The run is unfinished, the frames' backgrounds are not in the dataset, or there is nothing to
+            compare.
     """
     folder = RunFolder(run)
     about = folder.read_run()
+    require_finished(run)
     recipe = recipe_from_json(recipe_json(about))
     for o in recipe.objects:
         ready_model(o.model)

@@ -11,25 +11,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from infrablend import __version__
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.annotation.looseness import is_loosened, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.files import write_json
+from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, find_writer, written_names
-from infrablend.core.output import OutputFolder, require_apart
+from infrablend.core.output import require_apart
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
+from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
-from infrablend.report.card import CARD_FILE, dataset_card, is_own, write_card, written_layout
-
-RECORD_FILE = "convert.json"
+from infrablend.report.card import dataset_card, write_card, written_layout
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def convert_dataset(
         selection: Pictures to select; class names apply after renaming and before dropping.
         loosen: Factor by which to enlarge the boxes of inserted objects, see `annotation.looseness`.
         settings: Settings of the writer.
-        overwrite: Delete the output of the earlier call first.
+        overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
 
     Raises:
         UnknownFormatError: No writer has this name.
@@ -162,29 +160,22 @@ def convert_dataset(
         **({} if chosen is None else {"selection": chosen}),
         **({"boxes_loosened": loosened, "loosened_by": loosen} if loosen > 1 else {}),
     }
-    folder = OutputFolder(out, "conversion", RECORD_FILE, can_overwrite=True)
-    with folder.claimed():
-        _prepare(folder, overwrite)
-        header = {
-            "infrablend": __version__,
-            "source": str(dataset.root),
-            "source_format": dataset.format,
-            "format": writer.name,
-            "rename": dict(rename),
-            "drop": sorted(drop),
-            "ids": settings.ids,
-            "category_ids": settings.category_ids,
-            "notes": dict(dataset.notes),
-        }
-        write_json(out / RECORD_FILE, header | {"status": "running", "entries": []}, indent=2)
+    header = {
+        "source": str(dataset.root),
+        "source_format": dataset.format,
+        "format": writer.name,
+        "rename": dict(rename),
+        "drop": sorted(drop),
+        "ids": settings.ids,
+        "category_ids": settings.category_ids,
+        "notes": dict(dataset.notes),
+    }
+    folder = DatasetFolder(out, "conversion", CONVERT_FILE)
+    with folder.writing(header, overwrite):
         try:
             written = writing.write(to, out, images, wanted.categories, settings=settings, source=wanted)
-        except BaseException as error:
-            # All entries come from this call: the folder was empty before.
-            write_json(out / RECORD_FILE, header | {"status": "interrupted", "entries": _entries(folder)}, indent=2)
-            if isinstance(error, ValueError):  # a label that the format does not allow
-                raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
-            raise
+        except ValueError as error:  # a label that the format does not allow
+            raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if loosen > 1:
@@ -196,13 +187,13 @@ def convert_dataset(
             changes=changes,
             to=writer.name,
             losses=written.losses,
-            layout=written_layout(out, written.files, RECORD_FILE),
+            layout=written_layout(out, written.files, CONVERT_FILE),
         )
         problems += write_card(out, card)
         problems += _background_class(writer.name, wanted, settings)
+        problems += folder.problems()
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
-        rest = {k: v for k, v in report.to_json().items() if k not in ("out", "format")}
-        write_json(out / RECORD_FILE, header | rest | {"status": "complete", "entries": _entries(folder)}, indent=2)
+        folder.finish(header, {k: v for k, v in report.to_json().items() if k not in ("out", "format")})
     return report
 
 
@@ -222,7 +213,7 @@ def _require_tight(dataset: Dataset, loosen: float) -> None:
 
 def _recorded_loosened(root: Path) -> int:
     """Return how many boxes the run or the conversion that wrote the dataset enlarged; not all formats mark them."""
-    for record in (root / RECORD_FILE, root / RUN_FILE, root.parent / RUN_FILE):
+    for record in (root / CONVERT_FILE, root / RUN_FILE, root.parent / RUN_FILE):
         try:
             return int(json.loads(record.read_text("utf-8"))["counts"]["boxes_loosened"])
         except (OSError, ValueError, KeyError, TypeError):
@@ -246,11 +237,11 @@ def _changes(
         texts.append(f"{sum(dropped.values())} labels of dropped classes ({which}) were left out.")
     if chosen is not None:
         what = ", ".join(f"{n} {why}" for why, n in chosen["left_out"].items()) or "none"
-        texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{RECORD_FILE}`.")
+        texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{CONVERT_FILE}`.")
     left_out = Counter(p.code for p in problems if p.severity == "error")
     if left_out:
         found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Invalid parts of the source were left out: {found}; `{RECORD_FILE}` lists them.")
+        texts.append(f"Invalid parts of the source were left out: {found}; `{CONVERT_FILE}` lists them.")
     return texts
 
 
@@ -291,25 +282,3 @@ def _per_class(images: Sequence[ImageRecord]) -> dict[str, int]:
 
 def _location(root: Path, image: ImageRecord) -> str:
     return image.path.relative_to(root).as_posix() if image.path.is_relative_to(root) else image.id
-
-
-def _entries(folder: OutputFolder) -> list[str]:
-    return folder.entries(ignore=[RECORD_FILE])
-
-
-def _prepare(folder: OutputFolder, overwrite: bool) -> None:
-    """Delete the output of an earlier call if the user asked for that; nothing else is ever deleted."""
-    entries = folder.require_empty(existing="overwrite" if overwrite else "refuse")
-    if not entries:
-        return
-    record = folder.read_record()
-    try:
-        own = [] if record is None else [str(e) for e in record["entries"]]
-        ours = record is not None and record["status"] != "running" and "infrablend" in record
-    except (KeyError, TypeError):
-        own, ours = [], False
-    if not ours or any("/" in e or e in (".", "..") or "\\" in e for e in own):
-        raise folder.refuse_not_ours(f"no {RECORD_FILE} of a finished conversion")
-    folder.require_only([*own, RECORD_FILE], entries)
-    # A card that the user has edited stays.
-    folder.remove(name for name in own if name != CARD_FILE or is_own(folder.root / name))

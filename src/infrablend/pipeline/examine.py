@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from infrablend.core.files import write_json
+from infrablend.core.finished import UNFINISHED
 from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
@@ -14,7 +15,7 @@ from infrablend.report.checking import CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 
 # Codes of problems caused by the command, not by the data.
-_USAGE = {"folder-missing", "option-unknown", "option-value", "table-unused"}
+_USAGE = {UNFINISHED, "folder-missing", "option-unknown", "option-value", "table-unused"}
 # Keys that identify an `inspect.json` written by InfraBlend.
 _RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
 

@@ -13,20 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
-from infrablend.core.files import write_json, write_text
+from infrablend.core.files import write_text
+from infrablend.core.finished import SPLIT_FILE
 from infrablend.core.format_table import NATIVE, find_writer
-from infrablend.core.output import OutputFolder, require_apart
+from infrablend.core.output import require_apart
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
+from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.pipeline.origin import origin_of
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 SHARES = (0.7, 0.1, 0.2)
-RECORD = "split.json"
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 # A class is scarce in a split that has less than this part of its share of the class's objects.
@@ -113,7 +114,7 @@ class SplitRule:
 
 
 def split_dataset(
-    dataset: Dataset, out: Path, rule: SplitRule, *, to: str = NATIVE, lists: bool = False
+    dataset: Dataset, out: Path, rule: SplitRule, *, to: str = NATIVE, lists: bool = False, overwrite: bool = False
 ) -> SplitReport:
     """Assign whole groups of images to train, val and test, and write the dataset with these splits.
 
@@ -123,16 +124,17 @@ def split_dataset(
 
     Args:
         dataset: Dataset as read; its own splits only serve to report the leakage before.
-        out: Folder to write; must be new or empty.
+        out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
         rule: Grouping and shares.
         to: Format to write; `native` is the dataset's own.
         lists: Write only the record and the lists `train.txt`, `val.txt` and `test.txt`, with one path relative to the
             dataset per line.
+        overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
 
     Raises:
         DatasetError: The dataset lacks the facts that the grouping needs, its format has no writer, or the shares are
             invalid.
-        OutputError: `out` is not empty or cannot be written.
+        OutputError: `out` is not empty, cannot be written, or another process is writing to it.
     """
     require_apart(dataset.root, out)
     if rule.by not in GROUPINGS:
@@ -141,7 +143,8 @@ def split_dataset(
     wanted = check_shares(rule.shares)
     if gap < 1:
         raise DatasetError(f"gap: found {gap}, expected a positive number of frames")
-    OutputFolder(out, "split dataset", RECORD).require_empty()
+    folder = DatasetFolder(out, "split dataset", SPLIT_FILE)
+    folder.require_usable(overwrite)
     native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if native is None and not lists:
         found = f"{dataset.format} without labels has no writer"
@@ -170,8 +173,11 @@ def split_dataset(
         "list" if lists or native is None else native.name,
         problems=split_warnings(images, names, wanted, by),
     )
-    report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
-    write_json(out / RECORD, report.to_json())
+    header = {"source": str(dataset.root), "by": by, "format": report.format}
+    with folder.writing(header, overwrite):
+        report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
+        report = replace(report, problems=(*report.problems, *folder.problems()))
+        folder.finish({}, report.to_json())  # without the source: the same bytes wherever the dataset is
     return report
 
 
@@ -293,7 +299,7 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
         raise DatasetError(f"{source.root}: the size of {len(unreadable)} picture(s) is unknown", shorten(unreadable))
     records = sort_images(_renamed(sized))
     written = writing.write(to, report.out, records, source.categories, source=source)
-    done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{RECORD}`."
+    done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{SPLIT_FILE}`."
     card = dataset_card(
         origin_of(source, records, {}),
         records,
@@ -301,7 +307,7 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
         changes=[done],
         to=report.format,
         losses=written.losses,
-        layout=written_layout(report.out, written.files, RECORD),
+        layout=written_layout(report.out, written.files, SPLIT_FILE),
     )
     kept = write_card(report.out, card)
     return replace(

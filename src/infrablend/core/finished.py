@@ -1,0 +1,85 @@
+"""Tells finished datasets of InfraBlend from unfinished ones by the `status` in the record of the command.
+
+Commands that write a dataset write their record first, with the status `running`, and last, with the status `complete`.
+Everything that reads a dataset checks this, because an unfinished dataset has pictures without labels.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.run_layout import RUN_FILE, SCENES
+from infrablend.errors import DatasetError, Problem
+
+CONVERT_FILE = "convert.json"
+SPLIT_FILE = "split.json"
+COMPLETE = "complete"
+UNFINISHED = "folder-unfinished"
+
+# A dataset may be given by a folder inside the one with the record: `RUN/coco`, `RUN/images/train`.
+_LEVELS_UP = 2
+
+
+@dataclass(frozen=True)
+class _Marker:
+    """Record that marks a folder as finished."""
+
+    file: str
+    noun: str
+    command: str
+
+
+_MARKERS = (
+    _Marker(RUN_FILE, "run", "infrablend generate ... --out {root} --resume"),
+    _Marker(CONVERT_FILE, "conversion", "infrablend convert {source} {root} --to {format} ... --overwrite"),
+    _Marker(SPLIT_FILE, "split dataset", "infrablend split {source} {root} --by {by} ... --overwrite"),
+)
+
+
+def require_finished(folder: Path) -> None:
+    """Check that no unfinished run, conversion or split wrote the folder, or a folder that contains it.
+
+    Raises:
+        DatasetError: One did; the message names the command that finishes it.
+    """
+    inside = folder.resolve()
+    for root in (inside, *inside.parents[:_LEVELS_UP]):
+        for marker in _MARKERS:
+            path = root / marker.file
+            if not path.is_file():
+                continue
+            record = _read(path)
+            damaged = record is None and (root / SCENES).is_dir()
+            if damaged or (record is not None and not is_finished(record)):
+                raise _unfinished(folder, path, marker, record)
+
+
+def is_finished(record: Mapping[str, Any]) -> bool:
+    """Return whether a record says that its folder is finished; other programs and earlier versions wrote no status."""
+    return "infrablend" not in record or record.get("status", COMPLETE) == COMPLETE
+
+
+def _read(path: Path) -> Mapping[str, Any] | None:
+    try:
+        data = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return data if isinstance(data, dict) else None
+
+
+def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, Any] | None) -> DatasetError:
+    found = "a record that cannot be read" if record is None else f"status {record.get('status')}"
+    facts = {k: (record or {}).get(k, "...") for k in ("source", "format", "by")}
+    command = marker.command.format(root=path.parent, **facts)
+    problem = Problem(
+        str(path),
+        UNFINISHED,
+        f"{found}: the {marker.noun} is still being written, or was interrupted",
+        f"status {COMPLETE}",
+        f"wait for it, or finish it by repeating its command: {command}",
+    )
+    return DatasetError(f"{folder}: belongs to an unfinished {marker.noun}; its labels may be missing", [problem])
