@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from infrablend.core.file_names import join_inside
+
 RUN_FILE = "run.json"
 IMAGES = "images"
 SCENES = "scenes"
@@ -14,6 +16,8 @@ LOGS = "log"
 @dataclass(frozen=True)
 class RunLayout:
     """Paths of a run; nothing is read or written here.
+
+    A path that leads out of the folder is a `ValueError`.
 
     Attributes:
         root: Folder of the run.
@@ -33,11 +37,11 @@ class RunLayout:
 
     def image(self, relative: str) -> Path:
         """Return an image by its path below `images/`, e.g. `train/a_c0.jpg`."""
-        return self.root / IMAGES / relative
+        return join_inside(self.root / IMAGES, relative)
 
     def record(self, frame_id: str) -> Path:
         """Return the record of a frame, e.g. `train/a_c0`: its scene, its labels and the decisions made."""
-        return self.root / SCENES / f"{frame_id}.json"
+        return join_inside(self.root / SCENES, f"{frame_id}.json")
 
     def records(self, split: str = "") -> list[Path]:
         """Return the records that exist, of one split or of all, sorted."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import stat
 from pathlib import Path
 from typing import Any
 
 from defusedxml import ElementTree
 
+from infrablend.core.file_names import is_inside
 from infrablend.errors import DatasetError, Problem
 
 # Larger files are refused unread: parsed, they would take about thirty times the memory.
@@ -24,8 +24,7 @@ def leaves_folder(path: Path) -> bool:
     """Return whether `path` is a link out of its own folder, which no dataset needs."""
     if not path.is_symlink():
         return False
-    real, folder = os.path.realpath(path), os.path.realpath(path.parent)
-    return os.path.commonpath([real, folder]) != folder
+    return not is_inside(path, path.parent)
 
 
 def _refusal_to_open(path: Path, where: str, expected: str, limit: int) -> Problem | None:

@@ -12,10 +12,12 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.finished import require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
+from infrablend.formats import folder
 from infrablend.formats.base import Match, shorten
 from infrablend.formats.pictures import check_link
 from infrablend.formats.radiometric import radiometric_warnings
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.unread import unread_label_files
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
@@ -86,7 +88,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     if table is not None:
         given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
     dataset = _without_links(module.read(root, splits=reading.splits, **given))
-    return replace(dataset, problems=(*dataset.problems, *radiometric_warnings(dataset)))
+    unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
+    return replace(dataset, problems=(*dataset.problems, *unread, *radiometric_warnings(dataset)))
 
 
 def _without_links(dataset: Dataset) -> Dataset:

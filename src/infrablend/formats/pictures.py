@@ -7,11 +7,12 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path, PurePosixPath
 
 from PIL import Image
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.file_names import is_inside, leaves
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
@@ -49,9 +50,7 @@ def check_name(name: object, where: str) -> Problem | None:
     expected = "a relative file name inside the picture folder"
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         return Problem(where, "name-missing", f"picture name {name!r}", expected, "correct the annotation")
-    posix, windows = PurePosixPath(name), PureWindowsPath(name)
-    climbs = ".." in posix.parts or ".." in windows.parts
-    if climbs or posix.is_absolute() or windows.drive or windows.root:
+    if leaves(name):
         found = f"picture name {name!r} leads out of the dataset"
         return Problem(where, "name-climbs", found, expected, "correct the annotation")
     return None
@@ -59,8 +58,7 @@ def check_name(name: object, where: str) -> Problem | None:
 
 def check_link(path: Path, folder: Path, where: str) -> Problem | None:
     """Return a problem if `path`, named by an annotation, is a link out of the picture folder."""
-    real, inside = os.path.realpath(path), os.path.realpath(folder)
-    if os.path.commonpath([real, inside]) == inside:
+    if is_inside(path, folder):
         return None
     return Problem(
         where,

@@ -60,6 +60,7 @@ SPLIT_FOLDERS: Mapping[str, Split] = {
 # Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
 _KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
 _LABELMAP = "labelmap.txt"
+_MOST_TRIED = 1000  # of which at most 20 can be read; damaged files must not hide the others
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -83,13 +84,16 @@ def list_xml(root: Path) -> Iterable[str]:
 
 def detect(root: Path) -> Match:
     """Decide whether `root` contains VOC files: XML with the root `annotation`, and a picture for one of the first."""
-    names = list(islice(list_xml(root), 20))
+    names = list(islice(list_xml(root), _MOST_TRIED))
     if not names:
         return Match(NAME, False, "no XML file in the folder or below it")
     pictures = {key_of(n) for n in list_pictures(root)}
-    reason = f"no picture for {names[0]} or the next XML files"
+    reason, readable = f"no picture for {names[0]} or the next XML files", 0
     for name in names:
         top, problem = read_xml(root / name, name)
+        readable += problem is None
+        if readable > 20:
+            break
         if problem is not None or top.tag != "annotation":
             reason = f"{name}: {problem.found if problem else f'root element <{top.tag}>, not <annotation>'}"
         elif key_of(name) in pictures or _named(name, top) in pictures:

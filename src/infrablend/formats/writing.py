@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path, PurePosixPath
@@ -16,6 +16,7 @@ import numpy as np
 from infrablend.core.arguments import require_choice
 from infrablend.core.boxes import box_of_points
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.file_names import distinct_names, fold_name
 from infrablend.core.files import write_text
 from infrablend.core.format_table import (
     FIELDS,
@@ -149,26 +150,34 @@ def _native_not_writable(source: Dataset) -> Written:
 
 
 def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:
-    """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names."""
-    if layout == "nested":
-        return list(images), 0
+    """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names.
+
+    Names that differ in case alone clash, because some disks take them for one file.
+    """
     together = layout in ("unique", "shared")
-    wanted: dict[int, str] = {}
-    for split in {"" if together else i.split for i in images}:
-        chosen = {n: i for n, i in enumerate(images) if together or i.split == split}
-        wanted |= _flat_names({n: f"{i.split}/{i.name}" if together else i.name for n, i in chosen.items()})
-    stems = [("" if together else i.split, PurePosixPath(i.name).with_suffix("")) for i in images]
-    count = Counter(stems)
-    fitting = []
-    for n, image in enumerate(images):
-        clashes = layout in ("flat", "shared") or count[stems[n]] > 1
-        fitting.append(replace(image, file_name=wanted[n]) if clashes and wanted[n] != image.name else image)
+    by_stem = layout != "nested"
+    fitting = list(images)
+    for split in dict.fromkeys("" if together else i.split for i in images):
+        chosen = [n for n, i in enumerate(images) if together or i.split == split]
+        keys = {n: _file_key(images[n].name, by_stem) for n in chosen}
+        count = Counter(keys.values())
+        flat = layout in ("flat", "shared")
+        clashing = [n for n in chosen if flat or count[keys[n]] > 1]
+        if not clashing:
+            continue
+        paths = {n: f"{images[n].split}/{images[n].name}" if together else images[n].name for n in chosen}
+        ids = assign_ids(paths.values())
+        left = {n: _file_key(images[n].name, by_stem) for n in set(chosen) - set(clashing)}
+        stems = distinct_names([ids[paths[n]] for n in clashing], [k for k in left.values() if "/" not in k])
+        for n, stem in zip(clashing, stems, strict=True):
+            name = stem + PurePosixPath(images[n].name).suffix
+            fitting[n] = replace(images[n], file_name=name) if name != images[n].name else images[n]
     return fitting, sum(a is not b for a, b in zip(fitting, images, strict=True))
 
 
-def _flat_names(paths: Mapping[int, str]) -> dict[int, str]:
-    ids = assign_ids(paths.values())
-    return {n: ids[p] + PurePosixPath(p).suffix for n, p in paths.items()}
+def _file_key(name: str, by_stem: bool) -> str:
+    """Return a key that is equal for names of pictures, or of their label files, which some disk takes for one."""
+    return fold_name(str(PurePosixPath(name).with_suffix("")) if by_stem else name)
 
 
 def _telemetry_not_in_name(image: ImageRecord) -> Capture | None:

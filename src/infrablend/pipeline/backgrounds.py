@@ -49,7 +49,7 @@ def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: P
     """Return the facts about the background for a frame's record."""
     return {
         "id": source.id,
-        "path": os.path.relpath(source.path, data_root),
+        "path": Path(os.path.relpath(source.path, data_root)).as_posix(),
         "sha256": sha256_of(source.path),
         "size_wh": list(size_wh),
         "pitch_deg": source.pitch_deg,

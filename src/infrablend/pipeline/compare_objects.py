@@ -20,6 +20,7 @@ from infrablend.annotation.classes import rename_classes
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.file_names import distinct_names, file_name
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.finished import require_finished
 from infrablend.core.output import OutputFolder, require_replaceable
@@ -387,7 +388,8 @@ def compare(
     if "Car" in by_name and "Person" in by_name:
         facts["car_to_person_contrast"] = contrast_ratio(by_name["Car"], by_name["Person"])
     write_json(out / "realism.json", facts)
-    sheets: list[CropSheet] = [s for v in comparisons for s in sheets_of(v)]
+    names = distinct_names([file_name(v.category.lower()) for v in comparisons])
+    sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
     for sheet in sheets:
         write_bytes(out / f"{sheet.name}.png", sheet.png)
     write_text(out / "realism.html", html_report(facts, comparisons, sheets))

@@ -54,7 +54,7 @@ def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]
     return tuple(of[image_key(i)] for i in images)
 
 
-_CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+)+$", re.ASCII)
+_CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+(?:-\d+)?)+$", re.ASCII)
 
 
 def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from infrablend.core.files import write_json
@@ -11,6 +12,7 @@ from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.unread import unread_label_files
 from infrablend.report.checking import CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 
@@ -61,4 +63,5 @@ def check_folder(
         if not error.problems or any(p.code in _USAGE for p in error.problems):
             raise
         return unreadable(root, error)
+    dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset)))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

@@ -22,7 +22,7 @@ class FrameSettings:
 
     Attributes:
         out: Folder of the run.
-        data_root: Folder that background paths are recorded relative to.
+        data_root: Folder of the backgrounds as it was given; their paths are recorded relative to it.
         recipe_json: The recipe.
         seed: The run's seed.
         renderer: Name in `rendering.RENDERERS`.

@@ -16,6 +16,7 @@ from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import MetricSections, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.file_names import distinct_names
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
@@ -43,16 +44,14 @@ class PlannedFrame:
         configuration: Number k of the configuration, from 0; None for the unchanged background.
         as_read: Background with the source's own class names. Camera height, grey levels and free places are
             derived from these, so that renaming classes does not change the picture.
+        name: Stem of the image file: `<background>_c<k>`, or the background's id for the unchanged background; with a
+            number appended where another frame of the split has that name.
     """
 
     background: ImageRecord
     configuration: int | None
     as_read: ImageRecord
-
-    @property
-    def name(self) -> str:
-        """Stem of the image file: `<background>_c<k>`, or that of the unchanged background."""
-        return self.background.id if self.configuration is None else f"{self.background.id}_c{self.configuration}"
+    name: str
 
     @property
     def frame_id(self) -> str:
@@ -214,11 +213,12 @@ def make_plan(
             new.append(name)
             categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
     _require_loosened(recipe, {o.category or models[o.model].category for o in recipe.objects})
-    frames = []
-    for image in usable:
-        if recipe.output.originals:
-            frames.append(PlannedFrame(image, None, as_read[id(image)]))
-        frames += [PlannedFrame(image, k, as_read[id(image)]) for k in range(recipe.configurations)]
+    names = frame_names(dataset.images, recipe.output.originals, recipe.configurations)
+    frames = [
+        PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
+        for image in usable
+        for k in _configurations(recipe.output.originals, recipe.configurations)
+    ]
     trimmed = Dataset(
         dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra
     )
@@ -243,6 +243,28 @@ def make_plan(
         ignored,
         dataset.images[:: max(1, len(dataset.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
     )
+
+
+def _configurations(originals: bool, count: int) -> list[int | None]:
+    """Return the configurations of a background in the order of its frames; None is the unchanged background."""
+    return [*([None] if originals else []), *range(count)]
+
+
+def frame_names(images: Sequence[ImageRecord], originals: bool, count: int) -> dict[tuple[int, int | None], str]:
+    """Return the name of every frame by `id(image)` and configuration; names are unique in each split.
+
+    Backgrounds whose ids look like names of frames (`a` and `a_c0`, when earlier output is used as input), or differ in
+    case alone, would otherwise share files. Unchanged backgrounds keep their name, and of other equal names the first
+    frame keeps it. The names depend on all backgrounds of the split, so that `--limit` does not change them.
+    """
+    names: dict[tuple[int, int | None], str] = {}
+    for split in dict.fromkeys(i.split for i in images):
+        of_split = [i for i in images if i.split == split]
+        frames = [(i, k) for k in _configurations(originals, 0) for i in of_split]
+        frames += [(i, k) for i in of_split for k in range(count)]
+        found = distinct_names([i.id if k is None else f"{i.id}_c{k}" for i, k in frames])
+        names |= {(id(i), k): name for (i, k), name in zip(frames, found, strict=True)}
+    return names
 
 
 def is_text(name: str) -> bool:
@@ -341,7 +363,7 @@ def fingerprint(dataset: Dataset) -> str:
 
 
 def data_root(dataset: Dataset) -> Path:
-    """Return the folder that recorded background paths are relative to."""
+    """Return the folder of the backgrounds, with links followed."""
     return dataset.root.resolve()
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from infrablend.annotation.merge import MergedLabels
 from infrablend.core.dataset import Instance
+from infrablend.core.file_names import leaves
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
 
@@ -90,6 +91,8 @@ class FrameRecord:
         """Return the record from JSON values written by `to_json`."""
         if data.get("version") != VERSION:
             raise ValueError(f"record version {data.get('version')!r}, expected {VERSION}")
+        if leaves(data["image"]) or leaves(data["background"]["path"]):
+            raise ValueError("a path that leads out of its folder")
         return cls(
             frame_id=data["frame_id"],
             image=data["image"],

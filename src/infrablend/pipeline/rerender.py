@@ -14,6 +14,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
+from infrablend.core.file_names import join_inside, leaves
 from infrablend.core.files import write_bytes
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
@@ -64,16 +65,15 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
     """
     folder = RunFolder(run)
     record_run = folder.read_run()
-    path = folder.record(frame_id)
-    record = read_record(path)
+    record = None if leaves(frame_id) else read_record(folder.record(frame_id))
     if record is None:
         every = folder.records()
-        near = [p for p in every if p.stem == path.stem] or every
+        near = [p for p in every if p.stem == frame_id.rpartition("/")[2]] or every
         hint = f", such as {folder.frame_id(near[0])}" if near else ""
         raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
-    background = Path(data or record_run["data"]["root"]) / record.background["path"]
+    background = join_inside(Path(data or record_run["data"]["root"]), record.background["path"])
     if not background.is_file():
         raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
     if sha256_of(background) != record.background["sha256"]:

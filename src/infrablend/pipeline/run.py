@@ -139,7 +139,7 @@ def run_plan(
         )
         settings = FrameSettings(
             out=out,
-            data_root=data_root(plan.dataset),
+            data_root=plan.dataset.root,
             recipe_json=plan.recipe.model_dump_json(),
             seed=plan.seed,
             renderer=renderer,

@@ -51,10 +51,14 @@ class CropSheet:
     png: bytes
 
 
-def sheets_of(comparison: ClassComparison) -> list[CropSheet]:
+def sheets_of(comparison: ClassComparison, name: str) -> list[CropSheet]:
     """Draw inserted objects, each beside the most similar real one: the most obvious, the least obvious, and random.
 
     Every crop shows 48 px of the image, enlarged four times; larger objects are scaled down first.
+
+    Args:
+        comparison: Comparison of the objects of one class.
+        name: First part of the file names; no other class has it.
     """
     if comparison.logistic is None:
         return []
@@ -63,7 +67,6 @@ def sheets_of(comparison: ClassComparison) -> list[CropSheet]:
     order = np.argsort(-scores, kind="stable")
     drawn = stream(0, "sheet", comparison.category).permutation(len(inserted))
     nearest = _nearest(real, inserted)
-    name = comparison.category.lower()
     sheets = []
     for what, title, chosen in (
         ("most_obvious", "most obvious", order),

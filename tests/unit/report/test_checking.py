@@ -188,3 +188,58 @@ def test_memory_does_not_grow_with_the_number_of_pictures(real_data: Path) -> No
     ]
     page_kib = resource.getpagesize() / 1024
     assert grown[1] - grown[0] < 10_000 + page_kib, grown
+
+
+# -- label files that nobody can read
+
+
+def damage(root: Path, pattern: str, change) -> list[str]:
+    paths = sorted(root.rglob(pattern))
+    for path in paths:
+        path.write_text(change(path.read_text()))
+    return [p.relative_to(root).as_posix() for p in paths]
+
+
+@pytest.mark.parametrize(
+    ("sample", "pattern", "change"),
+    [
+        ("voc", "*.xml", lambda text: text[: len(text) // 2]),
+        ("voc", "*.xml", lambda text: ""),
+        ("voc:flat", "*.xml", lambda text: '<!DOCTYPE annotation SYSTEM "x.dtd">' + text),
+        ("coco", "*.json", lambda text: text[: len(text) // 2]),
+        ("coco", "*.json", lambda text: ""),
+    ],
+)
+def test_label_files_that_cannot_be_read_are_errors_by_name(tmp_path, sample, pattern, change) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    damaged = damage(root, pattern, change)
+    result = run(root, "--json", "--no-decode")
+    assert result.exit_code == 1
+    problems = json.loads(result.stdout)["problems"]
+    for name in damaged:
+        assert any(name in (p["where"], *p["found"].split()) or Path(name).name == p["where"] for p in problems), name
+
+
+def test_label_files_of_another_name_are_errors_too(tmp_path) -> None:
+    root = SAMPLES["yolo:detect"](tmp_path / "data")
+    for path in sorted(root.rglob("labels/train/*.txt")):
+        path.rename(path.with_suffix(".TXT"))
+    for as_plain_folder in (False, True):
+        result = run(root, "--json", "--no-decode")
+        found = json.loads(result.stdout)["by_code"]
+        assert (result.exit_code, found["label-unread"]) == (1, 2), as_plain_folder
+        (root / "data.yaml").unlink(missing_ok=True)
+    broken = tmp_path / "coco"
+    SAMPLES["coco"](broken)
+    (broken / "annotations" / "more.json").write_text('{"images": [{"id": 1')
+    assert json.loads(run(broken, "--json", "--no-decode").stdout)["by_code"]["label-unread"] == 1
+
+
+def test_a_damaged_file_does_not_hide_intact_annotations(tmp_path) -> None:
+    root = SAMPLES["voc"](tmp_path / "data")
+    for k in range(30):
+        (root / "Annotations" / f"0{k}.xml").write_text("<annotation><obj")
+    report = json.loads(run(root, "--json", "--no-decode").stdout)
+    assert report["format"] == "voc"
+    assert report["objects"] > 0
+    assert report["errors"] == 30

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, ImageRecord
+from infrablend.core.file_names import file_name
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import Problem
 from infrablend.formats import coco
@@ -124,8 +125,9 @@ def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
 
 def _folder_name(image: ImageRecord) -> str:
     """Return the sequence as a folder name; empty if there is none."""
-    name = (image.sequence or "").replace("/", "__").replace("\\", "__").strip()
-    return "" if name in (".", "..") or split_in([name]) else name
+    sequence = (image.sequence or "").strip()
+    name = file_name(sequence.replace("/", "__").replace("\\", "__")) if sequence.strip(".") else ""
+    return "" if split_in([name]) else name
 
 
 def _picture_name(image: ImageRecord) -> str:

@@ -1,0 +1,76 @@
+"""Makes file names out of data, and joins paths from data without leaving a folder."""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+MAX_NAME_BYTES = 255
+"""Longest file name of the usual file systems."""
+
+_RESERVED = frozenset('/\\<>:"|?*')
+
+
+def fold_name(name: str) -> str:
+    """Return a key that is equal for names which some disk takes for one file, such as `A.jpg` and `a.jpg`."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def distinct_names(wanted: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
+    """Return the names, with a number appended to those that some disk would take for an earlier one.
+
+    The first of equal names keeps it. An appended number never gives a name that is wanted by another item, so the
+    result depends on the names and their order alone.
+
+    Args:
+        wanted: Wanted names, in the order of their claims.
+        taken: Further names that must not be used.
+    """
+    reserved = {fold_name(n) for n in (*wanted, *taken)}
+    used = {fold_name(n) for n in taken}
+    names = []
+    for name in wanted:
+        chosen, number = name, 2
+        while fold_name(chosen) in (used if chosen == name else reserved):
+            chosen = f"{name}-{number}"
+            number += 1
+        used.add(fold_name(chosen))
+        reserved.add(fold_name(chosen))
+        names.append(chosen)
+    return names
+
+
+def file_name(text: str) -> str:
+    """Return a file name for a text from data, such as the name of a class: one part of a path, on any system.
+
+    Separators, control characters and what Windows reserves become `_`. A name does not begin or end with a dot or a
+    blank, and has at most 100 bytes. Different texts may give the same name; see `distinct_names`.
+    """
+    kept = "".join("_" if c in _RESERVED or not c.isprintable() else c for c in unicodedata.normalize("NFC", text))
+    return kept.encode("utf-8")[:100].decode("utf-8", "ignore").strip(" .") or "_"
+
+
+def leaves(name: str) -> bool:
+    """Return whether a relative path from data leads out of its folder, on any system."""
+    posix, windows = PurePosixPath(name), PureWindowsPath(name)
+    climbs = ".." in posix.parts or ".." in windows.parts
+    return climbs or "\0" in name or posix.is_absolute() or bool(windows.drive or windows.root)
+
+
+def is_inside(path: Path, folder: Path) -> bool:
+    """Return whether a path is in or below `folder` once all links are followed."""
+    inside = os.path.realpath(folder)
+    return os.path.commonpath([os.path.realpath(path), inside]) == inside
+
+
+def join_inside(folder: Path, name: str) -> Path:
+    """Return the path of a file below `folder` by a relative path from data; links are not followed.
+
+    Raises:
+        ValueError: The path leads out of the folder.
+    """
+    if leaves(name):
+        raise ValueError(f"{name!r} leads out of {folder}")
+    return folder / name

@@ -1,0 +1,85 @@
+"""Find label files that a reader did not understand, so that lost labels do not look like pictures without objects."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import fold_name
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats import coco, folder, yolo
+from infrablend.formats.annotation_files import read_json, read_xml
+from infrablend.formats.pictures import is_hidden, list_pictures
+
+_SUFFIXES = {".xml", ".json", ".txt", ".csv", ".label"}
+_EXPECTED = "a label file that can be read"
+
+
+def unread_label_files(dataset: Dataset) -> list[Problem]:
+    """Return a problem for every label file below the dataset's folder that its reader did not understand.
+
+    These are damaged XML and JSON files, and text files with a suffix such as `.TXT`. In a plain folder of pictures,
+    whose labels were not recognised, they are also files named like a picture, and intact annotations.
+    """
+    stems = {fold_name(i.path.stem) for i in dataset.images}
+    plain = dataset.format == folder.NAME
+    used = _used(dataset) if plain else set()
+    reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
+    problems = []
+    for name in _candidates(dataset.root):
+        path = dataset.root / name
+        if name in reported or PurePosixPath(name).name in reported or path in used:
+            continue
+        found, todo = _fault(path, name), "restore or remove the file"
+        if not found and path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
+            found, todo = f"labels with the suffix {path.suffix}, which are not read", "rename it to .txt"
+        if not found and plain and (fold_name(path.stem) in stems or _is_annotation(path, name)):
+            found = "labels in no known layout, which are not read"
+            todo = "see docs/formats, and name the format with --format"
+        if found:
+            problems.append(Problem(name, "label-unread", found, _EXPECTED, todo))
+    return problems
+
+
+def _candidates(root: Path) -> Iterator[str]:
+    """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
+    for base, folders, names in os.walk(root):
+        folders[:] = sorted(d for d in folders if not is_hidden(d))
+        prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
+        yield from (
+            prefix + n for n in sorted(names) if not is_hidden(n) and PurePosixPath(n).suffix.lower() in _SUFFIXES
+        )
+
+
+def _used(dataset: Dataset) -> set[Path]:
+    """Return the label files and tables that the reader of a plain folder reads."""
+    root = dataset.root
+    labels = {yolo.find_label(p, root) for p in list_pictures(root).values()}
+    files = set(coco.find_files(root)) if dataset.notes.get("labels") == "coco" else set()
+    table = dataset.notes.get("table")
+    return {p for p in labels if p is not None} | files | ({root / table} if table else set())
+
+
+def _fault(path: Path, name: str) -> str:
+    """Return why an XML or JSON file cannot be read; empty for readable files and those of other types."""
+    if path.suffix.lower() == ".xml":
+        problem = read_xml(path, name)[1]
+        return "" if problem is None else problem.found
+    if path.suffix.lower() == ".json":
+        try:
+            read_json(path)
+        except DatasetError as error:
+            return error.problems[0].found
+    return ""
+
+
+def _is_annotation(path: Path, name: str) -> bool:
+    """Return whether a readable file contains annotations of a usual layout, whatever its name."""
+    if path.suffix.lower() == ".xml":
+        return bool(read_xml(path, name)[0].tag == "annotation")
+    if path.suffix.lower() == ".json":
+        top = read_json(path)
+        return isinstance(top, dict) and isinstance(top.get("annotations", top.get("annotation")), list)
+    return False
