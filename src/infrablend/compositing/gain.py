@@ -1,7 +1,14 @@
-"""The camera's gain: grey levels per unit of radiance, estimated for each background and drawn from its posterior.
+"""The camera's map from radiance to grey: gain, local share and offset of each background, from its annotated objects.
 
-A camera's automatic gain is unknown, differs from image to image and saturates. The estimate combines a prior with
-annotated objects of roughly known temperature (anchors). Clipped objects give only a lower bound. Statistics of the
+A camera's automatic gain is unknown, differs from image to image and saturates. The estimate combines priors with
+annotated objects of roughly known temperature (anchors). An anchor of radiance L in front of ground at `ring` shows
+
+    level = ground + offset + gain * (L - L_ground) + share * (ring - ground) + noise,
+
+where `ground` is the median level of the picture's ground and L_ground its radiance by the weather that was drawn. The
+offset is there because the weather is only a guess: the ground may be warmer or colder than drawn. All three are
+estimated from all anchors together and drawn from their joint posterior: first the share, then the gain given the
+share; the offset is its expectation given both. Clipped objects give only a lower bound of the gain. Statistics of the
 whole picture are not used.
 """
 
@@ -26,6 +33,8 @@ CLIP_MARGIN = 3
 # Standard deviation of reading an annotated object's level, in addition to that of its temperature; 8-bit levels.
 _READING_GREY = 5.0
 _FACE_K = 301.15
+# Standard deviation of the ground's temperature about the drawn one, beyond the scatter of the anchors' own.
+_GROUND_K = 2.0
 # An anchor on the other side of the ground's temperature gets its uncertainty multiplied by this factor.
 _OTHER_SIDE = 2.0
 # Share of the clothes' contrast visible in the middle of a person's box; limbs, straps and blur reduce it. Measured
@@ -34,10 +43,12 @@ _CLOTHING_SEEN = 0.8
 
 AnchorKind = Literal["clothing", "car_roof", "face_clipped", "clothing_clipped", "land", "land_clipped"]
 ANCHORS: tuple[AnchorKind, ...] = get_args(AnchorKind)
-Doubt = Literal["gain_negative", "gain_at_bound", "anchors_contradict", "no_anchor"]
+Doubt = Literal["gain_negative", "gain_at_bound", "anchors_contradict", "anchors_off", "no_anchor"]
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 # Mean squared residual of the anchors, in units of their noise, above which they contradict each other.
 _MOST_MISFIT = 4.0
+# Standard deviations of the mean level of all anchors, by the priors, beyond which weather or polarity are wrong.
+_MOST_OFF = 2.5
 
 
 def is_untrusted(doubts: Sequence[str]) -> bool:
@@ -100,16 +111,45 @@ class Anchor:
         grey: Level of the object minus that of what it is compared with: the ground around it, or the sky.
         kelvin: Assumed apparent temperature.
         sd_k: Standard deviation of that temperature.
+        ring: Level of the ground around it minus that of the picture's ground; 0 against the sky.
     """
 
     kind: AnchorKind
     grey: float
     kelvin: float
     sd_k: float
+    ring: float = 0.0
+
+    def above_ground(self, share: float) -> float:
+        """Return the object's level above the picture's ground, without the local share of its surroundings."""
+        return self.grey + (1 - share) * self.ring
+
+
+@dataclass(frozen=True)
+class SharePrior:
+    """The local share expected before looking at the picture, 0 to 1.
+
+    Attributes:
+        mean: Expected share.
+        sd: Standard deviation; at 0, and with a mean of 0 or 1, the mean is taken as exact.
+    """
+
+    mean: float = 1.0
+    sd: float = 0.05
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether nothing is to be estimated."""
+        return self.sd == 0 or self.mean in {0.0, 1.0}
 
 
 def find_anchors(
-    picture: NDArray[np.float32], free: NDArray[np.bool_], backdrop: Backdrop, air_k: float, clothing_k: float = 6.0
+    picture: NDArray[np.float32],
+    free: NDArray[np.bool_],
+    backdrop: Backdrop,
+    air_k: float,
+    clothing_k: float = 6.0,
+    ground_grey: float | None = None,
 ) -> tuple[Anchor, ...]:
     """Read the anchors of a picture: people's clothes and, at night, car roofs, each known to 3 K.
 
@@ -122,6 +162,7 @@ def find_anchors(
         backdrop: The background.
         air_k: Air temperature. Car roofs are taken to look 8 K colder.
         clothing_k: Assumed excess of clothes over the air temperature.
+        ground_grey: Level of the picture's ground; that of each anchor's surroundings if None.
     """
     found: list[Anchor] = []
     scale, levels = backdrop.grey_unit, backdrop.levels
@@ -133,6 +174,7 @@ def find_anchors(
         if inside.size < 20:
             continue
         around = ring_level(picture, i.box_xyxy, free)
+        ring = 0.0 if ground_grey is None else around - ground_grey
         known = known_class(i.category)
         h, w = inside.shape
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
@@ -143,12 +185,49 @@ def find_anchors(
             if floor < middle:
                 clipped = middle >= ceiling - 4 * scale
                 kind: AnchorKind = "clothing_clipped" if clipped else "clothing"
-                found.append(Anchor(kind, seen, air_k + clothing_k, 3.0))
+                found.append(Anchor(kind, seen, air_k + clothing_k, 3.0, ring))
             if bright >= ceiling:
-                found.append(Anchor("face_clipped", bright - around, _FACE_K, 3.0))
+                found.append(Anchor("face_clipped", bright - around, _FACE_K, 3.0, ring))
         elif known == "car" and backdrop.time_of_day == "night" and floor < middle < ceiling:
-            found.append(Anchor("car_roof", middle - around, air_k - 8, 3.0))
+            found.append(Anchor("car_roof", middle - around, air_k - 8, 3.0, ring))
     return tuple(found)
+
+
+def draw_share(
+    anchors: Sequence[Anchor],
+    air_k: float,
+    reference: float,
+    scale: float,
+    prior: SharePrior,
+    gain: GainPrior,
+    rng: np.random.Generator,
+) -> tuple[float, dict[str, Any]]:
+    """Draw the local share from its posterior, whatever gain and offset are.
+
+    Args:
+        anchors: Readings of the picture.
+        air_k: Air temperature.
+        reference: Radiance of the ground.
+        scale: Levels of the picture per 8-bit level.
+        prior: The share expected beforehand.
+        gain: The gain expected beforehand.
+        rng: Draws the share, if it is not exact.
+
+    Returns:
+        The share, 0 to 1; its posterior, and the number of anchors used.
+    """
+    read = _Readings.of(anchors, air_k, reference, scale, gain)
+    if prior.is_exact:
+        return prior.mean, {"drawn": prior.mean, "posterior": [prior.mean, 0.0], "anchors_used": 0}
+    # The unknown gain makes the levels of all anchors rise and fall together with their contrasts.
+    known = np.linalg.inv(read.covariance + (gain.sd * read.grey_per_k) ** 2 * np.outer(read.contrast, read.contrast))
+    rest = read.above_ground(0.0) - gain.mean * read.grey_per_k * read.contrast
+    weight = 1 / prior.sd**2 + read.ring @ known @ read.ring
+    centre = float((prior.mean / prior.sd**2 + read.ring @ known @ rest) / weight)
+    sd = float(weight) ** -0.5
+    share = _truncated_normal(rng, centre, sd, 0.0, 1.0)
+    posterior = [round(centre, 4), round(sd, 4)]
+    return share, {"drawn": round(share, 4), "posterior": posterior, "anchors_used": len(read.ring)}
 
 
 def draw_gain(
@@ -159,8 +238,9 @@ def draw_gain(
     prior: GainPrior,
     warm: bool,
     rng: np.random.Generator,
-) -> tuple[float, dict[str, Any]]:
-    """Draw the gain, levels per W m^-2 sr^-1, from its posterior.
+    share: float = 1.0,
+) -> tuple[float, float, dict[str, Any]]:
+    """Draw the gain, levels per W m^-2 sr^-1, from its posterior given the local share.
 
     Args:
         anchors: Readings of the picture.
@@ -170,52 +250,117 @@ def draw_gain(
         prior: The gain expected beforehand.
         warm: Whether the gain is for inserts warmer than the reference; anchors on the other side get less weight.
         rng: Draws the gain.
+        share: The local share.
 
     Returns:
-        The gain; the posterior it was drawn from, in 8-bit levels per kelvin, with the number of anchors used and
-        `doubts`, the reasons not to trust it (`DOUBTS`).
+        The gain; the expected offset of the ground, in levels of the picture; the posterior that the gain was drawn
+        from, in 8-bit levels per kelvin, with the number of anchors used, the offset in 8-bit levels and `doubts`, the
+        reasons not to trust the gain (`DOUBTS`).
     """
-    slope = float(band_radiance_slope(air_k))
-    mean, variance = prior.mean * scale / slope, (prior.sd * scale / slope) ** 2
-    weight, total = 1 / variance, mean / variance
-    used = []
-    for a in anchors:
-        contrast = float(band_radiance(a.kelvin)) - reference
-        if a.kind.endswith("clipped") or abs(contrast) < 1e-6:
-            continue
-        noise = math.hypot(_READING_GREY * scale, mean * slope * a.sd_k)
-        if (contrast > 0) != warm:
-            noise *= _OTHER_SIDE
-        weight += (contrast / noise) ** 2
-        total += contrast * a.grey / noise**2
-        used.append((contrast, a.grey, noise))
-    bounds = [prior.low * scale / slope, prior.high * scale / slope]
+    read = _Readings.of(anchors, air_k, reference, scale, prior, warm)
+    slope, grey = float(band_radiance_slope(air_k)), read.above_ground(share)
+    variance, known = (prior.sd * read.grey_per_k) ** 2, np.linalg.inv(read.covariance)
+    weight = 1 / variance + read.contrast @ known @ read.contrast
+    centre = float((prior.mean * read.grey_per_k / variance + read.contrast @ known @ grey) / weight)
+    sd = float(weight) ** -0.5
+    bounds = [prior.low * read.grey_per_k, prior.high * read.grey_per_k]
     for kind in ("face_clipped", "clothing_clipped", "land_clipped"):
         clipped = [a for a in anchors if a.kind == kind] if warm else []
         hotter = float(band_radiance(clipped[0].kelvin)) - reference if clipped else 0.0
         if hotter > 0:
-            at_least = float(np.median([a.grey for a in clipped])) / hotter
+            at_least = float(np.median([a.above_ground(share) for a in clipped])) / hotter
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
-    centre, sd = total / weight, 1 / math.sqrt(weight)
     gain = _truncated_normal(rng, centre, sd, bounds[0], bounds[1])
+    offset = read.offset_variance * float((known @ (grey - gain * read.contrast)).sum())
+    expected = prior.mean * read.grey_per_k * read.contrast
+    alike = np.linalg.inv(read.covariance + variance * np.outer(read.contrast, read.contrast))
+    off = abs(float((alike @ (grey - expected)).sum())) / math.sqrt(max(float(alike.sum()), 1e-12))
     unit = slope / scale
-    return gain, {
-        "grey_per_k": round(gain * unit, 4),
-        "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
-        "bounds": [round(b * unit, 4) for b in bounds],
-        "anchors_used": len(used),
-        "doubts": _doubts(centre, bounds, used),
-    }
+    return (
+        gain,
+        offset,
+        {
+            "grey_per_k": round(gain * unit, 4),
+            "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
+            "bounds": [round(b * unit, 4) for b in bounds],
+            "anchors_used": len(grey),
+            "offset_grey": round(offset / scale, 3),
+            "doubts": _doubts(centre, bounds, off, (grey - offset - centre * read.contrast) / read.noise),
+        },
+    )
 
 
-def _doubts(centre: float, bounds: Sequence[float], used: Sequence[tuple[float, float, float]]) -> list[str]:
-    """Return the reasons in `DOUBTS` that hold for a posterior; `used` has contrast, level and noise of each anchor."""
-    misfit = [((grey - centre * contrast) / noise) ** 2 for contrast, grey, noise in used]
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """The unclipped anchors of a picture as arrays.
+
+    Attributes:
+        grey_per_k: Levels per radiance for a gain of one 8-bit level per kelvin.
+        contrast: (n,) radiance above the reference.
+        grey: (n,) level above the surroundings.
+        ring: (n,) level of the surroundings above the picture's ground.
+        noise: (n,) standard deviation of the level, from the reading and the temperature.
+        offset_variance: Variance of the offset that all levels share.
+    """
+
+    grey_per_k: float
+    contrast: NDArray[np.float64]
+    grey: NDArray[np.float64]
+    ring: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    offset_variance: float
+
+    @classmethod
+    def of(
+        cls,
+        anchors: Sequence[Anchor],
+        air_k: float,
+        reference: float,
+        scale: float,
+        prior: GainPrior,
+        warm: bool | None = None,
+    ) -> _Readings:
+        """Read anchors; with `warm`, those on the other side of the reference count less."""
+        rows = []
+        for a in anchors:
+            contrast = float(band_radiance(a.kelvin)) - reference
+            if a.kind.endswith("clipped") or abs(contrast) < 1e-6:
+                continue
+            noise = math.hypot(_READING_GREY, prior.mean * a.sd_k) * scale
+            if warm is not None and (contrast > 0) != warm:
+                noise *= _OTHER_SIDE
+            rows.append((contrast, a.grey, a.ring, noise))
+        contrasts, grey, ring, noises = np.array(rows, np.float64).reshape(-1, 4).T
+        # The sky's radiance is what the weather states, and the step to the land was measured beside it.
+        of_ground = any(a.kind not in {"land", "land_clipped"} for a in anchors)
+        offset = (prior.mean * _GROUND_K * scale) ** 2 if of_ground else 0.0
+        return cls(scale / float(band_radiance_slope(air_k)), contrasts, grey, ring, noises, offset)
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(n, n) covariance of the levels: own noise and common offset."""
+        return np.diag(self.noise**2) + self.offset_variance
+
+    def above_ground(self, share: float) -> NDArray[np.float64]:
+        """Return the (n,) levels above the picture's ground, without the local share of the surroundings."""
+        return self.grey + (1 - share) * self.ring
+
+
+def _doubts(centre: float, bounds: Sequence[float], off: float, residuals: NDArray[np.float64]) -> list[str]:
+    """Return the reasons in `DOUBTS` that hold for a posterior.
+
+    Args:
+        centre: Its mean.
+        bounds: The smallest and the largest gain.
+        off: Distance of the anchors' mean level from the priors', in standard deviations.
+        residuals: (n,) rest of each anchor's level, in units of its noise.
+    """
     found = {
         "gain_negative": centre <= 0,
         "gain_at_bound": not bounds[0] < centre < bounds[1],
-        "anchors_contradict": len(used) > 1 and float(np.mean(misfit)) > _MOST_MISFIT,
-        "no_anchor": not used,
+        "anchors_contradict": residuals.size > 1 and float(np.mean(residuals**2)) > _MOST_MISFIT,
+        "anchors_off": off > _MOST_OFF,
+        "no_anchor": not residuals.size,
     }
     return [kind for kind in DOUBTS if found[kind]]
 

@@ -8,7 +8,7 @@ shows at `ring` is shown at
 
 where level and L_reference are those of the picture's ground, or of its sky for objects in front of it. With s = 1 an
 object is matched to the ring around it alone; with s = 0 its level follows its temperature and not the place where it
-is put. The gain is estimated for each picture (`gain`).
+is put. Gain, local share and the offset of the ground are estimated for each picture (`gain`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from infrablend.compositing.gain import (
     Anchor,
     Backdrop,
     GainPrior,
+    SharePrior,
     draw_gain,
+    draw_share,
     find_anchors,
     is_untrusted,
     ring_level,
@@ -57,7 +59,7 @@ class LocalSettings:
         prior: The gain expected beforehand; scaled by the range of the dataset's levels for 16-bit pictures.
         polarity: Polarity of the background; black-hot pictures are inverted on the way in and out.
         clothing_k: Assumed excess of people's clothes over the air temperature.
-        local_share: Share of the neighbourhood in the level of an object, 0 to 1.
+        local_share: Share of the neighbourhood in the level of an object, as expected beforehand.
         on_untrusted: What to do with a gain that is not to be trusted: use it all the same, draw it from the prior
             instead, or insert nothing.
     """
@@ -65,7 +67,7 @@ class LocalSettings:
     prior: GainPrior = field(default_factory=GainPrior)
     polarity: Literal["white-hot", "black-hot"] = "white-hot"
     clothing_k: float = 6.0
-    local_share: float = 1.0
+    local_share: SharePrior = field(default_factory=SharePrior)
     on_untrusted: OnDoubt = "use"
 
 
@@ -116,7 +118,7 @@ def match_locally(
         scene: A scene with weather.
         backdrop: The background.
         settings: Prior, polarity and clothing.
-        rng: Draws the gain from its posterior.
+        rng: Draws share and gain from their posteriors.
     """
     weather = scene.spec.weather
     if weather is None:
@@ -163,7 +165,7 @@ def local_mapping(
         inserts: At least one.
         weather: Air, sky and ground temperature.
         settings: Prior, polarity, clothing and local share.
-        rng: Draws the gains from their posteriors.
+        rng: Draws share and gains from their posteriors.
         camera: The picture's own camera; None if its horizon is unknown, then all is ground.
     """
     low, high = backdrop.levels
@@ -173,17 +175,21 @@ def local_mapping(
         picture = low + high - picture
     free = backdrop.free()
     behind = look_behind(picture, free, backdrop.grey_unit, camera, weather)
-    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k)
+    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey)
     against_sky = _land_anchors(behind, backdrop, weather)
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
-    gains, gain_facts = {}, {}
+    unit = backdrop.grey_unit
+    share, share_facts = draw_share(
+        on_ground, weather.air_k, of_ground, unit, settings.local_share, settings.prior, rng
+    )
+    gains, offsets, gain_facts = {}, {}, {}
     for which in ("warm", "cold", "sky"):  # always draw all, so that no insert's gain depends on the others
         reference, anchors = (behind.sky_radiance, against_sky) if which == "sky" else (of_ground, on_ground)
-        args = (weather.air_k, reference, backdrop.grey_unit, settings.prior, which != "cold")
-        gains[which], gain_facts[which] = draw_gain(anchors, *args, rng)
+        args = (weather.air_k, reference, unit, settings.prior, which != "cold")
+        gains[which], offsets[which], gain_facts[which] = draw_gain(anchors, *args, rng, share)
         if settings.on_untrusted == "prior" and is_untrusted(gain_facts[which]["doubts"]):
             doubts = gain_facts[which]["doubts"]
-            gains[which], gain_facts[which] = draw_gain((), *args, rng)
+            gains[which], offsets[which], gain_facts[which] = draw_gain((), *args, rng, share)
             gain_facts[which].update(doubts=doubts, from_prior=True)
 
     rings, kinds, places, used = [], [], [], set()
@@ -196,7 +202,9 @@ def local_mapping(
         ring = ring_level(picture, insert.box_xyxy, _like(behind, free, kind))
         level, reference = _reference(behind, kind, weather, ring)
         clearer, hazier = _through_air(insert, weather, kind)
-        level += settings.local_share * (ring - level)
+        level += share * (ring - level)
+        if kind == "ground":
+            level += offsets[which]
         dark = level - gain * reference + gain * hazier * of_air
         span = gain * clearer
         if black_hot:
@@ -214,7 +222,7 @@ def local_mapping(
             for k, v in (("ground", behind.ground_grey), ("sky", behind.sky_grey), ("skyline", behind.skyline_grey))
         },
         "warm": [i.warm for i in inserts],
-        "local_share": settings.local_share,
+        "local_share": share_facts,
         "gain": {which: gain_facts[which] for which in gains if which in used},
         "anchors": {kind: sum(a.kind == kind for a in (*on_ground, *against_sky)) for kind in ANCHORS},
         "levels": [low, high],

@@ -369,7 +369,7 @@ class PercentileMatching(Matching):
 class LocalMatching(Matching):
     """Matching of `appearance.mode: physical`: one map from radiance to grey per background, with a local share.
 
-    The gain is estimated for each background.
+    Gain, local share and offset of the ground are estimated for each background.
     """
 
     gain_grey_per_k: range_of(0.1, 100) = (2.5, 12.0)  # type: ignore[valid-type]
@@ -388,6 +388,9 @@ class LocalMatching(Matching):
     follows the grey of the place where the object is put. HIT-UAV by night: 0.0 (people) to 0.2 (cars)."""
     local_share_day: float | None = Field(0.3, ge=0, le=1)
     """The same by day; `local_share` if null. HIT-UAV: 0.24 (cars) to 0.41 (people)."""
+    local_share_spread: float = Field(0.05, ge=0, le=1)
+    """Standard deviation of the expected local share. Each background's share is drawn from what it and the annotated
+    objects of the background leave open; a share of 0 or 1 is exact."""
     on_untrusted: Literal["use", "prior", "skip"] = "use"
     """What to do where the gain cannot be trusted (negative, at a bound, or anchors that contradict each other): `use`
     it, draw it from the `prior` instead, or `skip` the background."""

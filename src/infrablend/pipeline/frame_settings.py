@@ -8,7 +8,7 @@ from pathlib import Path
 
 from infrablend.annotation.merge import MergeSettings
 from infrablend.compositing.contrast import Least, real_least
-from infrablend.compositing.gain import GainPrior
+from infrablend.compositing.gain import GainPrior, SharePrior
 from infrablend.compositing.local import LocalSettings
 from infrablend.compositing.mapping import PercentileSettings
 from infrablend.compositing.sensor import SensorStrength
@@ -69,7 +69,9 @@ def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> Lo
     if time_of_day == "day" and m.local_share_day is not None:
         share = m.local_share_day
     prior = GainPrior(mean, mean * m.gain_prior_spread, low, high)
-    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, share, m.on_untrusted)
+    return LocalSettings(
+        prior, m.polarity, m.clothing_above_air_k, SharePrior(share, m.local_share_spread), m.on_untrusted
+    )
 
 
 def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None) -> Least | None:

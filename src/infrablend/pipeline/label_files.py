@@ -143,6 +143,12 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
         "gains that agree within their uncertainty",
         "check class names and time of day; or " + _TRUST,
     ),
+    "anchors_off": (
+        "anchors-off",
+        "annotated objects of known temperature are all brighter or darker than the weather allows",
+        "levels within 2.5 standard deviations of those expected from weather and gain",
+        "check matching.polarity, environment.ground_above_air_k and matching.clothing_above_air_k; or " + _TRUST,
+    ),
     "no_anchor": (
         "no-anchor",
         "the gain is drawn from the prior alone, because nothing of known temperature is in sight",

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from infrablend.compositing.gain import Backdrop, GainPrior, find_anchors, ring_level
+from infrablend.compositing.gain import (
+    Anchor,
+    Backdrop,
+    GainPrior,
+    SharePrior,
+    draw_gain,
+    draw_share,
+    find_anchors,
+    ring_level,
+)
 from infrablend.compositing.local import Insert, LocalSettings, local_mapping
 from infrablend.compositing.mapping import GreyMapping, measure_levels
 from infrablend.core.camera import CameraSpec
@@ -51,10 +60,67 @@ def gains(picture, labels):
 
 
 def test_the_grounds_temperature_gets_the_grounds_grey():
+    """Exactly without anchors; with anchors, as far as the drawn gain explains them."""
     picture, labels = scene(6, people=2)
-    for _, (m, _) in enumerate(gains(picture, labels)[1]):
-        seen = m.dark + (m.bright - m.dark) * float(band_radiance(WEATHER.ground_k))
-        assert seen == pytest.approx(110, abs=1)
+    for seen_labels, tolerance in (([], 1), (labels, 8)):
+        for m, _ in gains(picture, seen_labels)[1]:
+            seen = m.dark + (m.bright - m.dark) * float(band_radiance(WEATHER.ground_k))
+            assert seen == pytest.approx(110, abs=tolerance)
+
+
+def test_ground_warmer_than_drawn_is_an_offset_and_no_gain():
+    """All objects 12 levels above what the drawn ground temperature predicts: 2 K at 6 levels per kelvin."""
+    picture, labels = scene(6, people=8, cars=6)
+    raised = picture.copy()
+    for i in labels:
+        x0, y0, x1, y1 = i.box_xyxy.astype(int)
+        raised[y0:y1, x0:x1] += 12
+    found = gains(raised, labels)
+    offsets = [facts["gain"]["warm"]["offset_grey"] for _, facts in found[1]]
+    assert np.mean(offsets) == pytest.approx(12, abs=5)
+    assert found[0].mean() == pytest.approx(6, abs=1)
+    assert np.mean([facts["gain"]["warm"]["offset_grey"] for _, facts in gains(picture, labels)[1]]) < 5
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.8])
+def test_share_gain_and_offset_are_estimated_together(share):
+    """Anchors over bright and dark ground; a wide prior leaves the share to them."""
+    rng = np.random.default_rng(1)
+    anchors = []
+    for kind, kelvin in (("clothing", AIR_K + 6), ("car_roof", AIR_K - 8)) * 12:
+        ring = float(rng.uniform(-50, 50))
+        level = grey_of(kelvin, 8, ground=0.0) + share * ring + 6
+        anchors.append(Anchor(kind, level - ring, kelvin, 3.0, ring))
+    args = (AIR_K, float(band_radiance(WEATHER.ground_k)), 1.0)
+    seeds = [np.random.default_rng(n) for n in range(30)]
+    drawn = [draw_share(anchors, *args, SharePrior(0.5, 1.0), GainPrior(), rng)[0] for rng in seeds]
+    assert np.mean(drawn) == pytest.approx(share, abs=0.12)
+    rng = np.random.default_rng(0)
+    fits = [draw_gain(anchors, *args, GainPrior(), True, rng, share) for _ in range(30)]
+    unit = float(band_radiance_slope(AIR_K))
+    assert np.mean([gain for gain, _, _ in fits]) * unit == pytest.approx(8, abs=1)
+    assert np.mean([offset for _, offset, _ in fits]) == pytest.approx(6, abs=4)
+    assert all(facts["doubts"] == [] for _, _, facts in fits)
+
+
+@pytest.mark.parametrize("prior", [SharePrior(0.0), SharePrior(1.0), SharePrior(0.3, 0)])
+def test_a_stated_share_is_exact_and_draws_nothing(prior):
+    rng = np.random.default_rng(0)
+    share, facts = draw_share([Anchor("clothing", 80, AIR_K + 6, 3.0, 40.0)], AIR_K, 0.1, 1.0, prior, GainPrior(), rng)
+    assert share == prior.mean
+    assert facts == {"drawn": share, "posterior": [share, 0.0], "anchors_used": 0}
+    assert rng.random() == np.random.default_rng(0).random()
+
+
+def test_rings_are_measured_against_the_pictures_ground():
+    picture, labels = scene(6, people=1)
+    picture[:200] += 30
+    free = np.ones(picture.shape, bool)
+    backdrop = Backdrop(picture, labels, "night", LEVELS)
+    found, *_ = find_anchors(picture.astype(np.float32), free, backdrop, AIR_K, ground_grey=110.0)
+    assert found.ring == pytest.approx(30, abs=1)
+    assert found.above_ground(1.0) == found.grey
+    assert found.above_ground(0.0) == pytest.approx(found.grey + found.ring)
 
 
 @pytest.mark.parametrize("gain", [3.5, 6.0, 9.5])
@@ -187,7 +253,7 @@ def test_the_local_share_decides_how_far_the_level_follows_the_place():
     radiance = float(band_radiance(WEATHER.ground_k + 5))
     levels = {}
     for share in (0.0, 0.25, 1.0):
-        m, facts = mapped(picture, at, [], settings=LocalSettings(local_share=share))
+        m, facts = mapped(picture, at, [], settings=LocalSettings(local_share=SharePrior(share, 0)))
         levels[share] = [p.dark + (p.bright - p.dark) * radiance for p in m.places]
         assert facts["ring_grey"] == [90, 170]
         assert levels[share][1] - levels[share][0] == pytest.approx(share * (170 - 90), abs=1e-6)
@@ -210,7 +276,7 @@ def test_in_front_of_the_sky_the_reference_is_the_sky():
     inserts = [Insert(np.array([100.0, 60, 116, 70]), range_m=40.0), Insert(np.array([100.0, 220, 116, 230]))]
     backdrop = Backdrop(picture, [], None, (0.0, 255.0))
     prior = GainPrior(9.0, 5.4, 2.0, 30.0)
-    settings = LocalSettings(prior, local_share=1.0)
+    settings = LocalSettings(prior)
     # The horizon is at row 190: 62 px below the middle at a focal length of 752.8 px.
     up = camera(-np.degrees(np.arctan(62 / 752.8)))
     air = []
@@ -238,13 +304,23 @@ def test_trees_above_the_horizon_are_neither_sky_nor_ground():
     assert m.dark + (m.bright - m.dark) * float(band_radiance(AIR_K)) == pytest.approx(200, abs=2)
 
 
+@pytest.mark.parametrize(("level", "doubt"), [(-140, "gain_negative"), (90, "gain_at_bound")])
+def test_gains_beyond_the_bounds_are_doubted(level, doubt):
+    """Clothes and roofs at levels that only a negative or a very high gain explains."""
+    reference = float(band_radiance(WEATHER.ground_k))
+    anchors = [Anchor("clothing", level, AIR_K + 6, 1.0), Anchor("car_roof", -2.5 * level, AIR_K - 8, 1.0)] * 3
+    rng = np.random.default_rng(0)
+    _, _, facts = draw_gain(anchors, AIR_K, reference, 1.0, GainPrior(), True, rng)
+    assert doubt in facts["doubts"]
+
+
 def test_doubts_are_named_and_the_prior_replaces_such_gains():
     """People that are darker than the ground although they should be warmer."""
     picture, labels = scene(6, people=6)
     inverted = (220 - picture.astype(int)).clip(16, 235).astype(np.uint8)
     _, facts = mapped(inverted, INSERT, labels)
     doubts = facts["gain"]["warm"]["doubts"]
-    assert "gain_at_bound" in doubts
+    assert "anchors_off" in doubts
     trusted = LocalSettings(on_untrusted="prior")
     _, instead = mapped(inverted, INSERT, labels, settings=trusted)
     assert instead["gain"]["warm"]["doubts"] == doubts
