@@ -28,7 +28,7 @@ from infrablend.formats.images import encode_image, load_background, output_suff
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.frame_settings import percentile_settings
-from infrablend.pipeline.label_files import write_formats
+from infrablend.pipeline.label_files import read_frames, write_formats
 from infrablend.pipeline.plan import RunPlan
 from infrablend.sampling.scene import sample_scene
 
@@ -138,7 +138,7 @@ STAGES = {
     "merge": "merge labels",
     "encode_image": "encode picture",
     "write_bytes": "write picture",
-    "write_json": "write record",
+    "write_record": "write record",
 }
 
 
@@ -179,7 +179,7 @@ def time_label_files(plan: RunPlan, out: Path) -> float:
     """Measure the CPU seconds for the label files of all frames of the plan; their records must exist."""
     watch = Stopwatch()
     with watch:
-        write_formats(plan, RunFolder(out))
+        write_formats(plan, RunFolder(out), read_frames(plan, RunFolder(out)))
     return watch.cpu_s
 
 

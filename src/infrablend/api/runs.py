@@ -77,12 +77,16 @@ def plan(
     return PlanReport(describe_run(request))
 
 
-def rerender(run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None) -> Path:
+def rerender(
+    run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None,
+    overwrite: bool = False,
+) -> Path:  # fmt: skip
     """Render the frame `<split>/<background>_c<k>` of a run again, with the same bytes; return the picture's path.
 
     By default the picture goes to the current folder. `data` is the folder of the backgrounds, if it has moved.
     """
-    return rerender_frame(Path(run), frame_id, None if out is None else Path(out), None if data is None else Path(data))
+    folder = None if data is None else Path(data)
+    return rerender_frame(Path(run), frame_id, None if out is None else Path(out), folder, overwrite=overwrite)
 
 
 def preview(

@@ -52,7 +52,8 @@ def exit_code(error: BaseException) -> int:
         case OutputError():
             # A folder that is not empty is the user's fault; a full disk is not.
             cause = error.__cause__
-            if any(p.code == "disk-full" for p in error.problems):  # raised in a worker: its cause stayed there
+            # Errors that were raised in a worker have lost their cause.
+            if any(p.code in {"disk-full", "not-writable"} for p in error.problems):
                 return ENVIRONMENT
             return ENVIRONMENT if isinstance(cause, OSError) and cause.errno in _DISK else USAGE
         case InfraBlendError():

@@ -22,9 +22,12 @@ def rerender(
     data: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the backgrounds, if it has moved.")
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace FILE if it exists and is something else.")
+    ] = False,
 ) -> None:
     """Render one frame of a run again."""
     from infrablend import api
     from infrablend.cli.results import print_result
 
-    print_result(str(api.rerender(run, frame, out, data=data)))
+    print_result(str(api.rerender(run, frame, out, data=data, overwrite=overwrite)))

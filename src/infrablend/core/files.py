@@ -22,6 +22,7 @@ _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, 
 
 
 _LONGEST_NAME = 255
+NAME_TOO_LONG = "name-too-long"
 
 
 def part_path(path: Path) -> Path:
@@ -61,6 +62,10 @@ def observed_by(observer: WriteObserver) -> Iterator[None]:
 
 def output_error(path: Path, error: OSError) -> OutputError:
     """Return the `OutputError` for a failed write of `path`."""
+    if error.errno == errno.ENAMETOOLONG:
+        todo = "rename the source's picture, or give a shorter folder"
+        long = Problem(str(path), NAME_TOO_LONG, f"a name of {len(path.name)} characters", "a shorter name", todo)
+        return OutputError(f"cannot write {path}: the name is too long for the file system", [long])
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     todo = "free some space and run again with --resume" if full else "check the folder and its permissions"
     reason = error.strerror or str(error)
@@ -144,6 +149,8 @@ def link_or_copy(source: Path, target: Path) -> Path:
         real = Path(os.path.realpath(source))
         # Renaming one hard link over another of the same file does nothing, so handle this case first.
         if target.exists() and not target.is_symlink() and target.samefile(real):
+            for observer in _observers:
+                observer.before_rename(target, real)
             return target
     except OSError as error:
         raise output_error(target, error) from error

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from infrablend.core.files import observed_by, output_error, part_path, write_text
-from infrablend.errors import Problem
+from infrablend.errors import OutputError, Problem
 
 REPLACED = "replaced"
 """Folder for files that somebody changed after InfraBlend wrote them and that a later call had to write again."""
@@ -55,6 +55,7 @@ class Manifest:
         self._ignored = {*ignored, self._file.relative_to(self.root).as_posix()}
         self._contents: dict[str, set[Content]] = {}
         self._digests: dict[tuple[int, int, int, int], str] = {}
+        self._written: set[str] = set()
         self._stream: IO[str] | None = None
         self.moved: dict[str, str] = {}
 
@@ -100,6 +101,14 @@ class Manifest:
         if "sha256" in entry:
             contents.add((int(entry["size"]), str(entry["sha256"])))
 
+    def add_present(self, name: str, sha256: str | None = None) -> bool:
+        """Add a file that is there, if it has this SHA-256 or none is given; return whether it was added."""
+        content = self._content(self.root / name)
+        if content is None or not _is_inside(name) or sha256 not in (None, content[1]):
+            return False
+        self._contents.setdefault(name, set()).add(content)
+        return True
+
     @contextlib.contextmanager
     def recording(self) -> Iterator[None]:
         """Record every file that this process writes to the folder within the block."""
@@ -137,6 +146,7 @@ class Manifest:
         name = self._name(path)
         if name is None:
             return
+        self._written.add(name)
         content = self._content(temporary)
         if content is None:  # the writer reports it
             return
@@ -195,7 +205,16 @@ class Manifest:
         return content is not None and content in self._contents[name]
 
     def move_aside(self, name: str) -> str:
-        """Move a file or link to the folder for replaced files, and return its new path."""
+        """Move a file or link to the folder for replaced files, and return its new path.
+
+        Raises:
+            OutputError: It cannot be moved, or is in a linked folder.
+        """
+        if self._through_link(name):
+            raise OutputError(
+                f"{self.root / name}: exists in a linked folder, and InfraBlend did not write it, or it was changed; "
+                "nothing was touched. Move it away, or give another folder."
+            )
         target = self._aside / name
         number = 1
         while os.path.lexists(target):
@@ -272,6 +291,22 @@ class Manifest:
         """Forget all entries and empty the file of the manifest."""
         self._contents.clear()
         write_text(self._file, "")
+
+    def delete_own(self, name: str) -> None:
+        """Delete one file, if InfraBlend wrote it and nobody has changed it."""
+        if self.is_own(name):
+            try:
+                (self.root / name).unlink()
+            except OSError as error:
+                raise output_error(self.root / name, error) from error
+
+    def remove_unwritten(self, folders: Iterable[str]) -> None:
+        """Delete what earlier calls wrote to these folders and this process did not write again."""
+        wanted = {*folders}
+        names = [n for n in self.paths if n.split("/")[0] in wanted and n not in self._written]
+        for name in names:
+            self.delete_own(name)
+        remove_empty(self.root, names)
 
     def delete(self) -> None:
         """Delete the file of the manifest."""

@@ -32,6 +32,7 @@ Existing = Literal["refuse", "resume", "overwrite"]
 """What to do with an output folder that already has results: refuse it, finish them, or replace them."""
 
 _SHOWN = 4
+_PROBE = ".writable"
 
 
 def require_existing(existing: Existing) -> None:
@@ -103,7 +104,7 @@ class OutputFolder:
             raise self._not_a_folder()
         if not os.access(self.root, os.R_OK | os.W_OK | os.X_OK):
             raise OutputError(f"{self.root}: cannot be written; expected a folder you may write to")
-        left_out = set(ignore)
+        left_out = {*ignore, _PROBE}
         return sorted(p.name for p in self.root.iterdir() if p.name not in left_out)
 
     def require_empty(self, *, existing: Existing = "refuse", ignore: Iterable[str] = ()) -> list[str]:
@@ -181,7 +182,7 @@ class OutputFolder:
         Raises:
             OutputError: The folder cannot be created or written to.
         """
-        probe = self.root / ".writable"
+        probe = self.root / _PROBE
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             probe.write_bytes(b"")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.manifest import sha256_of
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
-from infrablend.pipeline.record import sha256_of
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4

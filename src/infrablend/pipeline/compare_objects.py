@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -387,12 +388,15 @@ def compare(
     }
     if "Car" in by_name and "Person" in by_name:
         facts["car_to_person_contrast"] = contrast_ratio(by_name["Car"], by_name["Person"])
-    write_json(out / "realism.json", facts)
-    names = distinct_names([file_name(v.category.lower()) for v in comparisons])
-    sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
-    for sheet in sheets:
-        write_bytes(out / f"{sheet.name}.png", sheet.png)
-    write_text(out / "realism.html", html_report(facts, comparisons, sheets))
+    manifest = RunFolder(run).manifest().read()
+    inside = manifest.exists and out.resolve().is_relative_to(run.resolve())
+    with manifest.recording() if inside else nullcontext():  # `--overwrite` of the run then deletes its comparison
+        write_json(out / "realism.json", facts)
+        names = distinct_names([file_name(v.category.lower()) for v in comparisons])
+        sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
+        for sheet in sheets:
+            write_bytes(out / f"{sheet.name}.png", sheet.png)
+        write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
 
 

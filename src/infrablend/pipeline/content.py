@@ -7,8 +7,8 @@ import json
 from typing import Any
 
 from infrablend.core.dataset import Dataset
+from infrablend.core.manifest import sha256_of
 from infrablend.pipeline.plan import fingerprint
-from infrablend.pipeline.record import sha256_of
 
 
 def json_digest(value: Any) -> str:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import write_json
+from infrablend.core.files import part_path, write_json
 from infrablend.core.format_table import NATIVE, written_names
+from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
 from infrablend.core.run_layout import IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError
-from infrablend.report.card import CARD_FILE, is_own
+from infrablend.pipeline.record import RecordError, load_record
 
-# The only folders that `--overwrite` may delete.
-OWN_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES, "realism", LOGS)
+# Folders that contain nothing but what the run writes.
+DATASET_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES)
+LOG_FILES = ("run.log", "workers.log")
+MANIFEST = "files.jsonl"
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class RunFolder(RunLayout):
                 f"{self.run_file}: cannot be read ({error}); expected the record of a run. "
                 "Use a folder written by `infrablend generate --out`."
             ) from error
-        if not isinstance(data, dict) or "recipe" not in data:
+        if not isinstance(data, dict) or not {"recipe", "infrablend"} <= data.keys():
             raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
         return data
 
@@ -44,12 +50,14 @@ class RunFolder(RunLayout):
         """Write the run record atomically."""
         write_json(self.run_file, data, indent=2)
 
-    def _sweep(self) -> None:
-        """Remove partial files of a killed process; the folder is locked, so no other process is writing."""
-        for name in OWN_FOLDERS:
-            for left in sorted((self.root / name).rglob(".*.part*")):
-                with contextlib.suppress(OSError):
-                    left.unlink()
+    def manifest(self) -> Manifest:
+        """Return the manifest of the files that the run writes, unread; frames have their own records instead."""
+        ignored = (IMAGES, SCENES, LOGS, RUN_FILE, part_path(self.run_file).name)
+        return Manifest(self.root, self.log_folder / MANIFEST, self.log_folder / REPLACED, ignored)
+
+    def strays(self, known: Iterable[str]) -> list[str]:
+        """Return the files in the folders of the dataset that are not among the known ones, sorted."""
+        return sorted({*files_below(self.root, DATASET_FOLDERS)} - {*known})
 
     @property
     def output(self) -> OutputFolder:
@@ -58,8 +66,21 @@ class RunFolder(RunLayout):
 
     def forget_start(self) -> None:
         """Remove the record and logs of a run that failed before its first frame; the command can then be repeated."""
-        shutil.rmtree(self.log_folder, ignore_errors=True)
+        for name in (*LOG_FILES, MANIFEST):
+            (self.log_folder / name).unlink(missing_ok=True)
+        remove_empty(self.root, [f"{LOGS}/{MANIFEST}"])
         self.run_file.unlink(missing_ok=True)
+
+    def _remove_start(self) -> None:
+        """Remove what a run leaves that was killed, or ran out of space, before its first record.
+
+        Logs are the only files that are written before the record.
+        """
+        part_path(self.run_file).unlink(missing_ok=True)
+        if os.listdir(self.root) == [LOGS] and self.log_folder.is_dir() and not self.log_folder.is_symlink():
+            found = {p.name for p in sorted(self.log_folder.iterdir())}
+            if found <= {*LOG_FILES, MANIFEST, part_path(Path(MANIFEST)).name}:
+                shutil.rmtree(self.log_folder, ignore_errors=True)
 
     def outlook(self, existing: Existing) -> str | None:
         """Return what a run would do with the present contents of the folder; None if there are none.
@@ -79,7 +100,7 @@ class RunFolder(RunLayout):
         then = {
             "refuse": "would be refused without --resume (finish it) or --overwrite (replace it)",
             "resume": "--resume would keep its finished frames and make the missing ones",
-            "overwrite": "--overwrite would delete it first",
+            "overwrite": "--overwrite would delete it first, except for files that the run did not write",
         }[existing]
         return f"has a run already (status {status}): {then}"
 
@@ -91,16 +112,32 @@ class RunFolder(RunLayout):
                 cannot be written.
         """
         output = self.output
+        if self.root.is_dir():
+            self._remove_start()
         entries = output.require_empty(existing=existing)
         if entries and RUN_FILE not in entries:
             raise output.refuse_not_ours()
         if entries:
             record = self.read_run()  # raises if another program wrote this run.json
             if existing == "resume":
-                self._sweep()
                 return record
-            own = [n for n in OWN_FOLDERS if not (self.root / n).is_symlink() and (self.root / n).is_dir()]
-            # The record goes last: an overwrite that is interrupted can be repeated.
-            output.remove([*own, *([CARD_FILE] if is_own(self.root / CARD_FILE) else []), RUN_FILE])
+            self._remove_run(record)
         output.make_writable()
         return None
+
+    def _remove_run(self, record: Mapping[str, Any]) -> None:
+        """Delete what a run wrote and nobody changed; the record stays until the next run replaces it."""
+        manifest = self.manifest()
+        if not manifest.exists:
+            raise self.output.refuse_not_ours(f"no {LOGS}/{MANIFEST}, which lists the files that the run wrote")
+        # An overwrite that is interrupted can be repeated, and does not pass for a finished run.
+        self.write_run({**record, "status": "overwritten"})
+        manifest.read()
+        for path in self.records():
+            with contextlib.suppress(RecordError):
+                frame = load_record(path)
+                manifest.add_present(f"{IMAGES}/{frame.image}", frame.image_sha256)
+                manifest.add_present(path.relative_to(self.root).as_posix())
+        for name in LOG_FILES:
+            manifest.add_present(f"{LOGS}/{name}")
+        manifest.remove_own()

@@ -23,7 +23,7 @@ from infrablend.compositing.sensor import Sensor, apply_sensor, fit_sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import LocalMatching, MetricSections, NoSensor, Overlay
 from infrablend.core.cores import take_core
-from infrablend.core.files import write_bytes, write_json
+from infrablend.core.files import write_bytes
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.rng import integer_seed, stream
@@ -51,7 +51,7 @@ from infrablend.pipeline.occlusion import (
 )
 from infrablend.pipeline.original import copy_original
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord, covered_facts
+from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import move_objects, sample_scene
@@ -122,7 +122,6 @@ class FrameMaker:
 
         relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, recipe.output.image))
         image_bytes = encode_image(pixels, background, recipe.output.image)
-        write_bytes(self._folder.image(relative), image_bytes)
         record = FrameRecord(
             frame_id=frame.frame_id,
             image=relative,
@@ -144,7 +143,9 @@ class FrameMaker:
             warnings=tuple(p.to_json() for p in background.problems),
             covered=covered_facts(merged),
         )
-        write_json(self._folder.record(frame.frame_id), record.to_json())
+        # The record comes first: whatever is in `images/` is then in a record, with its digest.
+        write_record(self._folder.record(frame.frame_id), record)
+        write_bytes(self._folder.image(relative), image_bytes)
         return FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
 
     def close(self) -> None:

@@ -43,9 +43,15 @@ class LabelSummary:
     problems: tuple[Problem, ...] = ()
 
 
-def write_formats(plan: RunPlan, folder: RunFolder) -> LabelSummary:
+def read_frames(plan: RunPlan, folder: RunFolder) -> list[tuple[PlannedFrame, FrameRecord]]:
+    """Return the frames that have a record, in the order of the plan."""
+    return [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
+
+
+def write_formats(
+    plan: RunPlan, folder: RunFolder, records: Sequence[tuple[PlannedFrame, FrameRecord]]
+) -> LabelSummary:
     """Write the card and all formats of the recipe; the same records give the same bytes."""
-    records = [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
     # The records keep the exact boxes.
     images, loosened = loosen_inserted([labelled_image(f, r, folder) for f, r in records], plan.recipe.labels.loosen)
     losses: Counter[str] = Counter()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+
 from infrablend.annotation.merge import merge
 from infrablend.config.recipe import Recipe
-from infrablend.core.files import write_bytes, write_json
-from infrablend.formats.images import load_background, output_suffix, save_image
+from infrablend.core.files import write_bytes
+from infrablend.formats.images import encode_image, load_background, output_suffix
 from infrablend.pipeline.backgrounds import background_facts
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings, merge_settings
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord, sha256_of
+from infrablend.pipeline.record import FrameRecord, write_record
 
 
 def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> FrameDone:
@@ -19,16 +21,15 @@ def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) 
     background = load_background(source.path, source.size_wh)
     kind = recipe.output.image
     relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
-    target = folder.image(relative)
     if kind == "png" and source.path.suffix.lower() != ".png":
-        save_image(target, background.pixels, background, kind)
+        image_bytes = encode_image(background.pixels, background, kind)
     else:
-        write_bytes(target, source.path.read_bytes())
+        image_bytes = source.path.read_bytes()
     merged = merge(source.instances, (), merge_settings(recipe))
     record = FrameRecord(
         frame_id=frame.frame_id,
         image=relative,
-        image_sha256=sha256_of(target),
+        image_sha256=hashlib.sha256(image_bytes).hexdigest(),
         background=background_facts(source, background.size_wh, settings.data_root),
         scene=None,
         mapping=None,
@@ -37,5 +38,6 @@ def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) 
         removed=tuple(r.to_json() for r in merged.removed),
         warnings=tuple(p.to_json() for p in background.problems),
     )
-    write_json(folder.record(frame.frame_id), record.to_json())
+    write_record(folder.record(frame.frame_id), record)
+    write_bytes(folder.image(relative), image_bytes)
     return FrameDone(0, 0, {})

@@ -12,10 +12,12 @@ from typing import Any
 from infrablend.annotation.merge import MergedLabels
 from infrablend.core.dataset import Instance
 from infrablend.core.file_names import leaves
+from infrablend.core.files import write_json
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
 
 VERSION = 1
+DIGEST = "record_sha256"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,9 @@ class FrameRecord:
             raise ValueError(f"record version {data.get('version')!r}, expected {VERSION}")
         if leaves(data["image"]) or leaves(data["background"]["path"]):
             raise ValueError("a path that leads out of its folder")
+        kept = data["kept"]
+        if not all(type(n) is int and n >= 0 for n in kept) or len(set(kept)) != len(kept):
+            raise ValueError(f"kept: found {kept!r}, expected indices")
         return cls(
             frame_id=data["frame_id"],
             image=data["image"],
@@ -117,14 +122,44 @@ def covered_facts(merged: MergedLabels) -> dict[int, dict[str, Any]]:
     }
 
 
-def read_record(path: Path) -> FrameRecord | None:
-    """Read a record; return None if it is missing or damaged, in which case the frame has to be rendered again."""
+class RecordError(ValueError):
+    """A frame record that cannot be used."""
+
+
+def write_record(path: Path, record: FrameRecord) -> None:
+    """Write a record with the digest of its content, so that a later edit is noticed."""
+    content = json.loads(json.dumps(record.to_json(), allow_nan=False))
+    write_json(path, {**content, DIGEST: _digest(content)})
+
+
+def load_record(path: Path) -> FrameRecord:
+    """Read a record and verify its digest; records of earlier versions have none.
+
+    Raises:
+        RecordError: The record is missing, damaged, or was edited.
+    """
     try:
-        return FrameRecord.from_json(json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError, KeyError, TypeError):
+        data = json.loads(path.read_text("utf-8"))
+        if not isinstance(data, dict):
+            raise RecordError("damaged: not a JSON object")
+        if (digest := data.pop(DIGEST, None)) is not None and digest != _digest(data):
+            raise RecordError("edited: its digest does not match")
+        return FrameRecord.from_json(data)
+    except RecordError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        raise RecordError(f"damaged: {type(error).__name__}: {error}") from error
+
+
+def read_record(path: Path) -> FrameRecord | None:
+    """Read a record; return None if it is missing, damaged or edited: the frame then has to be rendered again."""
+    try:
+        return load_record(path)
+    except RecordError:
         return None
 
 
-def sha256_of(path: Path) -> str:
-    """Return the hexadecimal SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of JSON values, whatever their layout in the file."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -16,6 +16,8 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
 from infrablend.core.file_names import join_inside, leaves
 from infrablend.core.files import write_bytes
+from infrablend.core.manifest import sha256_of
+from infrablend.core.output import require_replaceable
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, OutputError
@@ -24,7 +26,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.occlusion import recorded_front
-from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
+from infrablend.pipeline.record import FrameRecord, RecordError, load_record
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
 
@@ -40,6 +42,7 @@ class Rerender:
         out: File to write.
         renderer: Name of the renderer in `rendering.RENDERERS`.
         device: Device that Cycles computes on.
+        overwrite: Replace another file.
     """
 
     record: dict[str, Any]
@@ -48,9 +51,12 @@ class Rerender:
     out: Path
     renderer: str
     device: str
+    overwrite: bool = False
 
 
-def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path | None = None) -> Path:
+def rerender_frame(
+    run: Path, frame_id: str, out: Path | None = None, data: Path | None = None, *, overwrite: bool = False
+) -> Path:
     """Render a frame again from its record; the same kind of device gives the same bytes.
 
     Args:
@@ -58,15 +64,21 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
         frame_id: `<split>/<background>_c<k>`.
         out: File to write; by default the frame's own file name in the working folder. A .png file is lossless.
         data: Folder of the backgrounds if they have moved.
+        overwrite: Replace a file that exists and is something else.
 
     Raises:
-        OutputError: The run or the frame does not exist.
+        OutputError: The run or the frame does not exist, the record of the frame was edited, or `out` exists and is
+            something else.
         DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
     record_run = folder.read_run()
-    record = None if leaves(frame_id) else read_record(folder.record(frame_id))
-    if record is None:
+    if not leaves(frame_id) and (path := folder.record(frame_id)).is_file():
+        try:
+            record = load_record(path)
+        except RecordError as error:
+            raise OutputError(f"{path}: {error}. Run `infrablend generate --resume` to make the frame again") from error
+    else:
         every = folder.records()
         near = [p for p in every if p.stem == frame_id.rpartition("/")[2]] or every
         hint = f", such as {folder.frame_id(near[0])}" if near else ""
@@ -89,6 +101,7 @@ def rerender_frame(run: Path, frame_id: str, out: Path | None = None, data: Path
         target,
         record_run["machine"]["renderer"],
         record_run["machine"]["device"],
+        overwrite,
     )
     run_once("infrablend.pipeline.rerender:make_rerenderer", job, frame_id)
     return target
@@ -120,6 +133,11 @@ def render_record(
     )
 
 
+def _holds(path: Path, data: bytes) -> bool:
+    """Return whether a file has exactly these bytes."""
+    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+
+
 def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
     """Return the worker: a function of a task whose payload is a `Rerender`."""
     take_core()
@@ -132,7 +150,10 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         models = {o.model: ready_model(o.model) for o in recipe.objects}
         pixels = render_record(record, background, recipe, models, make_renderer(job.renderer, job.device))
         lossless = job.out.suffix.lower() == ".png"
-        write_bytes(job.out, encode_image(pixels, background, "png" if lossless else "same"))
+        data = encode_image(pixels, background, "png" if lossless else "same")
+        if job.overwrite or not _holds(job.out, data):
+            require_replaceable(job.out, "rendering of this frame", ours=job.overwrite)
+            write_bytes(job.out, data)
         return str(job.out)
 
     return run

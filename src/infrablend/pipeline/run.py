@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,11 @@ from pydantic import ValidationError
 from infrablend import __version__
 from infrablend.compositing.mapping import measure_levels
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
-from infrablend.core.files import output_error
+from infrablend.core.files import NAME_TOO_LONG, output_error
 from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.manifest import Manifest, sha256_of
 from infrablend.core.output import Existing
+from infrablend.core.run_layout import IMAGES, SCENES
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import (
     DatasetError,
@@ -31,13 +34,13 @@ from infrablend.errors import (
 )
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
-from infrablend.formats.images import load_background
+from infrablend.formats.images import load_background, output_suffix
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings
 from infrablend.pipeline.label_files import LabelSummary, write_formats
 from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
-from infrablend.pipeline.record import FrameRecord, read_record, sha256_of
+from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 
 log = logging.getLogger(__name__)
@@ -55,7 +58,8 @@ class RunReport:
         out: Folder of the run.
         status: Status of the run, always `complete`.
         counts: Counts of frames, objects, labels and problems, as under `counts` in the run record.
-        problems: Skipped backgrounds, failed frames and warnings.
+        problems: Skipped backgrounds, failed frames and warnings, and files that the run did not write or that were
+            changed; the run record does not have the latter, because equal runs have equal records.
         seconds: Wall-clock time of this call.
     """
 
@@ -89,6 +93,8 @@ class _State:
     done: int = 0
     resumed: int = 0
     inserted: int = 0
+    finished: int | None = None  # counted on disk at the end
+    unfinished: set[str] = field(default_factory=set)
     failures: dict[str, Problem] = field(default_factory=dict)
     skipped: dict[str, Problem] = field(default_factory=dict)
     render_seconds: Counter[str] = field(default_factory=Counter)
@@ -131,9 +137,20 @@ def run_plan(
         levels = _levels(plan, previous)
         if levels is not None:
             header["levels"] = list(levels)
+        manifest = folder.manifest()
+        if previous is None:
+            manifest.reset()
         folder.write_run({**header, "status": "running"})
         state = _State()
-        todo = _remaining(plan, folder, state) if previous is not None else list(plan.frames)
+        if previous is None:
+            todo = list(plan.frames)
+        else:
+            manifest.read().remove_parts()
+            todo = _remaining(plan, folder, manifest, state)
+        for frame in todo:
+            _make_way(plan, folder, manifest, frame)
+        stack.enter_context(manifest.recording())
+        manifest.begin(name for frame in todo for name in _frame_files(plan, frame))
         log.info(
             "%d frames, %d already there, seed %d, %d workers", len(plan.frames), state.resumed, plan.seed, workers
         )
@@ -165,8 +182,14 @@ def run_plan(
                 folder.forget_start()
             raise
         made = time.monotonic()
+        finished, notes = LabelSummary(), []
         try:
-            finished = write_formats(plan, folder) if status == "complete" else LabelSummary()
+            if status == "complete":
+                records = _finished_frames(plan, folder, state)
+                finished = write_formats(plan, folder, records)
+                if records:  # labels of frames that are gone
+                    manifest.remove_unwritten(plan.recipe.output.formats)
+                notes = _file_notes(folder, manifest, records)
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": "interrupted"})
             raise Interrupted(
@@ -196,12 +219,14 @@ def run_plan(
             }
         )
         log.info("%s: %s", status, counts)
+        for note in notes:
+            log.info("%s", note)
         if status == "interrupted":
             raise Interrupted(
                 f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; finished ones are kept. "
                 "Repeat the command with --resume to continue."
             )
-    return RunReport(out, status, counts, tuple(problems), time.monotonic() - started)
+    return RunReport(out, status, counts, (*problems, *notes), time.monotonic() - started)
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
@@ -260,7 +285,8 @@ def _record_result(result: TaskResult, frame: PlannedFrame, state: _State) -> No
         state.render_seconds.update(done.seconds)
         return
     failure = result.failure
-    if failure.error == "OutputError":
+    state.unfinished.add(result.key)
+    if failure.error == "OutputError" and not any(p.code == NAME_TOO_LONG for p in failure.problems):
         # No space or no permission: every further frame would fail the same way.
         log.info("frame %s: %s\n%s", result.key, failure.message, failure.traceback)
         raise failure.to_exception()
@@ -284,13 +310,13 @@ def _record_result(result: TaskResult, frame: PlannedFrame, state: _State) -> No
     log.info("traceback of frame %s:\n%s", result.key, failure.traceback)  # info level: log file only, not the screen
 
 
-def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedFrame]:
+def _remaining(plan: RunPlan, folder: RunFolder, manifest: Manifest, state: _State) -> list[PlannedFrame]:
     """Return the frames to render: their record or image is missing or damaged, or their background has changed."""
     todo = []
     of_background: dict[Path, str | None] = {}
     for frame in plan.frames:
-        record = read_record(folder.record(frame.frame_id))
-        if record is None or record.frame_id != frame.frame_id or not _is_intact(folder, record):
+        record, image = _record_of(plan, folder, frame), _frame_files(plan, frame)[0]
+        if record is None or not manifest.add_present(image, record.image_sha256):
             todo.append(frame)
         elif _cached_digest(frame.background.path, of_background) != record.background.get("sha256"):
             log.warning(
@@ -303,9 +329,86 @@ def _remaining(plan: RunPlan, folder: RunFolder, state: _State) -> list[PlannedF
     return todo
 
 
+def _frame_files(plan: RunPlan, frame: PlannedFrame) -> tuple[str, str]:
+    """Return the paths of a frame's image and record in the folder of the run."""
+    output = plan.recipe.output
+    image = frame.image_path(output.group_by, output_suffix(frame.background.path, output.image))
+    return f"{IMAGES}/{image}", f"{SCENES}/{frame.frame_id}.json"
+
+
+def _record_of(plan: RunPlan, folder: RunFolder, frame: PlannedFrame) -> FrameRecord | None:
+    """Return the record of a frame; None if there is none, or it is damaged, edited or of something else."""
+    record = read_record(folder.record(frame.frame_id))
+    if record is None or record.frame_id != frame.frame_id:
+        return None
+    fits = f"{IMAGES}/{record.image}" == _frame_files(plan, frame)[0]
+    return record if fits and all(n < len(frame.background.instances) for n in record.kept) else None
+
+
+def _make_way(plan: RunPlan, folder: RunFolder, manifest: Manifest, frame: PlannedFrame) -> None:
+    """Remove what an earlier call left of a frame that has to be rendered, and move aside what others changed.
+
+    If the frame fails, nothing of it remains: a picture without labels would be taken for one without objects.
+    """
+    image, record = _frame_files(plan, frame)
+    known = _record_of(plan, folder, frame)
+    if known is not None:
+        manifest.add_present(record)
+        manifest.add_present(image, known.image_sha256)
+    for name in (image, record):
+        path = folder.root / name
+        if manifest.is_own(name):
+            manifest.delete_own(name)
+        elif os.path.lexists(path):
+            log.warning("%s: changed, damaged or not written by this run; moved aside, and made again", path)
+            manifest.move_aside(name)
+
+
+def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State) -> list[tuple[PlannedFrame, FrameRecord]]:
+    """Return the frames whose record and image are there and intact; the others are counted as failed.
+
+    Files may have been removed or changed while the run was going on.
+    """
+    found = []
+    for frame in plan.frames:
+        if frame.frame_id in state.unfinished:
+            continue
+        record = _record_of(plan, folder, frame)
+        if record is not None and _is_intact(folder, record):
+            found.append((frame, record))
+            continue
+        state.failures[frame.frame_id] = Problem(
+            frame.frame_id,
+            "frame-lost",
+            "its picture or record was removed or changed while the run was going on",
+            "a finished frame",
+            "run again with --resume",
+        )
+        log.error("%s", state.failures[frame.frame_id])
+    state.inserted = sum(len(record.inserted) for _, record in found)
+    state.finished = len(found)
+    return found
+
+
 def _is_intact(folder: RunFolder, record: FrameRecord) -> bool:
     image = folder.image(record.image)
-    return image.is_file() and sha256_of(image) == record.image_sha256
+    try:
+        return image.is_file() and sha256_of(image) == record.image_sha256
+    except OSError:
+        return False
+
+
+def _file_notes(
+    folder: RunFolder, manifest: Manifest, records: Sequence[tuple[PlannedFrame, FrameRecord]]
+) -> list[Problem]:
+    """Return warnings about files in the folder that the run did not write, or that were changed since."""
+    manifest.drop_equal()
+    known = {*manifest.paths}
+    known |= {name for f, r in records for name in (f"{IMAGES}/{r.image}", f"{SCENES}/{f.frame_id}.json")}
+    return manifest.problems() + [
+        Problem(name, "file-foreign", "not written by this run", "", "kept; move it elsewhere", "warning")
+        for name in folder.strays(known)
+    ]
 
 
 def _cached_digest(path: Path, known: dict[Path, str | None]) -> str | None:
@@ -407,7 +510,7 @@ def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, A
     }
     return {
         "frames_planned": len(plan.frames),
-        "frames": state.done + state.resumed,
+        "frames": state.done + state.resumed if state.finished is None else state.finished,
         "failed_frames": len(state.failures),
         "skipped_backgrounds": len(state.skipped) + len(left_out),
         "objects_inserted": state.inserted,

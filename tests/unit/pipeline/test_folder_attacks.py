@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import functools
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
+from infrablend.pipeline import request
 from tests.samples import SAMPLES
 
 
@@ -122,7 +125,7 @@ def test_split_does_not_write_to_a_folder_in_use(data: Path, tmp_path: Path) -> 
 # -- a killed conversion can be repeated; foreign and changed files survive
 
 
-@pytest.mark.parametrize("renames", [0, 1, 2, 5, 9])
+@pytest.mark.parametrize("renames", [0, 1, 5])
 def test_killed_conversion_is_finished_with_overwrite(renames: int, data: Path, converted: Path) -> None:
     out = data.parent / "out"
     killed(renames, "convert", data, out, "--to", "voc")
@@ -152,3 +155,188 @@ def test_record_with_foreign_paths_deletes_nothing(data: Path, tmp_path: Path, c
         (converted / "convert.json").write_text(json.dumps({**record, "written": written, "entries": [where]}))
         run("convert", data, converted, "--to", "voc", "--overwrite")
         assert mine.read_text() == "mine"
+
+
+# -- runs
+
+
+GENERATE = ("generate", "hit-uav-drone", "--set", "output.formats=[yolo]", "--set", "camera.pitch={fixed_deg: 60}")
+
+
+@pytest.fixture
+def flat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Render with the flat renderer, which the command line does not offer."""
+    monkeypatch.setattr(request, "Execution", functools.partial(request.Execution, renderer="flat", in_process=True))
+
+
+@pytest.fixture
+def words(flat: None, data: Path, tmp_path: Path) -> list[object]:
+    return [*GENERATE, "--data", data, "--out", tmp_path / "run"]
+
+
+@pytest.fixture
+def made(words: list[object], tmp_path: Path) -> Path:
+    done(*words)
+    return tmp_path / "run"
+
+
+def record_of(made: Path) -> Path:
+    """Return the record of a frame whose background has labels."""
+    return next(p for p in sorted((made / "scenes").rglob("*.json")) if len(json.loads(p.read_text())["kept"]) > 1)
+
+
+def test_unfinished_run_is_an_error_wherever_it_is_read(made: Path, tmp_path: Path) -> None:
+    set_status(made / "run.json", "running")
+    for folder in (made / "yolo", made / "images"):
+        ended = run("check", folder)
+        assert ended.exit_code == 2 and "--resume" in ended.stderr, ended.output
+    ended = run("realism", made, "--against", tmp_path / "data", "--out", tmp_path / "report")
+    assert ended.exit_code == 2 and "unfinished run" in ended.stderr, ended.output
+
+
+def test_overwritten_run_keeps_what_it_did_not_write(words: list[object], made: Path) -> None:
+    picture = sorted((made / "images").rglob("*.*"))[0]
+    mine = [picture.with_name("mine.jpg"), made / "yolo" / "labels" / "mine.txt", made / "scenes" / ".a.part.txt"]
+    for path in mine:
+        path.write_text("mine")
+    ended = done(*words, "--overwrite")
+    for path in mine:
+        assert path.read_text() == "mine"
+        assert path.relative_to(made).as_posix() in ended.stderr
+
+
+def test_folder_with_a_foreign_run_file_is_left_alone(words: list[object], tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    (out / "images").mkdir(parents=True)
+    (out / "images" / "mine.jpg").write_text("mine")
+    (out / "run.json").write_text('{"recipe": "soup"}')
+    for option in ("--overwrite", "--resume"):
+        assert run(*words, option).exit_code == 2
+        assert (out / "images" / "mine.jpg").read_text() == "mine"
+
+
+def test_resume_deletes_no_foreign_part_files(words: list[object], made: Path) -> None:
+    mine = made / "images" / ".notes.part1.txt"
+    mine.write_text("mine")
+    done(*words, "--resume")
+    assert mine.read_text() == "mine"
+
+
+EDITS: dict[str, Callable[[dict], object]] = {  # type: ignore[type-arg]
+    "moved box": lambda r: r["inserted"][0]["box_xyxy"].__setitem__(0, 1.0),
+    "no inserts": lambda r: r.update(inserted=[]),
+    "negative index": lambda r: r.update(kept=[-1]),
+    "index too high": lambda r: r.update(kept=[999]),
+    "not an object": lambda r: None,
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_edited_record_is_reported_and_kept_aside(edit: str, words: list[object], made: Path) -> None:
+    before = tree(made)
+    path = record_of(made)
+    record = json.loads(path.read_text())
+    EDITS[edit](record)
+    text = json.dumps([] if edit == "not an object" else record)
+    path.write_text(text)
+    ended = done(*words, "--resume")
+    assert tree(made) == before
+    name = path.relative_to(made).as_posix()
+    assert name in ended.stderr and (made / "log" / "replaced" / name).read_text() == text
+
+
+def test_edited_label_file_is_reported_and_kept_aside(words: list[object], made: Path) -> None:
+    before = tree(made)
+    label = next(p for p in sorted((made / "yolo").rglob("*_c0.txt")) if p.stat().st_size)
+    label.write_text("0 0.5 0.5 0.1 0.1\n")
+    (label.parent / "stray.txt").write_text("")
+    ended = done(*words, "--resume")
+    name = label.relative_to(made).as_posix()
+    assert name in ended.stderr and "stray.txt" in ended.stderr
+    assert (made / "log" / "replaced" / name).read_text() == "0 0.5 0.5 0.1 0.1\n"
+    (label.parent / "stray.txt").unlink()
+    assert tree(made) == before
+
+
+@pytest.mark.parametrize("picture_gone", [False, True])
+def test_frames_of_a_background_that_broke_are_removed(
+    picture_gone: bool, words: list[object], made: Path, data: Path, tmp_path: Path
+) -> None:
+    set_status(made / "run.json", "interrupted")
+    background = json.loads(record_of(made).read_text())["background"]["path"]
+    file = next(p for p in data.rglob("*.*") if p.as_posix().endswith(background))
+    file.write_bytes(file.read_bytes()[:400])
+    if picture_gone:
+        sorted((made / "images").rglob("*.*"))[-1].unlink()
+    assert run(*words, "--resume").exit_code == 1
+    words[words.index("--out") + 1] = tmp_path / "fresh"
+    assert run(*words).exit_code == 1
+    assert tree(made) == tree(tmp_path / "fresh")
+
+
+@pytest.mark.parametrize("folder", ["scenes", "images"])
+def test_frames_removed_while_the_run_goes_on_are_not_counted(
+    folder: str, words: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, real, count = tmp_path / "run", Path.replace, [0]
+
+    def replace(path: Path, target: Path) -> Path:
+        count[0] += 1
+        if count[0] == 9:
+            shutil.rmtree(out / folder)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        return real(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", replace)
+        ended = run(*words)
+    counts = json.loads((out / "run.json").read_text())["counts"]
+    frames = [p for p in (out / "images").rglob("*.*") if p.is_file() and p.stat().st_size]
+    assert ended.exit_code == 1, ended.output
+    assert counts["frames"] < counts["frames_planned"] and counts["failed_frames"]
+    assert counts["frames"] == counts["images"] <= len(frames)
+    done(*words, "--resume")
+    words[words.index("--out") + 1] = tmp_path / "fresh"
+    done(*words)
+    assert tree(out) == tree(tmp_path / "fresh")
+
+
+def test_log_without_a_record_is_no_dead_end(words: list[object], tmp_path: Path) -> None:
+    for option in ("--resume", "--overwrite"):
+        shutil.rmtree(tmp_path / "run", ignore_errors=True)
+        (tmp_path / "run" / "log").mkdir(parents=True)
+        (tmp_path / "run" / "log" / "run.log").write_text("started")
+        (tmp_path / "run" / ".run.part.json").write_text("{")
+        done(*words, option)
+
+
+def test_write_failure_is_exit_code_3(words: list[object], made: Path) -> None:
+    record = record_of(made)
+    shutil.rmtree(record.parent)
+    record.parent.write_text("a file where a folder should be")
+    (made / "log" / "replaced").write_text("so that nothing can be moved aside")
+    ended = run(*words, "--resume")
+    assert ended.exit_code == 3, ended.output
+
+
+@pytest.mark.parametrize("renames", [1, 9, 30])
+def test_killed_run_is_resumed_or_overwritten(renames: int, words: list[object], made: Path, tmp_path: Path) -> None:
+    for option in ("--resume", "--overwrite"):
+        out = words[words.index("--out") + 1] = tmp_path / option
+        killed(renames, *words)
+        ended = done(*words, option)
+        assert tree(Path(str(out))) == tree(made)
+        assert "not written by" not in ended.stderr
+
+
+def test_rerender_does_not_overwrite_another_file(made: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.png"
+    mine.write_text("mine")
+    frame = record_of(made).relative_to(made / "scenes").with_suffix("").as_posix()
+    ended = run("rerender", made, frame, "--out", mine)
+    assert ended.exit_code == 2 and "nothing was touched" in ended.stderr, ended.output
+    assert mine.read_text() == "mine"
+    assert run("preview", made, "--out", mine).exit_code == 2 and mine.read_text() == "mine"
+    done("rerender", made, frame, "--out", tmp_path / "new.png")
+    done("rerender", made, frame, "--out", tmp_path / "new.png")
