@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -77,7 +76,8 @@ class RunFolder(RunLayout):
         Logs are the only files that are written before the record.
         """
         part_path(self.run_file).unlink(missing_ok=True)
-        if os.listdir(self.root) == [LOGS] and self.log_folder.is_dir() and not self.log_folder.is_symlink():
+        names = [p.name for p in sorted(self.root.iterdir())]
+        if names == [LOGS] and self.log_folder.is_dir() and not self.log_folder.is_symlink():
             found = {p.name for p in sorted(self.log_folder.iterdir())}
             if found <= {*LOG_FILES, MANIFEST, part_path(Path(MANIFEST)).name}:
                 shutil.rmtree(self.log_folder, ignore_errors=True)
