@@ -394,7 +394,8 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     documents = [(s, layout.coco_file(s)) for s in SPLITS]
     entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
     if not entries:
-        entries = [_record_entry(run, path) for s in SPLITS for path in layout.records(s)]
+        recorded = [_record_entry(run, path) for s in SPLITS for path in layout.records(s)]
+        entries = [e for e in recorded if e.path.is_file()]  # a killed run may have a record without its picture
     if not entries:
         raise DatasetError(
             f"{run}: found frames neither in coco/<split>.json nor in scenes/<split>/, expected the folder of a run. "
