@@ -14,7 +14,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
-from infrablend.core.file_names import join_inside, leaves
+from infrablend.core.file_names import leaves
 from infrablend.core.files import write_bytes
 from infrablend.core.manifest import sha256_of
 from infrablend.core.output import require_replaceable
@@ -85,7 +85,7 @@ def rerender_frame(
         raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
-    background = join_inside(Path(data or record_run["data"]["root"]), record.background["path"])
+    background = Path(data or record_run["data"]["root"]) / record.background["path"]
     if not background.is_file():
         raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
     if sha256_of(background) != record.background["sha256"]:

@@ -17,7 +17,6 @@ from infrablend.compositing.paste import FEATHER_PX, CutOut, cut_out, fits, offs
 from infrablend.config.experiment import Paste
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, TimeOfDay
-from infrablend.core.file_names import join_inside
 from infrablend.core.files import link_or_copy
 from infrablend.core.rng import stream
 from infrablend.core.run_layout import RunLayout
@@ -55,7 +54,7 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         if record is None:
             problem = Problem(frame.id, "frame-record", "no record of the frame", "the record that the run wrote")
             raise DatasetError(f"{job.stage.id}: the run {spec.like} is incomplete; delete {run.folder}", [problem])
-        background = join_inside(onto.dataset, record.background["path"])
+        background = onto.dataset / record.background["path"]
         images.append(paster.replace_inserts(frame, background, out / "images" / frame.split / frame.name))
         if report is not None:
             report(number, len(made.images))
