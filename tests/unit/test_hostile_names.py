@@ -9,7 +9,7 @@ from PIL import Image
 
 from infrablend.cli import main
 from infrablend.core.file_names import distinct_names, file_name
-from infrablend.pipeline import request
+from infrablend.pipeline import evaluate, request
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 
@@ -147,3 +147,95 @@ def test_distinct_names_keep_what_is_unambiguous():
     assert distinct_names(["a", "b", "Person", "Person (2)"]) == ["a", "b", "Person", "Person (2)"]
     assert distinct_names(["a", "A", "a-2", "a"]) == ["a", "A-3", "a-2", "a-4"]
     assert file_name("Person (2) \u6771\u4eac") == "Person (2) \u6771\u4eac"
+
+
+# -- names and values that a format cannot hold
+
+HARD_NAMES = (
+    "1e3", "010", "a:b", " x ", "a\x01b", "a\\x01b", "a\r\nb", "a\u2028b", "a\u0085b", "#hash", "true", "no", "~", "-",
+    "[a]", "a;b", '"q"', "<b>", "&amp;", "\udcff", "", "background", "2020-01-01", "=", "a\ufffeb", "$x^{$",
+    "Car", "car", "\u00e9",
+)  # fmt: skip
+
+
+def write_coco(root: Path, names=HARD_NAMES) -> Path:
+    """Write one picture with an object of each class, and values that JSON and XML cannot hold."""
+    draw(root / "a\u2028\x02.png")
+    categories = [{"id": k, "name": n} for k, n in enumerate(names, 1)]
+    boxes = [{"id": k, "image_id": 1, "category_id": k, "bbox": [k, k, 9, 8]} for k in range(1, len(names) + 1)]
+    image = {
+        "id": 1,
+        "file_name": "a\u2028\x02.png",
+        "width": 64,
+        "height": 48,
+        "sequence": "\x01/../..",
+        "source_id": "\udcff",
+    }
+    info = {"info": {"a": float("nan"), "b": float("inf"), "c": "\udcff"}}
+    top = {**info, "images": [image], "annotations": boxes, "categories": categories}
+    (root / "train.json").write_text(json.dumps(top))
+    return root
+
+
+def inspected(root: Path, capsys) -> dict[str, int]:
+    """Return the number of objects by class."""
+    capsys.readouterr()
+    assert main(["inspect", str(root), "--json"]) == 0
+    classes = json.loads(capsys.readouterr().out)["classes"]
+    return {name: sum(facts["objects"].values()) for name, facts in classes.items()}
+
+
+@pytest.mark.parametrize("to", ["coco", "yolo", "yolo-obb", "voc", "hit-uav", "hit-uav-xml", "masks"])
+def test_every_class_name_comes_back_as_it_was_announced(tmp_path, capsys, to):
+    data = write_coco(tmp_path / "data")
+    before = inspected(data, capsys)
+    assert len(before) == len(HARD_NAMES)
+    assert {"a\\x01b", "a\\x01b 2", "1e3", "unnamed", "\\udcff", "a\\u2028b"} <= before.keys()
+    assert main(["convert", str(data), str(tmp_path / to), "--to", to]) == 0
+    back = inspected(tmp_path / to, capsys)
+    assert {n: back[n] for n in before} == before
+    assert main(["check", str(tmp_path / to), "--no-decode"]) == 0
+
+
+def test_a_run_holds_what_its_source_could_not_say(tmp_path, capsys):
+    data, run = write_coco(tmp_path / "data"), tmp_path / "run"
+    formats = ("coco", "yolo", "voc", "dota", "hit-uav", "monet")
+    assert generate(data, run, "--set", "configurations=1", to=",".join(formats)) == 0
+    assert "class-renamed" in (run / "run.json").read_text()
+    for name in formats[:3]:
+        assert dict.fromkeys(inspected(data, capsys), 1) | {"drone": 1} == inspected(run / name, capsys)
+
+
+def test_values_that_json_cannot_hold_are_replaced_before_writing(tmp_path):
+    data = tmp_path / "data"
+    assert main(["convert", str(write_coco(tmp_path / "first", ("a",))), str(data), "--to", "hit-uav"]) == 0
+    for file in data.rglob("train.json"):
+        top = json.loads(file.read_text())
+        top["info"] = {"a": float("nan"), "b": [float("inf"), "\udcff"]}
+        file.write_text(json.dumps(top))
+    assert generate(data, tmp_path / "run", "--set", "configurations=1", to="native") == 0
+    (file,) = (tmp_path / "run" / "native").rglob("normal_json/annotations/train.json")
+    assert json.loads(file.read_text())["info"] == {"a": None, "b": [None, "\\udcff"]}
+
+
+def test_a_recipe_may_not_name_a_class_that_labels_cannot_hold(tmp_path):
+    draw(tmp_path / "data" / "a.png")
+    for setting in ('objects.0.category="a\\u2028b"', 'objects.0.category="a\\x85b"', 'labels.rename={x: "a\\u2028b"}'):
+        assert generate(tmp_path / "data", tmp_path / "run", "--set", setting) == 2
+    assert not (tmp_path / "run").exists()
+
+
+def test_class_names_are_no_formulas_in_plots(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluate, "_by_ultralytics", lambda case: None)  # it takes seconds to import
+    names = ("$x^{ $", "$\\alpha$")
+    data = write_coco(tmp_path / "data", names)
+    found = json.loads((data / "train.json").read_text())
+    for row in found["annotations"]:
+        row["score"] = 0.9
+    found["images"][0]["file_name"] = "train/a\u2028\x02.png"
+    del found["info"]
+    (tmp_path / "predictions.json").write_text(json.dumps(found))
+    words = [str(tmp_path / "predictions.json"), str(data), "--out", str(tmp_path / "out"), "--split", "train"]
+    assert main(["evaluate", *words, "--bootstrap", "0"]) == 0
+    assert (tmp_path / "out" / "evaluation.html").is_file()
+    assert main(["inspect", str(data), "--out", str(tmp_path / "inspected")]) == 0

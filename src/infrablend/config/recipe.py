@@ -153,7 +153,10 @@ class Group(Strict):
     """Largest share of the object's box that may cover the box of another insert; 0.02 for objects outside groups."""
 
 
-CLASS_NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+CLASS_NAME = (
+    r"^[^\s\x00-\x1f\x7f-\x9f\uFFFE\uFFFF]"
+    r"([^\x00-\x1f\x7f-\x9f\u2028\u2029\uFFFE\uFFFF]*[^\s\x00-\x1f\x7f-\x9f\uFFFE\uFFFF])?$"
+)
 ClassName = Annotated[str, Field(pattern=CLASS_NAME)]
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 MAX_NAME_BYTES = 255
 """Longest file name of the usual file systems."""
+
+UNFIT = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+"""Characters that label files cannot hold: XML has none of the control characters, text files split lines at others."""
 
 _RESERVED = frozenset('/\\<>:"|?*')
 
@@ -40,6 +44,11 @@ def distinct_names(wanted: Sequence[str], taken: Iterable[str] = ()) -> list[str
         reserved.add(fold_name(chosen))
         names.append(chosen)
     return names
+
+
+def fit_name(name: str) -> str:
+    """Return a relative path with `_` for each character that label files cannot hold."""
+    return UNFIT.sub("_", name)
 
 
 def file_name(text: str) -> str:

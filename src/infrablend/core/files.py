@@ -129,8 +129,8 @@ def write_bytes(path: Path, data: bytes, *, durable: bool = False) -> Path:
 
 
 def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
-    """Write UTF-8 text with LF line ends atomically."""
-    return write_bytes(path, text.encode("utf-8"), durable=durable)
+    """Write UTF-8 text with LF line ends atomically; lone surrogates, which UTF-8 cannot hold, become escapes."""
+    return write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 
 def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool = False) -> Path:

@@ -33,7 +33,7 @@ from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import finite, to_bool, to_floats, to_int, to_size
 
 NAME = "coco"
 
@@ -127,7 +127,9 @@ def coco_files(
             "annotations": annotations,
             "categories": names,
         }
-        texts[f"{split}.json"] = json.dumps(top, sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
+        texts[f"{split}.json"] = (
+            json.dumps(finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
+        )
     return texts, {k: v for k, v in sorted(losses.items()) if v}
 
 

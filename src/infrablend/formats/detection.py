@@ -17,6 +17,7 @@ from infrablend.formats.base import Match, shorten
 from infrablend.formats.pictures import check_link
 from infrablend.formats.radiometric import radiometric_warnings
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import unread_label_files
 
 
@@ -87,7 +88,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:
         given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
-    dataset = _without_links(module.read(root, splits=reading.splits, **given))
+    dataset = with_fitting_fields(_without_links(module.read(root, splits=reading.splits, **given)))
     unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
     return replace(dataset, problems=(*dataset.problems, *unread, *radiometric_warnings(dataset)))
 

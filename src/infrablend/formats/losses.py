@@ -28,7 +28,7 @@ LOSSES: Mapping[str, str] = {
     "tracks_dropped": "track of an object: the format holds none",
     "telemetry_dropped": "pitch, altitude or time of day of a picture: the format holds none",
     "inserted_dropped": "mark of an inserted object: the format holds none, so the object looks like an original",
-    "not_finite_dropped": "telemetry that is not a finite number, written as null",
+    "not_finite_dropped": "number that is not finite, written as null",
     "sequence_dropped": "sequence or date of a picture: the format holds none",
     "class_unfit": "object of a class that the format does not have, written as the nearest one or under a new number",
     "track_made": "object without a track, which got a new one: the format requires tracks",

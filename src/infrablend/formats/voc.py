@@ -288,7 +288,9 @@ def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
     if not path.is_file():
         return [], []
     text, problem = read_text(path, path.name, "a line per class")
-    lines = [s.partition(":")[0].strip() for s in text.splitlines() if not s.lstrip().startswith("#")]
+    entries = [s for s in text.splitlines() if not s.lstrip().startswith("#")]
+    # A name may contain colons; only three separate the fields.
+    lines = [(s.rsplit(":", 3) if s.count(":") >= 3 else s.split(":"))[0].strip() for s in entries]
     return list(dict.fromkeys(s for s in lines if s and s != "background")), [problem] if problem else []
 
 

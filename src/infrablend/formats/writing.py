@@ -16,7 +16,7 @@ import numpy as np
 from infrablend.core.arguments import require_choice
 from infrablend.core.boxes import box_of_points
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-from infrablend.core.file_names import distinct_names, fold_name
+from infrablend.core.file_names import distinct_names, fit_name, fold_name
 from infrablend.core.files import write_text
 from infrablend.core.format_table import (
     FIELDS,
@@ -152,7 +152,8 @@ def _native_not_writable(source: Dataset) -> Written:
 def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:
     """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names.
 
-    Names that differ in case alone clash, because some disks take them for one file.
+    Names that differ in case alone clash, because some disks take them for one file. Names with characters that label
+    files cannot hold are changed, too.
     """
     together = layout in ("unique", "shared")
     by_stem = layout != "nested"
@@ -162,13 +163,13 @@ def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[I
         keys = {n: _file_key(images[n].name, by_stem) for n in chosen}
         count = Counter(keys.values())
         flat = layout in ("flat", "shared")
-        clashing = [n for n in chosen if flat or count[keys[n]] > 1]
+        clashing = [n for n in chosen if flat or count[keys[n]] > 1 or fit_name(images[n].name) != images[n].name]
         if not clashing:
             continue
         paths = {n: f"{images[n].split}/{images[n].name}" if together else images[n].name for n in chosen}
         ids = assign_ids(paths.values())
         left = {n: _file_key(images[n].name, by_stem) for n in set(chosen) - set(clashing)}
-        stems = distinct_names([ids[paths[n]] for n in clashing], [k for k in left.values() if "/" not in k])
+        stems = distinct_names([fit_name(ids[paths[n]]) for n in clashing], [k for k in left.values() if "/" not in k])
         for n, stem in zip(clashing, stems, strict=True):
             name = stem + PurePosixPath(images[n].name).suffix
             fitting[n] = replace(images[n], file_name=name) if name != images[n].name else images[n]

@@ -16,7 +16,7 @@ from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import MetricSections, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
-from infrablend.core.file_names import distinct_names
+from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
@@ -262,7 +262,7 @@ def frame_names(images: Sequence[ImageRecord], originals: bool, count: int) -> d
         of_split = [i for i in images if i.split == split]
         frames = [(i, k) for k in _configurations(originals, 0) for i in of_split]
         frames += [(i, k) for i in of_split for k in range(count)]
-        found = distinct_names([i.id if k is None else f"{i.id}_c{k}" for i, k in frames])
+        found = distinct_names([fit_name(i.id) if k is None else f"{fit_name(i.id)}_c{k}" for i, k in frames])
         names |= {(id(i), k): name for (i, k), name in zip(frames, found, strict=True)}
     return names
 

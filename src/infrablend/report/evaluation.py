@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.report.figures import decimals, interval
+from infrablend.report.figures import decimals, interval, plot_text
 from infrablend.report.page import render_page
 
 COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
@@ -84,7 +84,7 @@ def _pr(facts: Mapping[str, Any]) -> bytes:
         ap = facts["classes"][name]["map50"]
         axis.plot(
             facts["curves"]["recall"], precision, color=_COLOURS[(k + 1) % len(_COLOURS)], lw=1.8,
-            label=f"{name} {decimals(ap)}",
+            label=f"{plot_text(name)} {decimals(ap)}",
         )  # fmt: skip
         point = facts["classes"][name]
         if point["p"] is not None:
@@ -96,7 +96,7 @@ def _pr(facts: Mapping[str, Any]) -> bytes:
 
 
 def _confusion(facts: Mapping[str, Any]) -> bytes:
-    names = facts["confusion"]["classes"]
+    names = [plot_text(n) for n in facts["confusion"]["classes"]]
     matrix = np.array(facts["confusion"]["found_by_labelled"], np.float64)
     share = matrix / np.maximum(matrix.sum(axis=0, keepdims=True), 1)
     side = 2.2 + 0.75 * len(names)
@@ -129,8 +129,10 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
         ends = [rows[n]["ci"]["map50_95"] if rows[n]["ci"] else None for n in known]
         error = np.array([[max(v - e[0], 0), max(e[1] - v, 0)] if e else [0, 0] for v, e in zip(y, ends, strict=True)])
         axis.errorbar(x[known], y, yerr=error.T if len(error) else None, fmt="o-", ms=4, lw=1.1, capsize=2,
-                      color=_COLOURS[k % len(_COLOURS)], label=name)  # fmt: skip
-    axis.set_xticks(range(len(bins)), [f"{b}\n{strata[b]['classes']['all']['instances']}" for b in bins], fontsize=8)
+                      color=_COLOURS[k % len(_COLOURS)], label=plot_text(name))  # fmt: skip
+    axis.set_xticks(
+        range(len(bins)), [f"{plot_text(b)}\n{strata[b]['classes']['all']['instances']}" for b in bins], fontsize=8
+    )
     axis.set(ylim=(0, 1.02), xlabel=f"{title}; objects below", ylabel="mAP50-95")
     axis.legend(frameon=False, fontsize=8, ncols=3)
     return _png(figure)

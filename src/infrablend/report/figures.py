@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
+def plot_text(text: str) -> str:
+    """Return a text from data for a plot, where dollars would start a formula."""
+    return text.replace("$", r"\$")
+
+
 def decimals(value: float | None) -> str:
     """Return a number with three decimals, a whole number as it is, and `-` for an unknown one."""
     return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.3f}"

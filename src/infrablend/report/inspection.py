@@ -20,6 +20,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
+from infrablend.report.figures import plot_text
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 # More distinct values than this are grouped into bins.
@@ -318,5 +319,4 @@ def write_charts(facts: Inspection, path: Path) -> Path:
 
 
 def _plain(names: Sequence[str]) -> list[str]:
-    """Escape dollars, which start formulas in matplotlib."""
-    return [n.replace("$", r"\$")[:40] for n in names]
+    return [plot_text(n[:40]) for n in names]

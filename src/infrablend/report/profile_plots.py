@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.fitting import LAGS, Fit, SurveySummary
 from infrablend.compositing.measure import EDGE_PX
+from infrablend.report.figures import plot_text
 
 # Distinct for colour-blind readers too.
 FOUND, FITTED, OTHER, FAINT = "#1b1b1b", "#d55e00", "#0072b2", "#9a9a9a"
@@ -34,7 +35,9 @@ def draw_profile(
     figure = Figure(figsize=(13, 7.6), dpi=100, layout="constrained")
     axes: Any = figure.subplots(2, 3)
     p = fit.profile
-    figure.suptitle(f"Sensor profile {p.name}: {p.measured['pictures']} pictures, {len(fit.found.sigmas_px)} edges")
+    figure.suptitle(
+        f"Sensor profile {plot_text(p.name)}: {p.measured['pictures']} pictures, {len(fit.found.sigmas_px)} edges"
+    )
     others = [] if reference is None else [(against, reference)]
     _edge(axes[0, 0], fit, others)
     _sigmas(axes[0, 1], fit)
@@ -54,7 +57,7 @@ def _edge(ax: Any, fit: Fit, others: list[tuple[Any, SurveySummary]]) -> None:
     ax.axhline(0, color=FAINT, lw=0.7)
     ax.axhline(1, color=FAINT, lw=0.7)
     for name, r in others:
-        ax.plot(EDGE_PX, r.edge, color=OTHER, lw=1.4, ls="--", label=f"{name}'s chain")
+        ax.plot(EDGE_PX, r.edge, color=OTHER, lw=1.4, ls="--", label=f"{plot_text(name)}'s chain")
     ax.plot(EDGE_PX, fit.found.edge, color=FOUND, lw=2.2, label="pictures, sharp edges")
     ax.plot(EDGE_PX, fit.chain.edge, color=FITTED, lw=1.6, label="fitted chain")
     ax.set(
@@ -81,7 +84,15 @@ def _grain(ax: Any, fit: Fit, others: list[tuple[Any, SurveySummary]]) -> None:
     ax.axhline(0, color=FAINT, lw=0.7)
     for name, r in others:
         if r.correlations is not None:
-            ax.plot([0, *LAGS], [1, *r.correlations], color=OTHER, ls="--", marker="o", ms=4, label=f"{name}'s chain")
+            ax.plot(
+                [0, *LAGS],
+                [1, *r.correlations],
+                color=OTHER,
+                ls="--",
+                marker="o",
+                ms=4,
+                label=f"{plot_text(name)}'s chain",
+            )
     for r, colour, name in ((fit.found, FOUND, "pictures"), (fit.chain, FITTED, "fitted chain")):
         if r.correlations is not None:
             label = f"{name}: {r.noise_grey:.2f} levels"

@@ -17,7 +17,7 @@ from infrablend.core.class_names import known_class
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.output import require_replaceable
 from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_COMPARED, MIN_LEAST_RATIO
-from infrablend.report.figures import compact, interval, markdown_table
+from infrablend.report.figures import compact, interval, markdown_table, plot_text
 from infrablend.report.realism_tables import (
     CHECK_HEAD,
     LOOSENESS_HEAD,
@@ -253,7 +253,7 @@ def _panels(rows: Sequence[tuple[str, Any]]) -> tuple[Figure, Any]:
     """Return a figure with two panels that share a row per class and time, and a legend."""
     figure = Figure(figsize=(9, 1.5 + 0.5 * len(rows)), layout="constrained")
     axes: Any = figure.subplots(1, 2, sharey=True)
-    axes[0].set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=8)
+    axes[0].set_yticks(range(len(rows)), [plot_text(name) for name, _ in rows], fontsize=8)
     axes[0].set_ylim(len(rows) - 0.5, -0.5)
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)

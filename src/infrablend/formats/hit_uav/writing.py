@@ -21,6 +21,7 @@ from infrablend.formats.box_checks import obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.values import finite
 
 # Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
 _COORDINATE_DIGITS = 8
@@ -89,7 +90,7 @@ def native_files(
                 part = [n for n in numbered if n[0].split == split]
                 top = _json_file(form, part, categories, ids == "new", extra or {}, counted)
                 # ASCII, as in the original.
-                texts[f"{form}/annotations/{split}.json"] = json.dumps(top, allow_nan=False)
+                texts[f"{form}/annotations/{split}.json"] = json.dumps(finite(top, counted), allow_nan=False)
         else:
             texts.update(_xml_texts(form, ordered, of_category, counted))
         losses.update({f"{form}.{k}": v for k, v in counted.items() if v})

@@ -19,6 +19,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.monet.folders import split_in
 from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
 from infrablend.formats.monet.telemetry import NEST, Place
+from infrablend.formats.values import finite
 
 _INFO: Mapping[str, Any] = {"description": "MONET layout, written by InfraBlend"}
 
@@ -104,7 +105,7 @@ def native_files(
             a["iscrowd"] |= int(instance.category in ignored)
             top["annotations"].append(a)
     texts = {
-        name: json.dumps(_finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
+        name: json.dumps(finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
         for name, top in sorted(tops.items())
     }
     return texts, {k: v for k, v in sorted(losses.items()) if v}
@@ -167,15 +168,3 @@ def _put(record: dict[str, Any], place: Place, value: Any) -> None:
         record[key] = dict(inside) if isinstance(inside, dict) else {}
         record = record[key]
     record[place[-1]] = value
-
-
-def _finite(value: Any, losses: Counter[str]) -> Any:
-    """Return the value with non-finite numbers, which JSON cannot hold, replaced by null and counted."""
-    if isinstance(value, dict):
-        return {k: _finite(v, losses) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v, losses) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        losses["not_finite_dropped"] += 1
-        return None
-    return value

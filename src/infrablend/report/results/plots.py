@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from infrablend.report.figures import plot_text
 from infrablend.report.results.text import METRICS, class_order
 
 # Distinguishable for colour-blind readers.
@@ -56,7 +57,7 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
         ax.spines[["top", "right"]].set_visible(False)
     several = len({t for t, _ in rows}) > 1
     names = [f"{r['evaluation']}: {r['title']}" if several else r["title"] for _, r in rows]
-    axes[0].set_yticks(y, names, fontsize=8)
+    axes[0].set_yticks(y, [plot_text(n) for n in names], fontsize=8)
     axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
     axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
     figure.legend(*axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2)
@@ -84,7 +85,7 @@ def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
         ax.set(xlabel=f"difference of {METRICS[metric]}")
         ax.locator_params(axis="x", nbins=5)
         ax.spines[["top", "right"]].set_visible(False)
-    axes[0].set_yticks(y, [name for name, _ in rows], fontsize=8)
+    axes[0].set_yticks(y, [plot_text(name) for name, _ in rows], fontsize=8)
     return svg_bytes(figure)
 
 
@@ -93,8 +94,8 @@ def _curves(curves: Mapping[str, Mapping[str, Any]]) -> bytes:
     axes: Any = figure.subplots(1, len(curves), squeeze=False)
     for ax, (name, of) in zip(axes[0], curves.items(), strict=True):
         for k, (category, precision) in enumerate(sorted(of["precision"].items())):
-            ax.plot(of["recall"], precision, color=CURVES[k % len(CURVES)], lw=1.4, label=category)
-        ax.set(title=name, xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
+            ax.plot(of["recall"], precision, color=CURVES[k % len(CURVES)], lw=1.4, label=plot_text(category))
+        ax.set(title=plot_text(name), xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=7, loc="lower left")
     return svg_bytes(figure)

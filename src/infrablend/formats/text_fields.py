@@ -1,0 +1,108 @@
+"""Replace texts in a dataset that label files cannot hold, so that writers never meet them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from infrablend.core.dataset import Category, Dataset, Instance
+from infrablend.core.file_names import UNFIT
+from infrablend.errors import Problem
+
+_UNNAMED = "unnamed"
+
+
+def escape_unfit(text: str) -> str:
+    r"""Return the text with characters that label files cannot hold written as escapes such as `\x01`."""
+    return UNFIT.sub(lambda m: m[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def with_fitting_fields(dataset: Dataset) -> Dataset:
+    """Return the dataset with names of classes and texts that every format can hold, and a warning per change.
+
+    Unfit characters are escaped, and blanks around names of classes removed.
+    """
+    names = _class_names(dataset.categories)
+    counts: Counter[str] = Counter()
+    images = []
+    for image in dataset.images:
+        instances = tuple(_instance(i, names, counts) for i in image.instances)
+        changed: dict[str, Any] = {
+            "sequence": _fitting(image.sequence, counts),
+            "captured": _fitting(image.captured, counts),
+            "source_id": _fitting(image.source_id, counts),
+            "extra": _fitting(image.extra, counts) if image.extra else image.extra,
+        }
+        changed = {k: v for k, v in changed.items() if v is not getattr(image, k)}
+        same = all(a is b for a, b in zip(instances, image.instances, strict=True))
+        images.append(image if same and not changed else replace(image, instances=instances, **changed))
+    extra = _fitting(dataset.extra, counts) if dataset.extra else dataset.extra
+    problems = [_renamed(old, new) for old, new in names.items()]
+    if total := counts.total():
+        found = f"{total} text(s) with control characters"
+        expected = "texts that label files can hold"
+        problems.append(Problem(dataset.root.name, "field-unfit", f"{found}, replaced", expected, "", "warning"))
+    if not problems:
+        return dataset
+    categories = tuple(
+        replace(c, name=names.get(c.name, c.name), supercategory=escape_unfit(c.supercategory))
+        for c in dataset.categories
+    )
+    return replace(
+        dataset,
+        categories=categories,
+        images=tuple(images),
+        problems=(*dataset.problems, *problems),
+        extra=extra,
+    )
+
+
+def _class_names(categories: Sequence[Category]) -> dict[str, str]:
+    """Return the new name of every class whose name does not fit."""
+    fitting = {c.name: escape_unfit(c.name.strip()) or _UNNAMED for c in categories}
+    taken = {old for old, new in fitting.items() if old == new}
+    names = {}
+    for old, new in fitting.items():
+        if old == new:
+            continue
+        name, number = new, 2
+        while name in taken:
+            name, number = f"{new} {number}", number + 1
+        taken.add(name)
+        names[old] = name
+    return names
+
+
+def _renamed(old: str, new: str) -> Problem:
+    found = f"class {old!a}, read as {new!a}"
+    expected = "a name without control characters and blanks around it"
+    return Problem("classes", "class-renamed", found, expected, "rename the class in the labels", "warning")
+
+
+def _instance(instance: Instance, names: Mapping[str, str], counts: Counter[str]) -> Instance:
+    category = names.get(instance.category, instance.category)
+    changed: dict[str, Any] = {} if category is instance.category else {"category": category}
+    for key in ("extra", "source_id", "track_id"):
+        value = getattr(instance, key)
+        if value and (fitting := _fitting(value, counts)) is not value:
+            changed[key] = fitting
+    return replace(instance, **changed) if changed else instance
+
+
+def _fitting(value: Any, counts: Counter[str]) -> Any:
+    """Return the value with unfit texts replaced, counted in `counts`; the same object if all fit."""
+    if isinstance(value, str):
+        fitting = escape_unfit(value)
+        counts["text"] += fitting != value
+        return fitting if fitting != value else value
+    if isinstance(value, Mapping):
+        items = {_fitting(k, counts): _fitting(v, counts) for k, v in value.items()}
+        same = all(items.get(k) is v for k, v in value.items())
+        return value if same else items
+    if isinstance(value, list | tuple):
+        values = [_fitting(v, counts) for v in value]
+        same = all(a is b for a, b in zip(values, value, strict=True))
+        return value if same else values
+    return value
