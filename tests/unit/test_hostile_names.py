@@ -239,3 +239,28 @@ def test_class_names_are_no_formulas_in_plots(tmp_path, monkeypatch):
     assert main(["evaluate", *words, "--bootstrap", "0"]) == 0
     assert (tmp_path / "out" / "evaluation.html").is_file()
     assert main(["inspect", str(data), "--out", str(tmp_path / "inspected")]) == 0
+
+
+# -- reports
+
+
+def test_a_card_holds_no_script_and_no_link_to_one(tmp_path):
+    data = write_coco(tmp_path / "data", ("<script>alert(1)</script>", "[x](javascript:alert(1))"))
+    url = "javascript:alert(1)"
+    licence = {"id": "other", "name": "<img src=x>", "url": url}
+    (data / "SOURCE.json").write_text(json.dumps({"title": "<b>t</b>", "url": url, "licence": licence}))
+    assert generate(data, tmp_path / "run", "--set", "configurations=1") == 0
+    card = (tmp_path / "run" / "README.md").read_text()
+    page = card.split("\n---\n", 1)[1]
+    assert "](javascript:" not in page
+    for tag in ("<script", "<img", "<b>"):
+        assert tag not in page
+
+
+def test_names_do_not_command_the_terminal(tmp_path, capsys):
+    draw(tmp_path / "data" / "\x1b[31mred\x07.png")
+    data = write_coco(tmp_path / "coco", ("\x1b]0;title\x07",))
+    for words in (["inspect", str(tmp_path / "data")], ["inspect", str(data)], ["check", str(data), "--strict"]):
+        main(words)
+    shown = capsys.readouterr()
+    assert not {"\x1b", "\x07"} & {*shown.out, *shown.err}

@@ -11,6 +11,7 @@ from typing import Any
 import typer
 
 from infrablend.cli.exits import problem_lines
+from infrablend.core.file_names import UNFIT
 from infrablend.errors import Problem, format_problems
 
 SHOWN_WARNINGS = 5
@@ -19,8 +20,13 @@ log = logging.getLogger(__name__)
 
 
 def print_result(text: str) -> None:
-    """Print a line of the result on stdout."""
-    typer.echo(text)
+    """Print lines of the result on stdout, with control characters from names escaped."""
+    typer.echo(_printable(text))
+
+
+def _printable(text: str) -> str:
+    """Return the text with control characters, which could command the terminal, written as escapes."""
+    return UNFIT.sub(lambda m: m[0] if m[0] in "\n\t" else m[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def print_json(data: Any) -> None:
@@ -36,12 +42,13 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
     errors = [p for p in found if p.severity == "error"]
     warnings = format_problems(sorted({p for p in found if p.severity != "error"}))
     if errors:
-        typer.echo("\n".join([f"{len(errors)} problem(s):", *problem_lines(errors, log_path)]), err=True)
+        lines = problem_lines(errors, log_path)
+        typer.echo(_printable("\n".join([f"{len(errors)} problem(s):", *lines])), err=True)
     if warnings:
         lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
         if len(warnings) > SHOWN_WARNINGS:
             lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {record}")
-        typer.echo("\n".join([f"{len(warnings)} warning(s):", *lines]), err=True)
+        typer.echo(_printable("\n".join([f"{len(warnings)} warning(s):", *lines])), err=True)
 
 
 def table(rows: Mapping[str, str]) -> str:

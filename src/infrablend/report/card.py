@@ -359,8 +359,22 @@ def card_text(card: Card) -> str:
         *_citations(card),
         *(["## Known limits", _bullets(limits)] if (limits := _limits(card)) else []),
     ]
-    text = "\n\n".join(p for p in parts if p) + "\n"
+    text = "\n\n".join([parts[0], *(_without_markup(p) for p in parts[1:] if p)]) + "\n"
     return f"{text}\n{_OWN.format(digest=_digest(text))}\n"
+
+
+_CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+_LINK_ELSEWHERE = re.compile(r"\]\((?!https?://|[\w./-]*\))")
+
+
+def _without_markup(text: str) -> str:
+    """Return Markdown without HTML and without links that are neither to the web nor to a file of the dataset.
+
+    Names and provenance come from files of others; a class `<script>` must not become part of a page.
+    """
+    parts = _CODE.split(text)
+    parts[::2] = [_LINK_ELSEWHERE.sub(r"]\\(", re.sub(r"<(?!https?://)", "&lt;", p)) for p in parts[::2]]
+    return "".join(parts)
 
 
 def _recipes(inserts: Sequence[Inserts]) -> list[str]:
