@@ -389,7 +389,7 @@ class LocalMatching(Matching):
     local_share: float = Field(0.1, ge=0, le=1)
     """Share of the neighbourhood in an object's grey level: 0 if the level follows the temperature alone, 1 if it
     follows the grey of the place where the object is put. HIT-UAV by night: 0.0 (people) to 0.2 (cars)."""
-    local_share_day: float | None = Field(0.3, ge=0, le=1)
+    local_share_day: float | None = Field(0.2, ge=0, le=1)
     """The same by day; `local_share` if null. HIT-UAV: 0.24 (cars) to 0.41 (people)."""
     local_share_spread: float = Field(0.05, ge=0, le=1)
     """Standard deviation of the expected local share. Each background's share is drawn from what it and the annotated
