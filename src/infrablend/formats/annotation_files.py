@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,24 @@ MAX_TEXT_BYTES = 50_000_000
 # An empty list takes three bytes of text and sixty of memory; COCO's largest file has about four million lists.
 MAX_JSON_LISTS = 10_000_000
 MAX_JSON_DEPTH = 64
+_understood: ContextVar[set[Path] | None] = ContextVar("understood", default=None)
+
+
+@contextmanager
+def noting_understood() -> Iterator[set[Path]]:
+    """Collect the JSON and XML files that are read without a problem within the block, so that none is read again."""
+    files: set[Path] = set()
+    token = _understood.set(files)
+    try:
+        yield files
+    finally:
+        _understood.reset(token)
+
+
+def _note(path: Path) -> None:
+    files = _understood.get()
+    if files is not None:
+        files.add(path)
 
 
 def leaves_folder(path: Path) -> bool:
@@ -59,6 +80,7 @@ def read_json(path: Path) -> Any:
         if problem is None:
             value = json.loads(data.decode("utf-8-sig"))
             if lists <= MAX_JSON_DEPTH or _depth(value) <= MAX_JSON_DEPTH:
+                _note(path)
                 return value
             problem = _nested(path)
     except OSError as error:
@@ -105,7 +127,11 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     """Return the root element of an XML file, or None and the problem; entities and DTDs are refused as unsafe."""
     try:
         problem = _refusal_to_open(path, where, "an XML file", MAX_TEXT_BYTES)
-        return (None, problem) if problem else (ElementTree.parse(path, forbid_dtd=True).getroot(), None)
+        if problem is None:
+            top = ElementTree.parse(path, forbid_dtd=True).getroot()
+            _note(path)
+            return top, None
+        return None, problem
     except Exception as error:  # parse errors, refused entities, wrong encodings
         found = f"not safe XML ({type(error).__name__}: {error})"[:200].replace(str(path), path.name)
     return None, Problem(where, "annotation-not-xml", found, "a VOC or roLabelImg file", "fetch it again")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
@@ -17,11 +17,15 @@ _SUFFIXES = {".xml", ".json", ".txt", ".csv", ".label"}
 _EXPECTED = "a label file that can be read"
 
 
-def unread_label_files(dataset: Dataset) -> list[Problem]:
+def unread_label_files(dataset: Dataset, understood: Collection[Path] = ()) -> list[Problem]:
     """Return a problem for every label file below the dataset's folder that its reader did not understand.
 
     These are damaged XML and JSON files, and text files with a suffix such as `.TXT`. In a plain folder of pictures,
     whose labels were not recognised, they are also files named like a picture, and intact annotations.
+
+    Args:
+        dataset: The dataset.
+        understood: Files that are known to be intact, and are not read again (see `noting_understood`).
     """
     stems = {fold_name(i.path.stem) for i in dataset.images}
     plain = dataset.format == folder.NAME
@@ -32,7 +36,7 @@ def unread_label_files(dataset: Dataset) -> list[Problem]:
         path = dataset.root / name
         if name in reported or PurePosixPath(name).name in reported or path in used:
             continue
-        found, todo = _fault(path, name), "restore or remove the file"
+        found, todo = "" if path in understood else _fault(path, name), "restore or remove the file"
         if not found and path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
             found, todo = f"labels with the suffix {path.suffix}, which are not read", "rename it to .txt"
         if not found and plain and (fold_name(path.stem) in stems or _is_annotation(path, name)):

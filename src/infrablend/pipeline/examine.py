@@ -11,6 +11,7 @@ from infrablend.core.output import OutputFolder, require_apart, require_replacea
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
 from infrablend.formats import detection
+from infrablend.formats.annotation_files import noting_understood
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.unread import unread_label_files
 from infrablend.report.checking import CheckReport, check_dataset, unreadable
@@ -56,12 +57,13 @@ def check_folder(
         DatasetError: The folder does not exist, or the format does not support one of the options.
     """
     try:
-        dataset = detection.read(root, reading)
+        with noting_understood() as understood:
+            dataset = detection.read(root, reading)
     except UnknownFormatError:
         raise
     except DatasetError as error:
         if not error.problems or any(p.code in _USAGE for p in error.problems):
             raise
         return unreadable(root, error)
-    dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset)))
+    dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

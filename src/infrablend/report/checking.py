@@ -174,8 +174,9 @@ def check_objects(
         duplicates: Whether to look for duplicate objects.
     """
     problems: list[Problem] = []
-    seen: Counter[tuple[Any, ...]] = Counter()
-    for k, o in enumerate(image.instances):
+    keys = [_key(o) for o in image.instances]
+    times, seen = Counter(keys), Counter[tuple[Any, ...]]()
+    for k, (o, key) in enumerate(zip(image.instances, keys, strict=True)):
         number = k if o.source_id is None else o.source_id
         here = f"{where}: {'object' if o.source_id is None else 'annotation'} {number}"
         # Readers clip to the annotated size, so this finds boxes only if the true size differs.
@@ -191,10 +192,10 @@ def check_objects(
             found = f"oriented and axis-aligned box are {apart:.3g} px apart"
             expected = f"the bounds of the oriented box, within {AGREE_PX:g} px"
             problems.append(Problem(here, "obb-disagrees", found, expected, "correct one of them", severity="warning"))
-        seen[_key(o)] += 1
-        if duplicates and seen[_key(o)] == 2:
+        seen[key] += 1
+        if duplicates and seen[key] == 2:
             box = ", ".join(f"{v:g}" for v in o.box_xyxy)
-            found = f"{o.category} [{box}] occurs {sum(_key(p) == _key(o) for p in image.instances)} times"
+            found = f"{o.category} [{box}] occurs {times[key]} times"
             problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
     return problems
 

@@ -17,6 +17,7 @@ from typer.testing import CliRunner, Result
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.report import checking
 from infrablend.report.checking import check_objects
 from tests.file_opens import count_opens
 from tests.samples import SAMPLES
@@ -118,6 +119,24 @@ def test_impossible_labels(data: Path) -> None:
         "box-clipped",
         "image-unlisted",
     ]
+
+
+def test_the_work_for_duplicates_grows_with_their_number_and_not_its_square(monkeypatch: pytest.MonkeyPatch) -> None:
+    """2,000 objects, each of them twice: each is looked at a bounded number of times."""
+    calls = 0
+    key = checking._key
+
+    def counted(o: Instance) -> tuple[object, ...]:
+        nonlocal calls
+        calls += 1
+        return key(o)
+
+    monkeypatch.setattr(checking, "_key", counted)
+    boxes = [np.array([k % 600, k % 500, k % 600 + 5, k % 500 + 5], np.float64) for k in range(1_000)]
+    many = tuple(Instance("Car", b) for b in boxes * 2)
+    found = check_objects(ImageRecord("a", Path("a.png"), "train", (640, 512), None, None, None, many), "a", (640, 512))
+    assert sum(p.code == "object-duplicate" for p in found) >= 500
+    assert calls <= 2 * len(many)
 
 
 def test_duplicates_and_boxes_that_disagree() -> None:
