@@ -332,10 +332,16 @@ def _ask_trainer(limit_s: float) -> Trainer:
 def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | None, str]:
     """Return the JSON printed by code in a separate process, or None and the reason if it prints none."""
     try:
-        # A file of ours in the current folder must not be imported in place of the real thing: -P.
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", code, *arguments], capture_output=True, timeout=limit_s, check=False
-        )
+        # Blender leaves its folder of temporary files behind if it crashes on leaving.
+        with tempfile.TemporaryDirectory(prefix="infrablend-doctor-", ignore_cleanup_errors=True) as scratch:
+            # A file of ours in the current folder must not be imported in place of the real thing: -P.
+            done = subprocess.run(
+                [sys.executable, "-P", "-c", code, *arguments],
+                capture_output=True,
+                timeout=limit_s,
+                check=False,
+                env={**os.environ, "TMPDIR": scratch, "TEMP": scratch, "TMP": scratch},
+            )
     except subprocess.TimeoutExpired:
         return None, f"no answer within {limit_s:g} s"
     except OSError as error:

@@ -128,7 +128,7 @@ def _is_sheet(path: Path) -> bool:
     try:
         with Image.open(path) as picture:
             return bool(picture.info.get("Software") == _SOFTWARE)
-    except (OSError, ValueError, SyntaxError):
+    except (OSError, ValueError, SyntaxError, ImportError):  # Ultralytics, once imported, tries a library it may lack
         return False
 
 

@@ -319,7 +319,7 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
         assert a.scene.objects == b.scene.objects
         assert a.image_sha256 != b.image_sha256
         assert b.facts["sensor"]["speed_px_s"] == pytest.approx(100 * math.hypot(*b.scene.motion_px), abs=0.01)
-        again = api.rerender(tmp_path / "moving", b.frame_id, tmp_path / "again.png")
+        again = api.rerender(tmp_path / "moving", b.frame_id, tmp_path / "again.png", overwrite=True)
         of_run = Image.open(tmp_path / "moving" / "images" / b.image)
         assert np.array_equal(np.array(Image.open(again)), np.array(of_run))
         plain = b.scene.to_json()

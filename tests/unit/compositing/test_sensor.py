@@ -337,7 +337,7 @@ def test_a_run_with_the_sensor_has_the_same_labels_and_can_be_made_again(picture
         assert facts["flat_blocks"] == 5
     assert on[0][0].facts["sensor"]["noise_seed"] != on[1][0].facts["sensor"]["noise_seed"]
     for record, picture in on:
-        again = api.rerender(tmp_path / "on", record.frame_id, tmp_path / "again.png")
+        again = api.rerender(tmp_path / "on", record.frame_id, tmp_path / "again.png", overwrite=True)
         assert np.array_equal(np.array(Image.open(again)), picture)
 
 

