@@ -17,7 +17,7 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.placed import PlacedScene
 from infrablend.formats import hit_uav
 from infrablend.pipeline.frame_settings import FrameSettings
-from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root, make_plan
+from infrablend.pipeline.plan import PlannedFrame, RunPlan, make_plan
 from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"
@@ -61,7 +61,7 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
     picked = sorted({math.floor(i * total / count) for i in range(min(count, total))})
     settings = FrameSettings(
         out=out,
-        data_root=data_root(plan.dataset),
+        data_root=plan.dataset.root,
         recipe_json=plan.recipe.model_dump_json(),
         seed=plan.seed,
         pin_cores=False,

@@ -11,7 +11,7 @@ from typing import Any
 import typer
 
 from infrablend.cli.exits import problem_lines
-from infrablend.core.file_names import UNFIT
+from infrablend.core.file_names import escape_unfit
 from infrablend.errors import Problem, format_problems
 
 SHOWN_WARNINGS = 5
@@ -26,7 +26,7 @@ def print_result(text: str) -> None:
 
 def _printable(text: str) -> str:
     """Return the text with control characters, which could command the terminal, written as escapes."""
-    return UNFIT.sub(lambda m: m[0] if m[0] in "\n\t" else m[0].encode("unicode_escape").decode("ascii"), text)
+    return escape_unfit(text, keep="\n\t")
 
 
 def print_json(data: Any) -> None:

@@ -46,6 +46,16 @@ def distinct_names(wanted: Sequence[str], taken: Iterable[str] = ()) -> list[str
     return names
 
 
+def escape_unfit(text: str, keep: str = "") -> str:
+    r"""Return the text with characters that label files cannot hold written as escapes such as `\x01`.
+
+    Args:
+        text: Any text.
+        keep: Characters to leave as they are.
+    """
+    return UNFIT.sub(lambda m: m[0] if m[0] in keep else m[0].encode("unicode_escape").decode("ascii"), text)
+
+
 def fit_name(name: str) -> str:
     """Return a relative path with `_` for each character that label files cannot hold."""
     return UNFIT.sub("_", name)

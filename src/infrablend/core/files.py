@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
+from infrablend.core.file_names import MAX_NAME_BYTES
 from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
@@ -21,7 +22,6 @@ log = logging.getLogger(__name__)
 _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
-_LONGEST_NAME = 255
 NAME_TOO_LONG = "name-too-long"
 
 
@@ -32,7 +32,7 @@ def part_path(path: Path) -> Path:
     killed process left behind. Where the name would be too long for a file system, a digest replaces the stem.
     """
     name = f".{path.stem}.part{path.suffix}"
-    if len(os.fsencode(name)) > _LONGEST_NAME:
+    if len(os.fsencode(name)) > MAX_NAME_BYTES:
         name = f".{hashlib.sha256(os.fsencode(path.stem)).hexdigest()}.part{path.suffix}"
     return path.with_name(name)
 
@@ -58,6 +58,12 @@ def observed_by(observer: WriteObserver) -> Iterator[None]:
         yield
     finally:
         _observers.remove(observer)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the hexadecimal SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
@@ -131,6 +137,15 @@ def write_bytes(path: Path, data: bytes, *, durable: bool = False) -> Path:
 def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
     """Write UTF-8 text with LF line ends atomically; lone surrogates, which UTF-8 cannot hold, become escapes."""
     return write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
+
+
+def read_object(path: Path) -> dict[str, Any] | None:
+    """Return the JSON object in a file; None if it is missing, damaged or anything else."""
+    try:
+        data = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return data if isinstance(data, dict) else None
 
 
 def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool = False) -> Path:

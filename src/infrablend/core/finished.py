@@ -6,12 +6,12 @@ Everything that reads a dataset checks this, because an unfinished dataset has p
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.files import read_object
 from infrablend.core.run_layout import RUN_FILE, SCENES
 from infrablend.errors import DatasetError, Problem
 
@@ -52,7 +52,7 @@ def require_finished(folder: Path) -> None:
             path = root / marker.file
             if not path.is_file():
                 continue
-            record = _read(path)
+            record = read_object(path)
             damaged = record is None and (root / SCENES).is_dir()
             if damaged or (record is not None and not is_finished(record)):
                 raise _unfinished(folder, path, marker, record)
@@ -61,14 +61,6 @@ def require_finished(folder: Path) -> None:
 def is_finished(record: Mapping[str, Any]) -> bool:
     """Return whether a record says that its folder is finished; other programs and earlier versions wrote no status."""
     return "infrablend" not in record or record.get("status", COMPLETE) == COMPLETE
-
-
-def _read(path: Path) -> Mapping[str, Any] | None:
-    try:
-        data = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) else None
 
 
 def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, Any] | None) -> DatasetError:

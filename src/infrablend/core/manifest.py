@@ -8,7 +8,6 @@ files that are in the manifest and unchanged are deleted or replaced; others are
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import stat
@@ -16,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from infrablend.core.files import observed_by, output_error, part_path, write_text
+from infrablend.core.files import observed_by, output_error, part_path, sha256_of, write_text
 from infrablend.errors import OutputError, Problem
 
 REPLACED = "replaced"
@@ -24,12 +23,6 @@ REPLACED = "replaced"
 
 Content = tuple[int, str]
 """Size in bytes and SHA-256 of a file."""
-
-
-def sha256_of(path: Path) -> str:
-    """Return the hexadecimal SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 class Manifest:

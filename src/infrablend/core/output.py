@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import logging
 import os
 import shutil
@@ -23,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from infrablend.core.files import output_error
+from infrablend.core.files import output_error, read_object
 from infrablend.errors import OutputError
 
 log = logging.getLogger(__name__)
@@ -152,11 +151,7 @@ class OutputFolder:
 
     def read_record(self) -> Mapping[str, Any] | None:
         """Return the record, or None if there is none that is a JSON object."""
-        try:
-            data = json.loads((self.root / self.record).read_text("utf-8"))
-        except (OSError, ValueError):
-            return None
-        return data if isinstance(data, dict) else None
+        return read_object(self.root / self.record)
 
     def remove(self, names: Iterable[str]) -> None:
         """Delete these names, in this order: files, links (not their targets), and folders with all that is in them.

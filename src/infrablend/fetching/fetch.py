@@ -7,7 +7,6 @@ resumes where the previous call stopped.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
@@ -19,7 +18,7 @@ from typing import Any, Literal
 
 from infrablend import __version__
 from infrablend.core.arguments import require_names
-from infrablend.core.files import output_error, write_json
+from infrablend.core.files import output_error, sha256_of, write_json
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import RetryPolicy, download, require_url
@@ -372,8 +371,7 @@ def _sweep(order: _Order, a: Archive) -> None:
 
 def _digest(file: Path) -> str:
     try:
-        with file.open("rb") as f:
-            return hashlib.file_digest(f, "sha256").hexdigest()
+        return sha256_of(file)
     except OSError as error:
         raise DatasetError(f"{file}: cannot be read ({error.strerror or error})") from error
 

@@ -23,6 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from infrablend.core.file_names import MAX_NAME_BYTES
 from infrablend.core.files import output_error
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, Problem
 from infrablend.formats.base import shorten
@@ -384,7 +385,7 @@ def _bad_name(name: str) -> str:
         return "a name with control characters"
     if name != name.encode("utf-8", "replace").decode("utf-8"):
         return "a name that is not UTF-8"
-    if any(len(p.encode()) > 255 for p in parts) or len(name.encode()) > 2000:
+    if any(len(p.encode()) > MAX_NAME_BYTES for p in parts) or len(name.encode()) > 2000:
         return "a name that is too long"
     return ""
 

@@ -8,15 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, Instance
-from infrablend.core.file_names import UNFIT
+from infrablend.core.file_names import escape_unfit
 from infrablend.errors import Problem
 
 _UNNAMED = "unnamed"
-
-
-def escape_unfit(text: str) -> str:
-    r"""Return the text with characters that label files cannot hold written as escapes such as `\x01`."""
-    return UNFIT.sub(lambda m: m[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def with_fitting_fields(dataset: Dataset) -> Dataset:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.manifest import sha256_of
+from infrablend.core.files import sha256_of
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
 

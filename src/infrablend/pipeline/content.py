@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from infrablend.core.dataset import Dataset
-from infrablend.core.manifest import sha256_of
+from infrablend.core.files import sha256_of
 from infrablend.pipeline.plan import fingerprint
 
 

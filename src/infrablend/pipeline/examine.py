@@ -10,7 +10,7 @@ from infrablend.core.finished import UNFINISHED
 from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection
+from infrablend.formats import detection, folder
 from infrablend.formats.annotation_files import noting_understood
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.unread import unread_label_files
@@ -65,5 +65,6 @@ def check_folder(
         if not error.problems or any(p.code in _USAGE for p in error.problems):
             raise
         return unreadable(root, error)
-    dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
+    if dataset.format != folder.NAME:  # that reader reports them itself
+        dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

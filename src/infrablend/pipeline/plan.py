@@ -362,11 +362,6 @@ def fingerprint(dataset: Dataset) -> str:
     return digest.hexdigest()
 
 
-def data_root(dataset: Dataset) -> Path:
-    """Return the folder of the backgrounds, with links followed."""
-    return dataset.root.resolve()
-
-
 def _count(values: Any) -> dict[str, int]:
     counts: dict[str, int] = {}
     for v in values:

@@ -15,8 +15,7 @@ from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
 from infrablend.core.file_names import leaves
-from infrablend.core.files import write_bytes
-from infrablend.core.manifest import sha256_of
+from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.output import require_replaceable
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task

@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from infrablend import __version__
 from infrablend.compositing.mapping import measure_levels
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
-from infrablend.core.files import NAME_TOO_LONG, output_error
+from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
 from infrablend.core.machine import describe_machine, installed_versions
-from infrablend.core.manifest import Manifest, sha256_of
+from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import IMAGES, SCENES
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
@@ -39,7 +39,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings
 from infrablend.pipeline.label_files import LabelSummary, write_formats
 from infrablend.pipeline.pace import Pace
-from infrablend.pipeline.plan import PlannedFrame, RunPlan, data_root
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 
@@ -482,7 +482,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
         "seed": plan.seed,
         "key": dict(plan.key),
         "data": {
-            "root": str(data_root(plan.dataset)),
+            "root": str(plan.dataset.root.resolve()),
             "format": plan.dataset.format,
             "backgrounds": len(plan.dataset.images),
             "notes": dict(plan.dataset.notes),
