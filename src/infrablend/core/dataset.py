@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.masks import Mask
+from infrablend.core.temperature import Radiometry
 from infrablend.errors import Problem
 
 Split = Literal["train", "val", "test"]
@@ -141,6 +142,8 @@ class ImageRecord:
             `path.name`.
         sequence: Flight or clip of the image; None if unknown.
         captured: Date or time of capture, ISO 8601; None if unknown.
+        radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air; None if
+            nothing is known.
     """
 
     id: str
@@ -156,6 +159,7 @@ class ImageRecord:
     file_name: str = ""
     sequence: str | None = None
     captured: str | None = None
+    radiometry: Radiometry | None = None
 
     @property
     def name(self) -> str:
