@@ -97,8 +97,8 @@ def convert(
         typer.Option(
             "--like-class",
             metavar="NAME",
-            help="Draw pictures, some several times, to match times of day, heights and pitches of those that show "
-            "this class.",
+            help="Draw pictures, some several times, to match times of day, heights, pitches and grey levels of those "
+            "that show this class.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of the draw.")] = 0,

@@ -94,7 +94,7 @@ class Convert(Strict):
     without: tuple[str, ...] = ()
     """Use only images that show none of these classes; classes that the data do not have are ignored."""
     like: str | None = None
-    """Draw images with the same distribution of time of day, altitude and pitch as those that show this class."""
+    """Draw images to match time of day, altitude, pitch and grey level of those that show this class."""
     images: dict[Scale, Limits] = Field(default_factory=dict)
     """Maximum number of images per split at each scale, drawn at random or as with `like`; all by default."""
     loosen: float = Field(1.0, ge=1, le=2)

@@ -17,6 +17,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
+from infrablend.formats.images import load_background
 
 # Upper limit on the copies of one picture, however rare its flight conditions are.
 MOST_COPIES = 4
@@ -30,8 +31,8 @@ class Selection:
         with_class: Class that every selected picture shows; None for no such condition.
         without: Classes that no selected picture shows; ignored classes (DontCare) are allowed here.
         images: Number of pictures to draw at random; None for all that qualify.
-        like: Class whose pictures set the distribution of times of day, heights and camera pitches to match. A picture
-            may be used up to `MOST_COPIES` times; each copy has its own name.
+        like: Class whose pictures set the distribution of times of day, heights, camera pitches and grey levels to
+            match. A picture may be used up to `MOST_COPIES` times; each copy has its own name.
         objects: Number of `with_class` objects that the pictures should contain in total, matched as closely as
             possible.
         seed: Seed of the random draw.
@@ -122,7 +123,7 @@ def _select_alike(
     wanted: Selection,
     left_out: Counter[str],
 ) -> tuple[Dataset, dict[str, Any]]:
-    copies = copies_to_match([_flight(i) for i in pool], [_flight(i) for i in like], size, wanted.seed)
+    copies = copies_to_match([conditions(i) for i in pool], [conditions(i) for i in like], size, wanted.seed)
     kept = []
     for image, n in zip(pool, copies, strict=True):
         kept += [image] * (n > 0)
@@ -141,27 +142,62 @@ def _select_alike(
     return replace(dataset, images=sort_images(kept)), facts
 
 
-Flight = tuple[str, float, float]
+# Width of a step of grey level, and the levels that weigh as much as 10 degrees of pitch or 20 m of height.
+_LEVEL_STEP, _LEVEL_WEIGHT = 25.0, 12.5
 
 
-def _flight(image: ImageRecord) -> Flight:
-    """Return time of day, height and camera pitch; unknown numbers are -1."""
-    height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.altitude_m, image.pitch_deg))
-    return image.time_of_day or "", height, pitch
+@dataclass(frozen=True, order=True)
+class Conditions:
+    """Conditions under which a picture was taken, rounded so that similar pictures compare equal.
 
-
-def _flight_distance(a: Flight, b: Flight) -> tuple[bool, float]:
-    """Return the distance between two flights: time of day first, then height and pitch (20 m weigh as 10 degrees)."""
-    return a[0] != b[0], abs(a[1] - b[1]) / 20 + abs(a[2] - b[2]) / 10
-
-
-def copies_to_match(pool: Sequence[Flight], like: Sequence[Flight], size: int, seed: int) -> list[int]:
-    """Return the number of copies of each picture in the pool so that flights are distributed as in `like`.
-
-    The copies add up to `size`. If a flight has too few pictures, even with `MOST_COPIES` copies of each, the nearest
-    flight (see `_flight_distance`) supplies the rest.
+    Attributes:
+        time_of_day: `day` or `night`; empty if unknown.
+        altitude_m: Height in steps of 10 m; -1 if unknown.
+        pitch_deg: Camera pitch in steps of 10 degrees; -1 if unknown.
+        level: Median grey level in steps of 25 of 255; -1 if the picture cannot be read.
     """
-    members: dict[Flight, list[int]] = {}
+
+    time_of_day: str
+    altitude_m: float
+    pitch_deg: float
+    level: float = -1
+
+    def distance(self, other: Conditions) -> tuple[bool, float]:
+        """Return how much two pictures differ: first the time of day, then 10 degrees, 20 m and 12.5 levels alike."""
+        return (
+            self.time_of_day != other.time_of_day,
+            abs(self.altitude_m - other.altitude_m) / 20
+            + abs(self.pitch_deg - other.pitch_deg) / 10
+            + abs(self.level - other.level) / _LEVEL_WEIGHT,
+        )
+
+
+def conditions(image: ImageRecord) -> Conditions:
+    """Return the conditions of a picture, with the grey level from its pixels.
+
+    Where the sun shines the picture's processing has made the ground bright and the shade dark, and objects look
+    different there: pictures of the same height, pitch and time of day are not yet alike.
+    """
+    height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.altitude_m, image.pitch_deg))
+    return Conditions(image.time_of_day or "", height, pitch, _level(image))
+
+
+def _level(image: ImageRecord) -> float:
+    try:
+        picture = load_background(image.path)
+    except DatasetError:
+        return -1  # what reads the selected pictures reports it
+    median = float(np.median(picture.pixels)) * 255 / (2**picture.bit_depth - 1)
+    return _LEVEL_STEP * round(median / _LEVEL_STEP)
+
+
+def copies_to_match(pool: Sequence[Conditions], like: Sequence[Conditions], size: int, seed: int) -> list[int]:
+    """Return the number of copies of each picture in the pool so that conditions are distributed as in `like`.
+
+    The copies add up to `size`. If some conditions have too few pictures, even with `MOST_COPIES` copies of each, the
+    nearest conditions supply the rest.
+    """
+    members: dict[Conditions, list[int]] = {}
     for k in stream(seed, "select").permutation(len(pool)).tolist():
         members.setdefault(pool[k], []).append(k)
     counts = Counter(like)
@@ -171,16 +207,16 @@ def copies_to_match(pool: Sequence[Flight], like: Sequence[Flight], size: int, s
         wanted[f] += 1
     copies = [0] * len(pool)
     room = {f: MOST_COPIES * len(of) for f, of in members.items()}
-    given: Counter[Flight] = Counter()
-    # Each flight first supplies its own share; the nearest flights then fill the gaps.
-    lacking: list[Flight] = []
+    given: Counter[Conditions] = Counter()
+    # All conditions first supply their own share; the nearest ones then fill the gaps.
+    lacking: list[Conditions] = []
     for f, n in wanted.items():
         own = min(n, room.get(f, 0))
         given[f] += own
         lacking += [f] * (n - own)
     for f in lacking:
         free = [g for g in members if given[g] < room[g]]
-        given[min(free, key=lambda g: (_flight_distance(g, f), g))] += 1
+        given[min(free, key=lambda g: (g.distance(f), g))] += 1
     for f, of in members.items():
         for n in range(given[f]):
             copies[of[n % len(of)]] += 1

@@ -17,7 +17,15 @@ from infrablend.cli.app import build_app
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
-from infrablend.pipeline.select import MOST_COPIES, Selection, copies_to_match, draw_with_sum, select
+from infrablend.pipeline.select import (
+    MOST_COPIES,
+    Conditions,
+    Selection,
+    conditions,
+    copies_to_match,
+    draw_with_sum,
+    select,
+)
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
 
@@ -92,21 +100,44 @@ def test_heights_and_times_follow_the_images_with_the_class():
 
 
 def test_missing_heights_are_filled_from_the_nearest_of_the_same_time():
-    pool = [("night", 60.0, 30), ("night", 80.0, 30), ("night", 120.0, 30), ("night", 120.0, 30), ("day", 60.0, 30)]
-    copies = copies_to_match(pool, [("night", 60.0, 30)] * 3 + [("day", 90.0, 30)], 12, 0)
+    pool = [
+        Conditions("night", 60.0, 30),
+        Conditions("night", 80.0, 30),
+        Conditions("night", 120.0, 30),
+        Conditions("night", 120.0, 30),
+        Conditions("day", 60.0, 30),
+    ]
+    copies = copies_to_match(pool, [Conditions("night", 60.0, 30)] * 3 + [Conditions("day", 90.0, 30)], 12, 0)
     # Nine at night from 60 m, of which four are to be had; four from 80 m, one from 120 m. Three by day.
     assert copies[0] == copies[1] == MOST_COPIES
     assert copies[2] + copies[3] == 1
     assert copies[4] == 3
-    assert sum(copies_to_match(pool, [("night", 60.0, 30)], MOST_COPIES * 5, 0)) == MOST_COPIES * 5
+    assert sum(copies_to_match(pool, [Conditions("night", 60.0, 30)], MOST_COPIES * 5, 0)) == MOST_COPIES * 5
 
 
 def test_pitches_are_shared_out_too():
-    pool = [("night", 60.0, p) for p in (30, 40, 40, 60, 90, 90)]
-    assert copies_to_match(pool, [("night", 60.0, 30)], 4, 0) == [4, 0, 0, 0, 0, 0]
+    pool = [Conditions("night", 60.0, p) for p in (30, 40, 40, 60, 90, 90)]
+    assert copies_to_match(pool, [Conditions("night", 60.0, 30)], 4, 0) == [4, 0, 0, 0, 0, 0]
     # 80 degrees are not there: 90 are nearer than 60.
-    assert copies_to_match(pool, [("night", 60.0, 80)], 2, 0) == [0, 0, 0, 0, 1, 1]
-    assert copies_to_match([*pool, ("night", 70.0, 80)], [("night", 60.0, 80)], 3, 0)[-1] == 3
+    assert copies_to_match(pool, [Conditions("night", 60.0, 80)], 2, 0) == [0, 0, 0, 0, 1, 1]
+    assert copies_to_match([*pool, Conditions("night", 70.0, 80)], [Conditions("night", 60.0, 80)], 3, 0)[-1] == 3
+
+
+def test_grey_levels_are_shared_out_too() -> None:
+    pool = [Conditions("day", 60.0, 30, level) for level in (75, 100, 150, 175)]
+    assert copies_to_match(pool, [Conditions("day", 60.0, 30, 150)], 4, 0) == [0, 0, 4, 0]
+    assert copies_to_match(pool, [Conditions("day", 60.0, 30, 125)] * 2, 8, 0) == [0, 4, 4, 0]
+
+
+def test_levels_come_from_the_pixels_of_8_and_16_bits(tmp_path: Path) -> None:
+    for name, pixels, level in (
+        ("a.png", np.full((8, 8), 140, np.uint8), 150.0),
+        ("b.png", np.full((8, 8), 140 * 257, np.uint16), 150.0),
+        ("c.png", np.full((8, 8), 30, np.uint8), 25.0),
+    ):
+        Image.fromarray(pixels).save(tmp_path / name)
+        assert conditions(replace(image(1, {}, 60.0), path=tmp_path / name)).level == level
+    assert conditions(replace(image(1, {}, 60.0), path=tmp_path / "missing.png")).level == -1
 
 
 @pytest.mark.parametrize(
