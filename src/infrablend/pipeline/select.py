@@ -188,7 +188,7 @@ def _level(image: ImageRecord) -> float:
     except DatasetError:
         return -1  # what reads the selected pictures reports it
     median = float(np.median(picture.pixels)) * 255 / (2**picture.bit_depth - 1)
-    return _LEVEL_STEP * round(median / _LEVEL_STEP)
+    return float(_LEVEL_STEP * round(median / _LEVEL_STEP))
 
 
 def copies_to_match(pool: Sequence[Conditions], like: Sequence[Conditions], size: int, seed: int) -> list[int]:
