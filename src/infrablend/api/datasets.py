@@ -1,7 +1,8 @@
-"""Datasets: fetch, read, examine, convert and split them; fit a sensor profile; make a virtual world."""
+"""Datasets: fetch, read, examine, convert and split them; extract frames; fit a sensor profile; make a world."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -20,6 +21,7 @@ from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
 from infrablend.world.dataset import WorldRequest
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.frames import FlightFacts, FrameChoice, FramesReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
@@ -122,6 +124,21 @@ def split(
     `to` is the format to write, as in `convert`. `lists` writes only three lists of pictures and `split.json`.
     """
     return split_dataset(read_dataset(data, reading), Path(out), rule, to=to, lists=lists, overwrite=overwrite)
+
+
+def extract_frames(
+    videos: Sequence[str | Path], out: str | Path, choice: FrameChoice, flight: FlightFacts | None = None, *,
+    overwrite: bool = False, on_progress: OnProgress | None = None,
+) -> FramesReport:  # fmt: skip
+    """Write frames of videos as PNG files and `metadata.csv`: a background dataset with a sequence per video.
+
+    `choice` is, for example, `FrameChoice("2s")`. Pitch, height and time come from the DJI subtitles beside each video,
+    or from the log that `flight` names.
+    """
+    from infrablend.pipeline import frames
+
+    paths = [Path(v) for v in videos]
+    return frames.extract_frames(paths, Path(out), choice, flight, overwrite=overwrite, on_progress=on_progress)
 
 
 def profile(

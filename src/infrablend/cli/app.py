@@ -18,6 +18,7 @@ from infrablend.cli import (
     exits,
     experiment,
     fetch,
+    frames,
     generate,
     inspect,
     models,
@@ -112,6 +113,7 @@ def build_app() -> typer.Typer:
     app.command("realism")(realism.realism)
     app.command("evaluate")(evaluate.evaluate)
     app.command("experiment")(experiment.experiment)
+    app.command("frames")(frames.frames)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)

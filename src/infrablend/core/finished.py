@@ -17,6 +17,7 @@ from infrablend.errors import DatasetError, Problem
 
 CONVERT_FILE = "convert.json"
 SPLIT_FILE = "split.json"
+FRAMES_FILE = "frames.json"
 COMPLETE = "complete"
 UNFINISHED = "folder-unfinished"
 
@@ -37,11 +38,12 @@ _MARKERS = (
     _Marker(RUN_FILE, "run", "infrablend generate ... --out {root} --resume"),
     _Marker(CONVERT_FILE, "conversion", "infrablend convert {source} {root} --to {format} ... --overwrite"),
     _Marker(SPLIT_FILE, "split dataset", "infrablend split {source} {root} --by {by} ... --overwrite"),
+    _Marker(FRAMES_FILE, "extraction of frames", "infrablend frames {source} --every {every} --out {root} --overwrite"),
 )
 
 
 def require_finished(folder: Path) -> None:
-    """Check that no unfinished run, conversion or split wrote the folder, or a folder that contains it.
+    """Check that no unfinished run, conversion, split or extraction of frames wrote the folder or one around it.
 
     Raises:
         DatasetError: One did; the message names the command that finishes it.
@@ -65,7 +67,7 @@ def is_finished(record: Mapping[str, Any]) -> bool:
 
 def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, Any] | None) -> DatasetError:
     found = "a record that cannot be read" if record is None else f"status {record.get('status')}"
-    facts = {k: (record or {}).get(k, "...") for k in ("source", "format", "by")}
+    facts = {k: (record or {}).get(k, "...") for k in ("source", "format", "by", "every")}
     command = marker.command.format(root=path.parent, **facts)
     problem = Problem(
         str(path),

@@ -1,14 +1,15 @@
-"""Camera pitch, altitude and time of day of a picture, from its file name or from a table."""
+"""How a picture was taken (pitch, altitude, time, flight), from its file name or from a table."""
 
 from __future__ import annotations
 
 import csv
+import datetime
 import io
 import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -19,31 +20,34 @@ from infrablend.formats.annotation_files import read_json, read_text
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _FIELDS = ("pitch_deg", "altitude_m", "time_of_day")
 _KEYS = ("file", "stem", "sequence")
+# Further columns that `infrablend frames` writes: read for single pictures, or there for people and other programs.
+FURTHER = ("captured", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Pitch, altitude and time of day of a picture; None where unknown.
+    """Pitch, altitude, time and flight of a picture; None where unknown.
 
     Attributes:
         pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
         altitude_m: Height above ground according to the source.
         time_of_day: Day or night.
+        sequence: Flight or clip of the picture.
+        captured: Date or time of capture, ISO 8601.
     """
 
     pitch_deg: float | None = None
     altitude_m: float | None = None
     time_of_day: TimeOfDay | None = None
+    sequence: str | None = None
+    captured: str | None = None
 
     def over(self, other: Capture) -> Capture:
         """Return these values, completed by `other`'s."""
-        return Capture(
-            other.pitch_deg if self.pitch_deg is None else self.pitch_deg,
-            other.altitude_m if self.altitude_m is None else self.altitude_m,
-            other.time_of_day if self.time_of_day is None else self.time_of_day,
-        )
+        mine = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(other, **{name: value for name, value in mine.items() if value is not None})
 
     def conflicts(self, other: Capture) -> list[str]:
         """Return `field: this, that` for every field with different known values."""
@@ -117,7 +121,7 @@ class Captures:
     sources: Counter[str] = field(default_factory=Counter)
 
     def of(self, name: str, where: str, inside: Capture | None = None, sequence: str | None = None) -> Capture:
-        """Return pitch, altitude and time of day of a picture.
+        """Return pitch, altitude, time and flight of a picture.
 
         Args:
             name: Relative path, as in tables; the file name itself may contain the values, too.
@@ -134,7 +138,8 @@ class Captures:
                     found = f"{conflict} (table, annotation or file name); the table is used"
                     self.problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
                 sources.insert(0, (f"table {self.table.name} per file", row))
-            of_sequence = self.table.rows.get(sequence or "")
+            flight = sequence or (row.sequence if row is not None else None)
+            of_sequence = self.table.rows.get(flight or "")
             if of_sequence is not None and of_sequence is not row:
                 sources.append((f"table {self.table.name} per sequence", of_sequence))
         self.sources[next((kind for kind, c in sources if c.pitch_deg is not None), "none")] += 1
@@ -159,7 +164,8 @@ def pitch_note(sources: Mapping[str, int]) -> str:
 def read_table(path: Path) -> CaptureTable:
     """Read a CSV or JSON table with `file`, `stem` or `sequence` and some of `pitch_deg`, `altitude_m`, `time_of_day`.
 
-    CSV: a header line. JSON: a list of records, or one object with the file names, stems or sequences as keys. Rows
+    A row for a picture may also name its `sequence` and when it was `captured`. Other columns are not read. CSV: a
+    header line. JSON: a list of records, or one object with the file names, stems or sequences as keys. Rows
     with a bad value are skipped as errors; empty fields are unknown.
 
     Raises:
@@ -173,7 +179,7 @@ def read_table(path: Path) -> CaptureTable:
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []
-    unknown = sorted(columns - set(_KEYS) - set(_FIELDS))
+    unknown = sorted(columns - {*_KEYS, *_FIELDS, *FURTHER})
     if unknown:
         found = f"unknown columns {', '.join(unknown)}, ignored"
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))
@@ -188,7 +194,8 @@ def read_table(path: Path) -> CaptureTable:
         if fault is not None:
             problems.append(Problem(f"{path.name}: {where}", *fault, "correct the table"))
             continue
-        captures[key.removeprefix("./")] = capture
+        of_picture = any(str(row.get(k) or "").strip() for k in ("file", "stem"))
+        captures[key.removeprefix("./")] = capture if of_picture else replace(capture, sequence=None, captured=None)
     return CaptureTable(captures, tuple(problems), path.name)
 
 
@@ -230,4 +237,17 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
     if time not in ("", "day", "night"):
         return Capture(), ("table-value", f"time_of_day {row['time_of_day']!r}", "day, night or nothing")
     of_day: TimeOfDay | None = "day" if time == "day" else "night" if time == "night" else None
-    return Capture(values["pitch_deg"], values["altitude_m"], of_day), None
+    captured = str(row.get("captured") or "").strip()
+    if captured and not _is_time(captured):
+        return Capture(), ("table-value", f"captured {captured!r}", "a date or time such as 2024-05-01T06:30:00+02:00")
+    sequence = str(row.get("sequence") or "").strip()
+    return Capture(values["pitch_deg"], values["altitude_m"], of_day, sequence or None, captured or None), None
+
+
+def _is_time(text: str) -> bool:
+    """Return whether a text is a date or time in ISO 8601."""
+    try:
+        datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return False
+    return True

@@ -63,6 +63,7 @@ def make_dataset(
                 pitch_deg=known.pitch_deg,
                 altitude_m=known.altitude_m,
                 time_of_day=known.time_of_day,
+                captured=record.captured or known.captured,
             )
         )
     if table is not None:

@@ -1,0 +1,161 @@
+"""Telemetry of a flight over time: samples of a log, and their values at the times of a video's frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.errors import Problem
+
+Values = NDArray[np.float64]
+
+LINEAR = ("pitch_deg", "altitude_m", "latitude_deg", "longitude_deg")
+ROUND = ("roll_deg", "yaw_deg")
+"""Angles around a full circle: interpolated the short way round."""
+FIELDS = (*LINEAR, *ROUND)
+MAX_GAP_S = 2.0
+"""Longest time between two samples over which values are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLog:
+    """Samples of one log, in our units and angle conventions.
+
+    Attributes:
+        name: Name of the file.
+        dialect: What wrote it, for people.
+        times_s: (n,) seconds, increasing: since the start of the video for subtitles, else since the log's own start.
+        values: (n,) values per field of `FIELDS` that the log has; NaN where a sample has none.
+        height: Name of the source's field behind `altitude_m`; empty if it has none.
+        frames: (n,) frame number of each sample, from 0, increasing; None if the log counts no frames.
+        clock_s: (n,) seconds since 1970 by the log's clock; NaN where unknown.
+        in_utc: Whether that clock shows UTC; else it is local time of an unknown zone.
+        recordings: Start and end of each video recording in the log, by `times_s`; empty for subtitles.
+        problems: Faults of the file, and fields whose meaning is not certain.
+    """
+
+    name: str
+    dialect: str
+    times_s: Values
+    values: Mapping[str, Values]
+    height: str = ""
+    frames: NDArray[np.int64] | None = None
+    clock_s: Values | None = None
+    in_utc: bool = False
+    recordings: tuple[tuple[float, float], ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def start(self) -> datetime | None:
+        """Time of the log's first second by its own clock, as if in UTC; None if the log has no dates."""
+        known = None if self.clock_s is None else np.flatnonzero(np.isfinite(self.clock_s))
+        if self.clock_s is None or known is None or not known.size:
+            return None
+        k = int(known[0])
+        return datetime.fromtimestamp(float(self.clock_s[k] - self.times_s[k]), UTC)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How well a log covers the frames of a video.
+
+    Attributes:
+        inside: Frames with telemetry.
+        before: Frames before the log's first sample.
+        after: Frames after its last sample.
+        in_gaps: Frames in gaps of the log that are too long to interpolate.
+        largest_gap_s: Longest time between two samples that are next to each other, around the frames.
+    """
+
+    inside: int
+    before: int
+    after: int
+    in_gaps: int
+    largest_gap_s: float
+
+    def to_json(self) -> dict[str, float]:
+        """Return plain JSON values."""
+        return {
+            "inside": self.inside, "before": self.before, "after": self.after, "in_gaps": self.in_gaps,
+            "largest_gap_s": round(self.largest_gap_s, 3),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """Values of a log at given times; NaN where unknown.
+
+    Attributes:
+        values: (m,) values per field of the log.
+        captured: ISO 8601 times by the log's clock; None where unknown.
+        coverage: How well the log covers the times.
+    """
+
+    values: Mapping[str, Values]
+    captured: tuple[str | None, ...]
+    coverage: Coverage = field(default_factory=lambda: Coverage(0, 0, 0, 0, 0.0))
+
+
+def sample(log: FlightLog, at: Sequence[float], positions: Values | None = None) -> Sampled:
+    """Return the values of a log at some times, interpolated linearly between neighbouring samples.
+
+    Times at most one usual step outside the log take its first or last sample; times further out, or inside gaps longer
+    than `MAX_GAP_S` and three usual steps, have no values.
+
+    Args:
+        log: The log.
+        at: (m,) times, or frame numbers where `positions` are frame numbers.
+        positions: (n,) positions of the samples on the same scale; None for the log's times.
+    """
+    x = log.times_s if positions is None else positions
+    wanted = np.asarray(at, np.float64)
+    step_s = float(np.median(np.diff(log.times_s))) if len(x) > 1 else 1.0
+    step = float(np.median(np.diff(x))) if len(x) > 1 else 1.0
+    allowed_s = max(MAX_GAP_S, 3 * step_s)
+    before, after = wanted < x[0] - step - 1e-9, wanted > x[-1] + step + 1e-9
+    inner = np.clip(wanted, x[0], x[-1])
+    right = np.clip(np.searchsorted(x, inner, side="left"), 0, len(x) - 1)
+    left = np.where(x[right] <= inner, right, np.maximum(right - 1, 0))
+    gaps_s = log.times_s[right] - log.times_s[left]
+    outside = before | after
+    in_gap = ~outside & (gaps_s > allowed_s) & (inner > x[left]) & (inner < x[right])
+    known = ~(outside | in_gap)
+    span = np.where(right > left, x[right] - x[left], 1.0)
+    weight = np.where(right > left, (inner - x[left]) / span, 0.0)
+    values = {
+        name: np.where(known, _between(v[left], v[right], weight, round_=name in ROUND), np.nan)
+        for name, v in log.values.items()
+    }
+    clock = None if log.clock_s is None else _between(log.clock_s[left], log.clock_s[right], weight, round_=False)
+    captured = tuple(
+        None if clock is None or not ok else _iso(float(clock[k]), log.in_utc) for k, ok in enumerate(known.tolist())
+    )
+    around = (log.times_s >= log.times_s[left].min()) & (log.times_s <= log.times_s[right].max()) if len(inner) else []
+    steps = np.diff(log.times_s[around]) if len(inner) else np.zeros(0)
+    coverage = Coverage(
+        int(known.sum()), int(before.sum()), int(after.sum()), int(in_gap.sum()), float(steps.max(initial=0.0))
+    )
+    return Sampled(values, captured, coverage)
+
+
+def _between(a: Values, b: Values, weight: Values, *, round_: bool) -> Values:
+    """Return values between a (weight 0) and b (weight 1); around a full circle the short way, in (-180, 180]."""
+    step = b - a
+    if round_:
+        step = (step + 180.0) % 360.0 - 180.0
+    result = np.where(weight <= 0, a, np.where(weight >= 1, b, a + weight * step))
+    return 180.0 - (180.0 - result) % 360.0 if round_ else result
+
+
+def _iso(seconds: float, in_utc: bool) -> str | None:
+    """Return seconds since 1970 as ISO 8601 with milliseconds, with a zone only if it is known."""
+    if not math.isfinite(seconds) or not -6e10 < seconds < 2e11:
+        return None
+    when = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(seconds * 1000))
+    text = when.isoformat(timespec="milliseconds")
+    return text if in_utc else text.removesuffix("+00:00")

@@ -1,0 +1,291 @@
+"""Decode a video frame by frame with PyAV: pictures without loss, and the time of each."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.errors import DatasetError, MissingDependencyError, Problem
+from infrablend.formats.pictures import MAX_PIXELS
+
+SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lrv", ".lrf")
+# Encoders of grey pictures leave the colour planes at their middle, give or take rounding.
+_NEUTRAL = 2
+
+
+def require_av() -> Any:
+    """Return PyAV's module.
+
+    Raises:
+        MissingDependencyError: PyAV is not installed.
+    """
+    try:
+        return importlib.import_module("av")
+    except ImportError as error:
+        raise MissingDependencyError(
+            'PyAV is not installed; reading video needs it. Install the extra: pip install "infrablend[video]"'
+        ) from error
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One decoded frame.
+
+    Attributes:
+        number: Number in order of presentation, from 0; it counts frames that cannot be decoded, too.
+        time_s: Seconds since the first frame.
+    """
+
+    number: int
+    time_s: float
+    _picture: Any = field(repr=False)
+
+    @property
+    def pixels(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """(h, w) grey levels, uint8 or uint16, or (h, w, 3) uint8 colour."""
+        return _pixels(self._picture)
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Times of all frames of a video, from its packets, before anything is decoded.
+
+    Attributes:
+        times_s: (n,) seconds since the first frame, ascending.
+        numbers: Frame number by timestamp; empty if the timestamps are missing or repeat.
+        repeated: Frames with the same time as the frame before.
+    """
+
+    times_s: NDArray[np.float64]
+    numbers: Mapping[int, int]
+    repeated: int = 0
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last frame."""
+        return float(self.times_s[-1]) if self.times_s.size else 0.0
+
+    @property
+    def steps_s(self) -> tuple[float, float]:
+        """Shortest and longest time between two frames; zeros for fewer than two frames."""
+        steps = np.diff(self.times_s)
+        return (float(steps.min()), float(steps.max())) if steps.size else (0.0, 0.0)
+
+    @property
+    def varies(self) -> bool:
+        """True if the frame rate varies: steps differ by more than a fifth and two milliseconds."""
+        shortest, longest = self.steps_s
+        return longest > 1.2 * shortest + 2e-3
+
+
+class Video:
+    """A video file, open for reading once from its beginning; use it as a context manager.
+
+    Attributes:
+        path: The file.
+        size_wh: Width and height, px.
+        codec: Codec and pixel format.
+        created: Creation time in the container, UTC; None if there is none.
+        announced: Number of frames according to the container; 0 if it does not say.
+        timeline: Times of all frames.
+        damaged: Packets that could not be decoded so far.
+        other_size: Frames of another size so far, left out.
+        turned: Whether the container asks players to turn the picture.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a file, and read the times of its frames without decoding them.
+
+        Raises:
+            MissingDependencyError: PyAV is not installed.
+            DatasetError: There is no such file, it is no video, it has no video stream or no frame, or its frames are
+                too large.
+        """
+        self.path = path
+        self._av = require_av()
+        self._container, self._stream = self._open()
+        try:
+            context = self._stream.codec_context
+            self.size_wh = int(context.width or 0), int(context.height or 0)
+            if self.size_wh[0] * self.size_wh[1] > MAX_PIXELS or min(self.size_wh) <= 0:
+                found = f"{self.size_wh[0]}x{self.size_wh[1]} px"
+                raise _refuse(path, "image-too-large", found, f"1 to {MAX_PIXELS} px", "check the file")
+            self.codec = f"{context.name} {context.pix_fmt}"
+            self.created = _created(self._container, self._stream)
+            self.announced = int(self._stream.frames or 0)
+            self.damaged = self.other_size = 0
+            self.turned = False
+            self.timeline = self._scan()
+        finally:
+            self._container.close()
+
+    def _open(self) -> tuple[Any, Any]:
+        path = self.path
+        if not path.is_file():
+            raise _refuse(path, "video-missing", "no such file", "a video file", "check the path")
+        try:
+            container = self._av.open(str(path), mode="r")
+        except (self._av.error.FFmpegError, ValueError, OSError) as error:
+            found = f"cannot be opened ({_reason(error)})"
+            todo = "copy the file from the card again: a truncated MP4 lacks the index at its end"
+            raise _refuse(path, "video-unreadable", found, "a video that FFmpeg can read", todo) from error
+        stream = container.streams.best("video")
+        if stream is None or stream.codec_context is None:
+            kinds = ", ".join(sorted({s.type for s in container.streams})) or "no stream"
+            container.close()
+            raise _refuse(path, "video-none", f"no video stream, only {kinds}", "a video", "give the video file")
+        return container, stream
+
+    def _scan(self) -> Timeline:
+        """Return the times of the frames from the packets."""
+        stamps: list[int | None] = []
+        with contextlib.suppress(self._av.error.FFmpegError):  # what follows is missing when decoded, too
+            for packet in self._container.demux(self._stream):
+                if packet.size and not packet.is_discard:
+                    stamps.append(packet.pts if packet.pts is not None else packet.dts)
+        if not stamps:
+            found, todo = "a video stream without frames", "copy the file from the card again"
+            raise _refuse(self.path, "video-none", found, "at least one frame", todo)
+        base, rate = self._stream.time_base, self._stream.average_rate or self._stream.guessed_rate
+        known = sorted(s for s in stamps if s is not None)
+        if len(known) == len(stamps) and base:
+            repeated = len(known) - len({*known})
+            times = np.array([float((s - known[0]) * base) for s in known], np.float64)
+            return Timeline(times, {} if repeated else {s: k for k, s in enumerate(known)}, repeated)
+        if not rate:
+            found, todo = "frames without times, and no frame rate", "convert it to MP4 or MKV"
+            raise _refuse(self.path, "video-times", found, "a container with times", todo)
+        return Timeline(np.arange(len(stamps)) / float(rate), {})
+
+    def __enter__(self) -> Video:
+        self._container, self._stream = self._open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._container.close()
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield every frame that can be decoded, in order of presentation."""
+        with contextlib.suppress(AttributeError, ValueError):
+            self._stream.thread_type = "AUTO"
+        times = self.timeline.times_s
+        number = -1
+        for picture in self._pictures():
+            number = self.timeline.numbers.get(picture.pts, number + 1)
+            if (picture.width, picture.height) != self.size_wh:
+                self.other_size += 1
+                continue
+            self.turned = self.turned or bool(getattr(picture, "rotation", 0))
+            if number < len(times):
+                yield Frame(number, float(times[number]), picture)
+
+    def _pictures(self) -> Iterator[Any]:
+        """Yield decoded pictures; packets that cannot be decoded are counted."""
+        error_type = self._av.error.FFmpegError
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                return
+            except error_type:
+                self.damaged += 1
+                return
+            try:
+                pictures = packet.decode()
+            except error_type:
+                self.damaged += 1
+                continue
+            for picture in pictures:
+                if getattr(picture, "is_corrupt", False):
+                    self.damaged += 1
+                else:
+                    yield picture
+
+    def problems(self) -> list[Problem]:
+        """Return the faults of the video that were seen so far."""
+        where, todo = self.path.name, "copy the file from the card again"
+        found: list[Problem] = []
+        frames = len(self.timeline.times_s)
+        if self.damaged:
+            text = f"{self.damaged} frame(s) that cannot be decoded, missing"
+            found.append(Problem(where, "video-damaged", text, "an intact video", todo))
+        if frames < self.announced:
+            text = f"ends after {frames} of {self.announced} frames"
+            found.append(Problem(where, "video-truncated", text, "a complete video", todo))
+        if self.timeline.repeated:
+            text = f"{self.timeline.repeated} frame(s) with the time of the frame before"
+            found.append(Problem(where, "video-times", text, "times that increase", severity="warning"))
+        if self.other_size:
+            text = f"{self.other_size} frame(s) of another size than {self.size_wh[0]}x{self.size_wh[1]}, left out"
+            found.append(Problem(where, "image-size", text, "frames of one size"))
+        if self.turned:
+            text = "the container asks to turn the picture; pixels are taken as stored"
+            found.append(Problem(where, "video-turned", text, "no rotation", severity="warning"))
+        return found
+
+
+def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Return a picture without loss: grey as grey, more than 8 bits as 16, other colour as RGB.
+
+    Grey in a colour format is its luminance; the narrow range of video (16 to 235) is spread to 0 to 255.
+    """
+    name = str(picture.format.name)
+    if name.startswith("gray"):
+        levels: NDArray[Any] = picture.to_ndarray()
+        return np.ascontiguousarray(levels)
+    planar = list(picture.format.components) if name.startswith("yuv") else []
+    if len(planar) >= 3 and not name.startswith("yuva"):
+        bits = int(planar[0].bits)
+        luminance = _plane(picture, 0, bits)
+        chroma = [_plane(picture, k, bits) for k in (1, 2)] if len(picture.planes) == 3 else []
+        middle, slack = 1 << (bits - 1), _NEUTRAL << (bits - 8)
+        if chroma and all(np.abs(c.astype(np.int32) - middle).max(initial=0) <= slack for c in chroma):
+            full = name.startswith("yuvj") or int(getattr(picture, "color_range", 0) or 0) == 2
+            if bits > 8:
+                return luminance.astype(np.uint16)
+            return luminance.astype(np.uint8) if full else _FULL_RANGE[luminance]
+    colour: NDArray[np.uint8] = picture.to_ndarray(format="rgb24")
+    if (colour[..., 0] == colour[..., 1]).all() and (colour[..., 0] == colour[..., 2]).all():
+        return np.ascontiguousarray(colour[..., 0])
+    return colour
+
+
+_FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
+
+
+def _plane(picture: Any, number: int, bits: int) -> NDArray[Any]:
+    """Return one plane as (h, w) without the padding of its lines."""
+    plane = picture.planes[number]
+    kind = np.dtype(np.uint8) if bits <= 8 else np.dtype("<u2")
+    lines = np.frombuffer(plane, kind).reshape(-1, plane.line_size // kind.itemsize)
+    return np.ascontiguousarray(lines[: plane.height, : plane.width])
+
+
+def _created(container: Any, stream: Any) -> datetime | None:
+    """Return the creation time of a container or stream; None for none and for the zero of MP4."""
+    for source in (container, stream):
+        text = (source.metadata or {}).get("creation_time")
+        if text:
+            with contextlib.suppress(ValueError):
+                when = datetime.fromisoformat(str(text).replace("Z", "+00:00"))
+                when = when if when.tzinfo is not None else when.replace(tzinfo=UTC)
+                if when.year > 1971:
+                    return when
+    return None
+
+
+def _reason(error: BaseException) -> str:
+    return str(getattr(error, "strerror", None) or error or type(error).__name__)
+
+
+def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:
+    return DatasetError(f"{path}: {found}", [Problem(path.name, code, found, expected, todo)])

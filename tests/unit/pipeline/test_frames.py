@@ -1,0 +1,316 @@
+"""`infrablend frames`: pictures without loss, telemetry at the right times, clear reports."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from PIL import Image
+from typer.testing import CliRunner
+
+from infrablend.cli.app import build_app
+from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
+
+APP = build_app()
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(APP, ["-q", "frames", *(str(a) for a in arguments)])
+
+
+def done(*arguments: object, code: int = 0) -> str:
+    result = run(*arguments)
+    assert result.exit_code == code, result.output
+    return " ".join(result.output.split())
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((out / "metadata.csv").read_text("utf-8").splitlines()))
+
+
+def flight(folder: Path, name: str = "DJI_0001") -> Path:
+    write_srt(folder / f"{name}.SRT", bracketed)
+    return write_video(folder / f"{name}.MP4")
+
+
+def test_frames_and_telemetry_agree(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = done(flight(tmp_path), "--every", "1.5s", "--out", out, "--time", "day")
+    assert "matched by frame numbers" in text
+    table = rows(out)
+    assert [int(r["frame"]) for r in table] == [0, 15, 30, 45]
+    assert [float(r["altitude_m"]) for r in table] == [10.0, 11.5, 13.0, 14.5]
+    assert {r["pitch_deg"] for r in table} == {"60.000"} and {r["time_of_day"] for r in table} == {"day"}
+    assert table[1]["captured"] == "2024-05-01T12:00:01.500"
+    for row in table:
+        with Image.open(out / row["file"]) as picture:
+            assert (picture.mode, picture.size) == ("L", SIZE_WH)
+            assert picture.getextrema() == (level(int(row["frame"])),) * 2
+    facts = json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)
+    assert facts["sequences"] == {"DJI_0001": 4}
+    assert facts["coverage"] and not facts["problems"]
+
+
+def test_pictures_are_those_of_the_video(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(16, 236, SIZE_WH[::-1], np.uint8) for _ in range(3)]
+    out = tmp_path / "out"
+    done(write_video(tmp_path / "noise.mp4", pictures), "--every", "1f", "--out", out)
+    for k, luminance in enumerate(pictures):
+        with Image.open(out / f"noise/noise_{k:06d}.png") as picture:
+            assert (np.array(picture) == np.rint((luminance - 16.0) * 255 / 219)).all()
+
+
+def test_several_videos_are_sequences_for_split(tmp_path: Path) -> None:
+    videos = [flight(tmp_path, f"DJI_000{k}") for k in range(1, 4)]
+    out, new = tmp_path / "out", tmp_path / "split"
+    done(*videos, "--every", "20f", "--out", out, "--sequence", "north,south,west")
+    result = CliRunner().invoke(
+        APP, ["split", str(out), str(new), "--by", "sequence", "--to", "coco", "--shares", "0.4,0.3,0.3"]
+    )
+    assert result.exit_code == 0, result.output
+    record = json.loads((new / "split.json").read_text("utf-8"))
+    assert sorted(record["groups"]) == ["north", "south", "west"]
+    assert sorted(record["groups"].values()) == ["test", "train", "val"]
+
+
+def test_the_same_arguments_give_the_same_bytes_and_overwrite_replaces(tmp_path: Path) -> None:
+    video = flight(tmp_path)
+    done(video, "--every", "1s", "--out", tmp_path / "a")
+    assert "not empty" in done(video, "--every", "1s", "--out", tmp_path / "a", code=2)
+    done(video, "--every", "2s", "--out", tmp_path / "b")
+    done(video, "--every", "1s", "--out", tmp_path / "b", "--overwrite")
+    found = [{p.relative_to(d): p.read_bytes() for p in sorted(d.rglob("*")) if p.is_file()}
+             for d in (tmp_path / "a", tmp_path / "b")]  # fmt: skip
+    assert found[0] == found[1]
+
+
+def test_an_unfinished_extraction_is_no_dataset(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done(flight(tmp_path), "--every", "1s", "--out", out)
+    record = json.loads((out / "frames.json").read_text("utf-8"))
+    (out / "frames.json").write_text(json.dumps({**record, "status": "running", "source": "a.mp4"}), "utf-8")
+    result = CliRunner().invoke(APP, ["inspect", str(out)])
+    assert result.exit_code == 2 and "infrablend frames a.mp4 --every 1s" in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "numbers"),
+    [
+        (["--every", "20f"], [0, 20, 40]),
+        (["--every", "20 frames", "--start", "0:01"], [10, 30]),
+        (["--every", "1s", "--start", "1.95", "--end", "00:04.0s"], [20, 30, 40]),
+        (["--every", "0.001s", "--end", "0.35"], [0, 1, 2, 3]),
+        (["--every", "1000000000s"], [0]),
+    ],
+)
+def test_steps_and_ends(tmp_path: Path, options: list[str], numbers: list[int]) -> None:
+    done(flight(tmp_path), *options, "--out", tmp_path / "out")
+    assert [int(r["frame"]) for r in rows(tmp_path / "out")] == numbers
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--every", "2"], "expected a step such as 2s"),
+        (["--every", "0s"], "expected a step above 0"),
+        (["--every", "1.5f"], "expected a step such as 2s"),
+        (["--start", "x"], "expected seconds such as 12.5"),
+        (["--start", "3", "--end", "2"], "is before start"),
+        (["--start", "60"], "no frame to extract"),
+        (["--sequence", "a,b"], "expected one for each of 1 video"),
+        (["--log", "x.csv", "--no-log"], "exclude each other"),
+        (["--log", "missing.csv"], "cannot be read"),
+    ],
+)
+def test_wrong_options_write_nothing(tmp_path: Path, options: list[str], message: str) -> None:
+    assert message in done(flight(tmp_path), "--out", tmp_path / "out", *options, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_offset_moves_the_log(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = done(flight(tmp_path), "--every", "1s", "--offset", "2", "--out", out)
+    assert [r["altitude_m"] for r in rows(out)] == ["12.000", "13.000", "14.000", "14.900", ""]
+    assert "0 frame(s) before the log, 1 after it" in text
+
+
+def test_subtitles_of_each_second_are_interpolated(tmp_path: Path) -> None:
+    video, out = write_video(tmp_path / "a.mp4"), tmp_path / "out"
+    line = "2022.06.21 16:06:17\nGPS(36.6,-6.1,0.0M) BAROMETER:{:.1f}M"
+    write_srt(tmp_path / "a.srt", lambda _, s: line.format(20 + 3 * s), blocks=5, step_s=1.0)
+    text = done(video, "--every", "5f", "--out", out)
+    assert "matched by times" in text
+    assert "no gimbal pitch in a.srt" in text and "camera.pitch" in text and "camera.altitude" not in text
+    assert [float(r["altitude_m"]) for r in rows(out)][:4] == [20.0, 21.5, 23.0, 24.5]
+
+
+def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
+    text = done(write_video(tmp_path / "a.mp4"), "--out", tmp_path / "out")
+    assert "no gimbal pitch and height" in text and "camera.pitch" in text and "camera.altitude" in text
+
+
+def airdata(path: Path, day: str = "2024-05-01", video: range = range(100, 150), rows: int = 300) -> Path:
+    lines = ["time(millisecond),datetime(utc),height_above_takeoff(meters),isVideo,gimbal_pitch(degrees)"]
+    lines += [
+        f"{k * 100},{day} 10:00:{k // 10:02d},{k / 10},{int(k in video)},{-30 - k / 10}" for k in range(rows)
+    ]  # fmt: skip
+    path.write_text("\n".join(lines), "utf-8")
+    return path
+
+
+def test_a_flight_log_is_matched_by_its_recording(tmp_path: Path) -> None:
+    video, log = write_video(tmp_path / "a.mp4"), airdata(tmp_path / "log.csv")
+    text = done(video, "--every", "1s", "--log", log, "--out", tmp_path / "out")
+    assert "the recording of this length" in text
+    assert [float(r["altitude_m"]) for r in rows(tmp_path / "out")] == [10.0, 11.0, 12.0, 13.0, 14.0]
+    assert [float(r["pitch_deg"]) for r in rows(tmp_path / "out")] == [40.0, 41.0, 42.0, 43.0, 44.0]
+
+
+def test_a_flight_log_is_matched_by_clocks_or_by_hand(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "a.mp4", created="2024-05-01T10:00:05Z")
+    log = airdata(tmp_path / "log.csv", video=range(0))
+    assert "matched by clocks" in done(video, "--every", "2s", "--log", log, "--out", tmp_path / "a")
+    assert [float(r["altitude_m"]) for r in rows(tmp_path / "a")] == [5.0, 7.0, 9.0]
+    done(video, "--every", "2s", "--log", log, "--log-start", "20", "--out", tmp_path / "b")
+    assert [float(r["altitude_m"]) for r in rows(tmp_path / "b")] == [20.0, 22.0, 24.0]
+
+
+@pytest.mark.parametrize("day", ["2024-05-02", "1999-01-01"])
+def test_the_log_of_another_flight_is_refused(tmp_path: Path, day: str) -> None:
+    video = write_video(tmp_path / "a.mp4", created="2024-05-01T10:00:05Z")
+    log = airdata(tmp_path / "log.csv", day, video=range(200))
+    text = done(video, "--log", log, "--out", tmp_path / "out", code=2)
+    assert "log of another flight" in text and "--log-start" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_subtitles_of_a_longer_video_are_refused(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "a.mp4")
+    write_srt(tmp_path / "a.SRT", bracketed, blocks=500)
+    assert "for a video of 4.9 s" in done(video, "--out", tmp_path / "out", code=2)
+
+
+def test_subtitles_with_lying_times_are_matched_by_frame(tmp_path: Path) -> None:
+    video, out = write_video(tmp_path / "a.mp4"), tmp_path / "out"
+    path = write_srt(tmp_path / "a.SRT", bracketed)
+    text = path.read_text("utf-8")
+    for k in range(FRAMES):  # every block claims to start at 99 hours
+        text = text.replace(f"\n\n{k + 1}\n00:", f"\n\n{k + 1}\n99:")
+    path.write_text(text, "utf-8")
+    text = done(video, "--every", "2s", "--out", out)
+    assert "the frames' times are used" in text
+    assert [float(r["altitude_m"]) for r in rows(out)] == [10.0, 12.0, 14.0]
+
+
+def test_times_that_do_not_increase_are_refused(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "a.mp4")
+    write_srt(tmp_path / "a.SRT", lambda _, s: f"BAROMETER:{s}M", blocks=9, step_s=0.0)
+    assert "times that increase" in done(video, "--out", tmp_path / "out", code=2)
+
+
+def test_negative_heights_and_cameras_that_look_back_are_left_empty(tmp_path: Path) -> None:
+    video, out = write_video(tmp_path / "a.mp4"), tmp_path / "out"
+    write_srt(tmp_path / "a.SRT", lambda n, s: f"[rel_alt: {s - 2:.1f} abs_alt: 9] [gb_pitch: {-110 + 10 * s:.1f}]")
+    text = done(video, "--every", "1s", "--out", out)
+    assert [r["altitude_m"] for r in rows(out)] == ["", "", "0.000", "1.000", "2.000"]
+    assert [r["pitch_deg"] for r in rows(out)] == ["", "", "90.000", "80.000", "70.000"]
+    assert "below the take-off point" in text and "looks back under the aircraft" in text
+    assert not json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)["problems"]
+
+
+def test_a_varying_rate_is_matched_by_time(tmp_path: Path) -> None:
+    times = [0, 100, 200, 1500, 1600, 3100, 3200, 3300, 1_000_000_000]
+    video, out = write_video(tmp_path / "a.mkv", frames=len(times), times_ms=times), tmp_path / "out"
+    text = done(video, "--every", "1s", "--out", out)
+    assert [int(r["frame"]) for r in rows(out)] == [0, 3, 5, 8]
+    assert "a varying frame rate" in text
+
+
+def test_a_truncated_video_gives_what_it_has(tmp_path: Path) -> None:
+    whole = write_video(tmp_path / "whole.mkv", codec="ffv1")
+    (tmp_path / "cut.mkv").write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
+    result = run(tmp_path / "cut.mkv", "--every", "5f", "--out", tmp_path / "out")
+    assert result.exit_code in (0, 1), result.output
+    assert 0 < len(rows(tmp_path / "out")) < FRAMES / 5
+    mp4 = flight(tmp_path)
+    (tmp_path / "cut.mp4").write_bytes(mp4.read_bytes()[:-400])
+    assert "the index at its end" in done(tmp_path / "cut.mp4", "--out", tmp_path / "none", code=2)
+
+
+def test_a_damaged_video_counts_its_losses(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mp4", [np.random.default_rng(k).integers(16, 236, (48, 64), np.uint8)
+                                            for k in range(20)])  # fmt: skip
+    data = bytearray(path.read_bytes())
+    start = data.index(b"mdat") + 4
+    middle = start + (len(data) - start) // 2
+    data[middle : middle + 9000] = bytes(9000)
+    path.write_bytes(data)
+    result = run(path, "--every", "1f", "--out", tmp_path / "out")
+    assert result.exit_code in (1, 2)
+    assert "cannot be decoded" in result.output or "no frame" in result.output
+
+
+@pytest.mark.parametrize("kind", ["text", "empty", "sound", "missing", "folder"])
+def test_files_that_are_no_videos_are_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.mp4"
+    if kind == "text":
+        path.write_text("hello\n" * 100)
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "sound":
+        path = tmp_path / "a.wav"
+        with av.open(str(path), "w") as out:
+            stream = out.add_stream("pcm_s16le", rate=8000)
+            sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), "s16", "mono")
+            sound.rate = 8000
+            out.mux(stream.encode(sound))
+    text = done(path, "--out", tmp_path / "out", code=2)
+    assert {"sound": "no video stream", "missing": "no such file", "folder": "no such file"}.get(
+        kind, "cannot be opened"
+    ) in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_colour_is_kept_and_reported(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = done(write_video(tmp_path / "a.mp4", colour=40), "--out", out)
+    assert "in colour, written as RGB" in text
+    with Image.open(out / "a/a_000000.png") as picture:
+        assert picture.mode == "RGB"
+
+
+def test_sixteen_bits_stay_sixteen(tmp_path: Path) -> None:
+    path, out = tmp_path / "a.mkv", tmp_path / "out"
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("ffv1", rate=RATE)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray16le"
+        levels = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64) + 29_000
+        file.mux(stream.encode(av.VideoFrame.from_ndarray(levels, "gray16le")))
+        file.mux(stream.encode())
+    done(path, "--every", "1f", "--out", out)
+    with Image.open(out / "a/a_000000.png") as picture:
+        assert (np.array(picture) == levels).all()
+
+
+def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    done(flight(tmp_path), "--out", out, "--overwrite", code=2)
+    assert [p.name for p in out.iterdir()] == ["notes.txt"]
+
+
+def test_names_of_videos_cannot_leave_the_folder(tmp_path: Path) -> None:
+    shutil.copy(flight(tmp_path), tmp_path / "..mp4")
+    out = tmp_path / "out"
+    done(tmp_path / "DJI_0001.MP4", "--every", "20f", "--sequence", "../../evil", "--out", out)
+    assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == ["out"]
+    assert all((out / r["file"]).is_file() for r in rows(out))

@@ -1,0 +1,93 @@
+"""Small videos whose grey levels give the frame number, and logs whose heights give the time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+av = pytest.importorskip("av")
+
+SIZE_WH = (64, 48)
+RATE = 10
+FRAMES = 50
+
+
+def write_video(
+    path: Path,
+    pictures: Sequence[np.ndarray] | None = None,
+    *,
+    frames: int = FRAMES,
+    times_ms: Sequence[int] | None = None,
+    created: str = "",
+    colour: int = 0,
+    codec: str = "libx264",
+) -> Path:
+    """Write a video without loss.
+
+    Args:
+        path: File; the suffix chooses the container.
+        pictures: (h, w) luminance of each frame, 16 to 235; None for frames of one level, 16 + number.
+        frames: Number of frames without `pictures`.
+        times_ms: Time of each frame; None for `RATE`.
+        created: Creation time for the container.
+        colour: Distance of the colour planes from their neutral middle.
+        codec: Codec.
+    """
+    if pictures is None:
+        pictures = [np.full(SIZE_WH[::-1], 16 + k % 200, np.uint8) for k in range(frames)]
+    height, width = pictures[0].shape
+    with av.open(str(path), "w") as out:
+        if created:
+            out.metadata["creation_time"] = created
+        stream = out.add_stream(codec, rate=RATE)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        if codec == "libx264":
+            stream.options = {"qp": "0", "x264-params": "log-level=none"}
+        for k, luminance in enumerate(pictures):
+            frame = av.VideoFrame(width, height, "yuv420p")
+            half = np.full((height // 2, width // 2), 128 + colour, np.uint8)
+            for plane, values in zip(frame.planes, (luminance, half, half), strict=True):
+                lines = np.zeros((plane.height, plane.line_size), np.uint8)
+                lines[:, : plane.width] = values
+                plane.update(lines.tobytes())
+            frame.pts = k * 1000 // RATE if times_ms is None else times_ms[k]
+            frame.time_base = Fraction(1, 1000)
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode())
+    return path
+
+
+def level(number: int) -> int:
+    """Return the grey level of a frame of `write_video` in the full range."""
+    return round((number % 200) * 255 / 219)
+
+
+def timecode(seconds: float) -> str:
+    whole, milliseconds = divmod(round(seconds * 1000), 1000)
+    return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d},{milliseconds:03d}"
+
+
+def write_srt(path: Path, line: Callable[[int, float], str], *, blocks: int = FRAMES, step_s: float = 1 / RATE) -> Path:
+    """Write subtitles whose text is `line(number from 1, seconds)`."""
+    text = "".join(
+        f"{k + 1}\n{timecode(k * step_s)} --> {timecode((k + 1) * step_s)}\n{line(k + 1, k * step_s)}\n\n"
+        for k in range(blocks)
+    )
+    path.write_text(text, "utf-8")
+    return path
+
+
+def bracketed(number: int, seconds: float) -> str:
+    """Return one block of today's dialect: 10 m + 1 m/s, pitch -60, a yaw that passes 180 degrees."""
+    yaw = 170.0 + 4 * seconds
+    return (
+        f'<font size="28">FrameCnt: {number}, DiffTime: 100ms\n2024-05-01 12:00:{seconds:06.3f}\n'
+        f"[iso: 100] [shutter: 1/800.0] [fnum: 2.8] [focal_len: 24.00] [latitude: 45.5] [longitude: 15.25] "
+        f"[rel_alt: {10 + seconds:.3f} abs_alt: 132.860] "
+        f"[gb_yaw: {yaw if yaw <= 180 else yaw - 360:.1f} gb_pitch: -60.0 gb_roll: 0.0] </font>"
+    )
