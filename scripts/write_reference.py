@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "reference"
 # Order of the sections on the page about recipes.
 SECTIONS = (
-    "objects", "placement", "occlusion", "camera", "environment", "appearance", "matching", "overlay", "sensor",
+    "data", "objects", "placement", "occlusion", "camera", "environment", "appearance", "matching", "overlay", "sensor",
     "render", "labels", "output",
 )  # fmt: skip
 
@@ -54,6 +54,7 @@ def recipe_page() -> str:
         "| `placement.mode` | `paper` (default), `metric` | `objects`, `camera`, `placement`, `sensor` |",
         "| `appearance.mode` | `artistic` (default), `physical` | `environment`, `appearance`, `matching` |",
         "| `sensor.profile` | `off` (default), a camera | `sensor` |",
+        "| `matching.mode` | `radiometric`, or no such field | `environment`, `matching`, `sensor` |",
         "",
         "A field that has no meaning in the modes of the recipe is an error that names the mode it belongs to. A",
         "setting that changes a mode, such as `--set placement.mode=paper`, drops the fields that the recipe has for",
@@ -80,7 +81,7 @@ def recipe_page() -> str:
 
 def _section(section: str) -> list[str]:
     """Return the lines on one section: the fields of all modes, those of single modes, and the models inside."""
-    from infrablend.config.modes import CHOICES, Modes, all_modes, sections_of
+    from infrablend.config.modes import CHOICES, RADIOMETRIC, Modes, all_modes, sections_of
     from infrablend.config.recipe import Sensor
 
     prefix = f"{section}.N." if section == "objects" else f"{section}."
@@ -97,6 +98,10 @@ def _section(section: str) -> list[str]:
         words = [f"`{name}: {value}`" for name, value in zip(CHOICES, fixed, strict=False) if value]
         if fixed[2]:
             words.append("`sensor.profile: off`" if fixed[2] == "off" else "a camera in `sensor.profile`")
+        if fixed[3] == RADIOMETRIC:  # which needs the two other modes, and is therefore enough
+            words = ["`matching.mode: radiometric`", *words[2:]]
+        elif fixed[3] and not words:
+            words = ["another matching than `matching.mode: radiometric`"]
         groups.setdefault(" and ".join(words), {})[key[0]] = fields[key]
     base = sections_of(Modes())[section]
     plain = base.__mro__[1] if base.__mro__[1].__name__ != "Strict" else base

@@ -17,6 +17,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_format, written_names
 from infrablend.core.format_table import FORMATS as TABLE
 from infrablend.core.masks import Mask
+from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.formats import detection, writing, yolo
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
@@ -54,6 +55,7 @@ WITH: dict[str, Instance | dict[str, object]] = {
     "fractions": replace(PLAIN, box_xyxy=np.array([10.25, 20.5, 18.125, 25.75])),
     "telemetry": {"pitch_deg": 37.5, "altitude_m": 61.25, "time_of_day": "night"},
     "sequence": {"sequence": "flight_01", "captured": "2021-01-31T08:30:00"},
+    "temperature": {"radiometry": Radiometry(TemperatureScale(0.04))},
 }
 
 
@@ -97,6 +99,9 @@ def held(field: str, given: ImageRecord, found: ImageRecord) -> bool:
     if field == "telemetry":
         facts = (found.pitch_deg, found.altitude_m, found.time_of_day)
         return facts == (given.pitch_deg, given.altitude_m, given.time_of_day)
+    if field == "temperature":
+        scales = [None if i.radiometry is None else i.radiometry.scale for i in (found, given)]
+        return scales[0] == scales[1]
     if field == "sequence":
         return (found.sequence, found.captured) == (given.sequence, given.captured)
     a = given.instances[0]

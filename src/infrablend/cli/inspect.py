@@ -116,6 +116,8 @@ def _further(facts: Inspection) -> dict[str, str]:
         mean = sum(facts.tracks.values()) / len(facts.tracks)
         rows["tracks"] = f"{len(facts.tracks)}, {mean:.1f} objects each on average"
     rows["picture sizes"] = _listed(facts.picture_sizes)
+    if facts.temperatures:
+        rows["temperatures"] = _listed(facts.temperatures)
     if facts.decoded:
         rows["pictures"] = _listed(facts.decoded["pictures"])
         rows["grey levels"] = ", ".join(f"{k} {v:g}" for k, v in facts.decoded["grey_levels"].items())

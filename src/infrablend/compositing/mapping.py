@@ -13,6 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.temperature import TemperatureScale
+
 GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
 
@@ -40,12 +42,15 @@ class GreyMapping:
         bright: Level of radiance 1.
         limits: Darkest and brightest level that the camera writes; surfaces beyond them saturate there.
         places: The mapping around each insert if there are several; `dark` and `bright` are then those of the first.
+        scale: Scale of a background's temperatures; the mapping then gives radiance at the sensor, W m^-2 sr^-1,
+            instead of levels (`radiometric`). None for backgrounds in grey levels.
     """
 
     dark: float
     bright: float
     limits: tuple[float, float] | None = None
     places: tuple[Place, ...] = ()
+    scale: TemperatureScale | None = None
 
     def apply(
         self, radiance: NDArray[np.float32], alpha: NDArray[np.float32], offset_xy: tuple[int, int] = (0, 0)
@@ -73,6 +78,8 @@ class GreyMapping:
             plain["limits"] = list(self.limits)
         if self.places:
             plain["places"] = [[*p.centre_xy, p.dark, p.bright] for p in self.places]
+        if self.scale is not None:
+            plain["scale"] = self.scale.to_json()
         return plain
 
     @classmethod
@@ -80,7 +87,8 @@ class GreyMapping:
         """Return the mapping that `to_json` wrote."""
         limits = data.get("limits")
         places = tuple(Place((x, y), dark, bright) for x, y, dark, bright in data.get("places", ()))
-        return cls(data["dark"], data["bright"], None if limits is None else (limits[0], limits[1]), places)
+        scale = None if "scale" not in data else TemperatureScale.from_json(data["scale"])
+        return cls(data["dark"], data["bright"], None if limits is None else (limits[0], limits[1]), places, scale)
 
 
 @dataclass(frozen=True)

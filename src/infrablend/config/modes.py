@@ -1,6 +1,7 @@
 """The modes of a recipe: which fields each mode has, and the handling of fields of other modes.
 
-`placement.mode`, `appearance.mode` and whether `sensor.profile` is `off` decide the classes of a recipe's sections.
+`placement.mode`, `appearance.mode`, whether `matching.mode` is `radiometric` and whether `sensor.profile` is `off`
+decide the classes of a recipe's sections.
 A field of another mode's class is an error where its author wrote it. Only a setting that changes a mode
 (`--set placement.mode=paper`) drops the fields that the recipe had for the old one. The camera's lens and roll have a
 meaning in both placement modes, but seldom the same value: if they are kept, a warning lists them.
@@ -24,6 +25,7 @@ from infrablend.config.recipe import (
     NoSensor,
     PaperArtisticRecipe,
     PaperPhysicalRecipe,
+    RadiometricRecipe,
     Recipe,
 )
 from infrablend.core.validation_messages import models_in, shorten
@@ -36,8 +38,9 @@ REMOVED: Mapping[str, str] = {
     "placement.min_contrast_grey": _MIN_CONTRAST,
     "matching.min_contrast_grey": _MIN_CONTRAST,
     "environment.wind_m_s": "it never had an effect; remove it",
-    "matching.mode": "it follows from appearance.mode (physical is local, artistic is percentile); remove it",
 }
+
+_GREY_MODE = "It follows from appearance.mode (physical is local, artistic is percentile); remove it"
 
 DROPPED = "recipe-dropped"
 """Code of the warnings about fields that a change of mode dropped."""
@@ -55,17 +58,21 @@ class Modes(NamedTuple):
         placement: `placement.mode`.
         look: `appearance.mode`.
         sensor: Whether `sensor.profile` names a camera: `on` or `off`.
+        matching: `radiometric`, or `grey` for matching that follows from the look.
     """
 
     placement: str = "paper"
     look: str = "artistic"
     sensor: str = "off"
+    matching: str = "grey"
 
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "placement.mode": ("paper", "metric"),
     "appearance.mode": ("artistic", "physical"),
 }
+RADIOMETRIC = "radiometric"
+RADIOMETRIC_NEEDS = ("metric", "physical")
 _CAMERAS = {"paper": "the recipe's virtual camera", "metric": "the real camera"}
 _RECIPES: Mapping[tuple[str, str], type[Recipe]] = {
     ("paper", "artistic"): PaperArtisticRecipe,
@@ -83,7 +90,9 @@ def modes_of(data: Mapping[str, Any]) -> Modes:
         word = _section(data, section).get(field)
         words.append(word if word in choices else choices[0])
     off = _section(data, "sensor").get("profile", "off") == "off"
-    return Modes(words[0], words[1], "off" if off else "on")
+    radiometric = _section(data, "matching").get("mode") == RADIOMETRIC
+    fits = (words[0], words[1]) == RADIOMETRIC_NEEDS
+    return Modes(words[0], words[1], "off" if off else "on", RADIOMETRIC if radiometric and fits else "grey")
 
 
 def wrong_modes(data: Mapping[str, Any]) -> list[Problem]:
@@ -95,12 +104,24 @@ def wrong_modes(data: Mapping[str, Any]) -> list[Problem]:
         if word not in choices:
             expected = " or ".join(f"'{c}'" for c in choices)
             found.append(Problem(key, "recipe-value", f"found {shorten(word)}", expected))
+    modes, matching = modes_of(data), _section(data, "matching")
+    if "mode" in matching and modes.matching != RADIOMETRIC:
+        if matching["mode"] == RADIOMETRIC:
+            has = f"found radiometric with placement.mode {modes.placement} and appearance.mode {modes.look}"
+            found.append(
+                Problem("matching.mode", "recipe-value", has, "placement.mode metric and appearance.mode physical")
+            )
+        else:
+            expected = "radiometric, for 16-bit pictures with temperatures, or no such field"
+            found.append(
+                Problem("matching.mode", "recipe-value", f"found {shorten(matching['mode'])}", expected, _GREY_MODE)
+            )
     return found
 
 
 def recipe_class(modes: Modes) -> type[Recipe]:
     """Return the class of a recipe in these modes."""
-    return _RECIPES[modes.placement, modes.look]
+    return RadiometricRecipe if modes.matching == RADIOMETRIC else _RECIPES[modes.placement, modes.look]
 
 
 def recipe_from_json(text: str) -> Recipe:
@@ -231,12 +252,17 @@ def _explain_field(field: Field, modes: Modes) -> tuple[str, str]:
     nearest = min(meaningful, key=lambda m: sum(a != b for a, b in zip(m, modes, strict=True)))
     needed = [
         (key, wanted, given)
-        for key, wanted, given in zip((*CHOICES, "sensor.profile"), nearest, modes, strict=True)
+        for key, wanted, given in zip((*CHOICES, "sensor.profile", "matching.mode"), nearest, modes, strict=True)
         if wanted != given
     ]
-    needs = " and ".join("a camera in sensor.profile" if w == "on" else f"{k} {w}" for k, w, _ in needed)
-    has = " and ".join(given for _, _, given in needed)
-    settings = " and ".join(f"{k} to {'a camera' if w == 'on' else w}" for k, w, _ in needed)
+    needs = " and ".join(
+        "a camera in sensor.profile" if w == "on" else "another matching.mode" if w == "grey" else f"{k} {w}"
+        for k, w, _ in needed
+    )
+    has = " and ".join("no matching.mode" if given == "grey" else given for _, _, given in needed)
+    settings = " and ".join(
+        "no matching.mode" if w == "grey" else f"{k} to {'a camera' if w == 'on' else w}" for k, w, _ in needed
+    )
     return f"this field has a meaning only with {needs}; this recipe has {has}", f"remove it, or set {settings}"
 
 
@@ -244,6 +270,8 @@ def all_modes() -> Iterator[Modes]:
     """Yield every combination of modes."""
     for placement, look, sensor in itertools.product(*CHOICES.values(), ("off", "on")):
         yield Modes(placement, look, sensor)
+    for sensor in ("off", "on"):
+        yield Modes(*RADIOMETRIC_NEEDS, sensor, RADIOMETRIC)
 
 
 def _allows_null(section: type[BaseModel], field: str) -> bool:

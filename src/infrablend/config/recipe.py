@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 from infrablend.config.sensor_profile import PROFILES, SensorProfile
 from infrablend.core.format_table import WrittenName
 from infrablend.core.strict_model import Strict, range_of
+from infrablend.core.temperature import TemperatureScale, Unit
 
 
 def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -30,6 +31,34 @@ def _known_profile(value: Any) -> Any:
     if isinstance(value, str) and value not in PROFILES:
         raise ValueError(f"one of {', '.join(('off', *PROFILES))}, or the path of a profile's .json or .yaml")
     return value
+
+
+# ---- Data
+
+
+class Data(Strict):
+    """Temperatures in the backgrounds. What is not stated stays as the dataset's own files have it."""
+
+    unit: Unit | None = None
+    """Unit of 16-bit TIFF and PNG pictures: `centikelvin` (0.01 K per count: TLinear in high resolution), `decikelvin`,
+    or `counts`, whose scale is `slope` and `offset`. Counts without a slope are only counts, without temperatures."""
+    slope: float | None = Field(None, ge=-10, le=10)
+    """Kelvin per count, for the unit `counts`; TLinear in low resolution has 0.04."""
+    offset: float | None = Field(None, ge=-10_000, le=10_000)
+    """Temperature of count 0, kelvin, for the unit `counts`."""
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        if self.unit is None and (self.slope is not None or self.offset is not None):
+            raise ValueError("unit: counts beside slope and offset; found no unit")
+        if self.unit is not None:
+            self.scale  # noqa: B018  # raises
+        return self
+
+    @property
+    def scale(self) -> TemperatureScale | None:
+        """Scale that is stated; None for counts without one, and where nothing is stated."""
+        return None if self.unit is None else TemperatureScale.of_unit(self.unit, self.slope, self.offset)
 
 
 # ---- Camera
@@ -297,22 +326,35 @@ class Environment(Strict):
     """Air temperature, degrees Celsius; one value per frame. The temperatures of all parts are relative to it."""
 
 
-class PhysicalEnvironment(Environment):
-    """The weather of `appearance.mode: physical`."""
+class SkyEnvironment(Environment):
+    """The weather of `appearance.mode: physical`: air, sky and sun."""
 
     dew_point_below_air_k: range_of(0, 60) = (2.0, 12.0)  # type: ignore[valid-type]
     """Air temperature minus dew point, kelvin. Large values are dry air and a cold sky."""
     clear_share: float = Field(0.6, ge=0, le=1)
     """Share of frames under a clear sky; the others have a cloud cover drawn between 0 and 1."""
-    ground_above_air_day_k: range_of(-40, 60) = (2.0, 15.0)  # type: ignore[valid-type]
-    """Apparent ground temperature minus air temperature by day, kelvin."""
-    ground_above_air_night_k: range_of(-40, 60) = (-1.0, 4.0)  # type: ignore[valid-type]
-    """Apparent ground temperature minus air temperature by night and at an unknown time of day, kelvin."""
     sun_elevation_deg: range_of(0, 90) = (15.0, 60.0)  # type: ignore[valid-type]
     """Elevation of the sun by day, degrees; one value and one direction per sequence of backgrounds."""
     place: Geolocation | None = None
     """Where the backgrounds were taken, for the sun's elevation at their time of capture. Backgrounds without a time
     and time zone of capture get one from `sun_elevation_deg`."""
+
+
+class PhysicalEnvironment(SkyEnvironment):
+    """The weather of `appearance.mode: physical`, with the ground drawn."""
+
+    ground_above_air_day_k: range_of(-40, 60) = (2.0, 15.0)  # type: ignore[valid-type]
+    """Apparent ground temperature minus air temperature by day, kelvin."""
+    ground_above_air_night_k: range_of(-40, 60) = (-1.0, 4.0)  # type: ignore[valid-type]
+    """Apparent ground temperature minus air temperature by night and at an unknown time of day, kelvin."""
+
+
+class RadiometricEnvironment(SkyEnvironment):
+    """The weather of `matching.mode: radiometric`: the ground's temperature is that of the picture.
+
+    `air_temperature_c` applies to pictures whose files do not state the temperature of the air, and
+    `dew_point_below_air_k` to those that do not state its humidity.
+    """
 
 
 class Appearance(Strict):
@@ -346,11 +388,15 @@ class PhysicalAppearance(Appearance):
 class Matching(Strict):
     """How radiance becomes grey levels of the background."""
 
+
+class GreyMatching(Matching):
+    """How radiance becomes grey levels of a background without a temperature scale."""
+
     polarity: Literal["white-hot", "black-hot"] = "white-hot"
     """Whether hot is bright or dark in this dataset."""
 
 
-class PercentileMatching(Matching):
+class PercentileMatching(GreyMatching):
     """Matching of `appearance.mode: artistic`: the dark and bright end are percentiles of the background."""
 
     low_percentile: float = Field(1.0, ge=0, le=100)
@@ -369,7 +415,7 @@ class PercentileMatching(Matching):
         return self
 
 
-class LocalMatching(Matching):
+class LocalMatching(GreyMatching):
     """Matching of `appearance.mode: physical`: one map from radiance to grey per background, with a local share.
 
     Gain, local share and offset of the ground are estimated for each background.
@@ -397,6 +443,18 @@ class LocalMatching(Matching):
     on_untrusted: Literal["use", "prior", "skip"] = "use"
     """What to do where the gain cannot be trusted (negative, at a bound, or anchors that contradict each other): `use`
     it, draw it from the `prior` instead, or `skip` the background."""
+
+
+class RadiometricMatching(Matching):
+    """Matching of 16-bit pictures with a temperature scale: temperatures go in as they are, through the air.
+
+    There is no gain, and nothing is clipped to the range of the background. The ground's temperature is that of the
+    ring around the objects; the air's is stated by the picture's file, or drawn from `environment.air_temperature_c`.
+    """
+
+    mode: Literal["radiometric"]
+    """`radiometric`: for 16-bit pictures whose temperature scale is known (`data.unit`, or the dataset's own files).
+    Needs `placement.mode: metric` and `appearance.mode: physical`."""
 
 
 # ---- Overlay and sensor
@@ -450,6 +508,28 @@ class PaperSensor(Sensor):
 class MetricSensor(Sensor):
     """Imitation of the background's camera in `placement.mode: metric`, where distances are real."""
 
+    defocus: float = Field(1.0, ge=0, le=2)
+    """Factor on the blur of objects that are nearer than the lens is focused."""
+
+
+class RadiometricSensor(Strict):
+    """Imitation of a radiometric camera, in kelvin: optics and noise.
+
+    Such pictures have neither detail enhancement nor codec.
+    """
+
+    profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
+    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml, or its fields. Its optics are
+    used; its sharpening, codec and grey levels are not."""
+    optics: float = Field(1.0, ge=0, le=2)
+    """Factor on the blur, which is estimated from the edges of each background; 0: `overlay.softness_px` instead."""
+    motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Length of the motion tail, pixels; its direction is drawn, too."""
+    noise: float = Field(1.0, ge=0, le=2)
+    """Noise of the inserts, matched in strength and grain size to flat areas of each background."""
+    netd_k: float = Field(0.05, gt=0, le=2)
+    """Noise equivalent temperature difference (NETD) of the camera, kelvin: the noise where a background has no flat
+    area; four times this is the most that is taken from a background."""
     defocus: float = Field(1.0, ge=0, le=2)
     """Factor on the blur of objects that are nearer than the lens is focused."""
 
@@ -544,6 +624,8 @@ class _Sections(Strict):
     """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""
+    data: Data = Data()
+    """Temperatures in 16-bit backgrounds."""
     occlusion: Occlusion = Occlusion()
     """Partly hidden objects."""
     overlay: Overlay = Overlay()
@@ -593,6 +675,11 @@ class MetricSections(Strict):
     """The real camera."""
     placement: MetricPlacement
     """Where objects go."""
+
+
+class MetricGreySections(MetricSections):
+    """Sections of `placement.mode: metric` for backgrounds in grey levels."""
+
     sensor: Annotated[
         Annotated[NoSensor, Tag("off")] | Annotated[MetricSensor, Tag("on")], Discriminator(_sensor_tag)
     ] = NoSensor()
@@ -621,6 +708,21 @@ class PhysicalSections(Strict):
     """How radiance becomes grey levels."""
 
 
+class RadiometricSections(MetricSections):
+    """Sections of `matching.mode: radiometric`."""
+
+    sensor: Annotated[
+        Annotated[NoSensor, Tag("off")] | Annotated[RadiometricSensor, Tag("on")], Discriminator(_sensor_tag)
+    ] = NoSensor()
+    """Imitation of the background's own camera."""
+    environment: RadiometricEnvironment = RadiometricEnvironment()
+    """The weather."""
+    appearance: PhysicalAppearance
+    """How temperature becomes radiance."""
+    matching: RadiometricMatching
+    """How radiance becomes temperature."""
+
+
 class PaperArtisticRecipe(ArtisticSections, PaperSections, _Sections):
     """A recipe with the paper's placement and its hand-tuned look."""
 
@@ -629,14 +731,19 @@ class PaperPhysicalRecipe(PhysicalSections, PaperSections, _Sections):
     """A recipe with the paper's placement and radiance in the thermal band."""
 
 
-class MetricArtisticRecipe(ArtisticSections, MetricSections, _Sections):
+class MetricArtisticRecipe(ArtisticSections, MetricGreySections, _Sections):
     """A recipe with metric placement and the paper's hand-tuned look."""
 
 
-class MetricPhysicalRecipe(PhysicalSections, MetricSections, _Sections):
+class MetricPhysicalRecipe(PhysicalSections, MetricGreySections, _Sections):
     """A recipe with metric placement and radiance in the thermal band."""
 
 
+class RadiometricRecipe(RadiometricSections, _Sections):
+    """A recipe for 16-bit pictures with temperatures: metric placement, and radiance in the thermal band."""
+
+
 PaperRecipe = PaperArtisticRecipe | PaperPhysicalRecipe
-MetricRecipe = MetricArtisticRecipe | MetricPhysicalRecipe
-Recipe = PaperArtisticRecipe | PaperPhysicalRecipe | MetricArtisticRecipe | MetricPhysicalRecipe
+MetricRecipe = MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
+PhysicalRecipe = PaperPhysicalRecipe | MetricPhysicalRecipe | RadiometricRecipe
+Recipe = PaperArtisticRecipe | PaperPhysicalRecipe | MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe

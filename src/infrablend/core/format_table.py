@@ -35,6 +35,7 @@ FIELDS: Mapping[str, tuple[str, str]] = {
     "fractions": ("fractions of a pixel", "fraction_truncated"),
     "telemetry": ("pitch, altitude, time of day", "telemetry_dropped"),
     "sequence": ("sequence, date", "sequence_dropped"),
+    "temperature": ("temperature scale of 16-bit pictures", "temperature_dropped"),
     "inserted": ("mark of inserted objects", "inserted_dropped"),
 }
 """What a format may be unable to hold: in words, and the loss (a key of `formats.losses.LOSSES`) that counts it."""
@@ -111,13 +112,17 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "hit-uav", "hit-uav", "HIT-UAV's normal_json and rotate_json",
-                lacks=frozenset({"masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence"}),
+                lacks=frozenset({
+                    "masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence", "temperature",
+                }),
                 fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
                 layout="unique",
             ),
             Writer(
                 "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
-                lacks=frozenset({"masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence"}),
+                lacks=frozenset({
+                    "masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence", "temperature",
+                }),
                 fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
             ),
         ),
@@ -127,7 +132,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "masks", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
-                lacks=frozenset(), takes=frozenset({"pictures"}), layout="stems",
+                lacks=frozenset({"temperature"}), takes=frozenset({"pictures"}), layout="stems",
             ),
         ),
     ),
@@ -137,7 +142,10 @@ FORMATS: tuple[Format, ...] = (
             Writer(
                 "birdsai", "birdsai", "BIRDSAI: one CSV of tracks per sequence",
                 lacks=frozenset(
-                    {"obb", "masks", "ignore", "visibility", "occlusion", "truncated", "difficult", "inserted"}
+                    {
+                        "obb", "masks", "ignore", "visibility", "occlusion", "truncated", "difficult", "inserted",
+                        "temperature",
+                    }
                 ),
                 takes=frozenset({"dont_care", "pictures"}),
             ),
@@ -161,7 +169,10 @@ FORMATS: tuple[Format, ...] = (
             Writer(
                 "dota", "dota", "DOTA text files: four corners in pixels",
                 lacks=frozenset(
-                    {"boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "sequence", "inserted"}
+                    {
+                        "boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "sequence", "inserted",
+                        "temperature",
+                    }
                 ),
                 takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
             ),
@@ -172,7 +183,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "monet", "monet", "MONET's layout: one COCO JSON per sequence, with telemetry",
-                lacks=frozenset(), takes=frozenset({"ids", "extra", "pictures"}),
+                lacks=frozenset({"temperature"}), takes=frozenset({"ids", "extra", "pictures"}),
             ),
         ),
     ),
@@ -208,7 +219,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "voc", "voc", "Pascal VOC: one XML file per picture",
-                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "sequence"}),
+                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "sequence", "temperature"}),
                 takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
             ),
         ),

@@ -16,6 +16,7 @@ from infrablend.core.boxes import corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, TIGHT_BOX, TIGHT_OBB, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
+from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import (
@@ -33,6 +34,7 @@ from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+from infrablend.formats.temperatures import info_of_scale
 from infrablend.formats.values import finite, to_bool, to_floats, to_int, to_size
 
 NAME = "coco"
@@ -45,6 +47,8 @@ _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 # Boxes of partly hidden objects, as x, y, width and height.
+# Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
+_SCALE = "temperature_scale"
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 
 
@@ -111,17 +115,21 @@ def coco_files(
     names = category_records(categories)
     for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
         records, annotations = [], []
+        common = info_of_scale([i for i in ordered if i.split == split])
         for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
             if image.split != split:
                 continue
-            records.append(_image_record(image, image_id, ids == "new"))
+            record = _image_record(image, image_id, ids == "new")
+            if common is None and image.radiometry is not None and image.radiometry.scale is not None:
+                record[_SCALE] = image.radiometry.scale.to_json()
+            records.append(record)
             for instance, number in zip(image.instances, numbers, strict=True):
                 a = annotation_record(instance, require_size(image), ids == "new", without_mask, losses)
                 a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
                 a["iscrowd"] |= int(instance.category in ignored)
                 annotations.append(a)
         top = {
-            "info": dict(info or _INFO),
+            "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
             "images": records,
             "annotations": annotations,
@@ -403,7 +411,8 @@ def read_records(
         seen_ids.add(number)
         size_wh = to_size(r.get("width"), r.get("height"))
         instances = _read_annotations(of_image.pop(number, []), names, size_wh, where, problems)
-        records.append((f"{split}/{name}", _image(r, number, name, file, split, size_wh, instances, captures, here)))
+        image = _image(r, number, name, file, split, size_wh, instances, captures, here)
+        records.append((f"{split}/{name}", replace(image, radiometry=_read_scale(r, top, here, problems))))
     for number, left in sorted(of_image.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
@@ -434,6 +443,19 @@ def _image(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
         number, extra, name, _text(r.get("sequence")), _text(r.get("date_captured")),
     )  # fmt: skip
+
+
+def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, problems: list[Problem]) -> Radiometry | None:
+    """Return the temperature scale of a picture, from its own record or from `info`; None without one."""
+    info = top.get("info")
+    value = r.get(_SCALE, info.get(_SCALE) if isinstance(info, dict) else None)
+    if value is None:
+        return None
+    try:
+        return Radiometry(TemperatureScale.from_json(value if isinstance(value, dict) else {}), NAME)
+    except ValueError as error:
+        problems.append(Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning"))
+        return None
 
 
 def _text(value: object) -> str | None:

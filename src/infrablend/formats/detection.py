@@ -12,7 +12,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.finished import require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder
+from infrablend.formats import folder, temperatures
 from infrablend.formats.base import Match, shorten
 from infrablend.formats.pictures import check_link
 from infrablend.formats.radiometric import radiometric_warnings
@@ -71,6 +71,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         format = found.format
     chosen = find_format(format)
     given: dict[str, Any] = dict(reading.options)
+    stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
+    scale = temperatures.scale_of_options(stated) if stated else None
     if reading.form is not None:
         given["form"] = reading.form
     table = None if reading.metadata is None else Path(reading.metadata)
@@ -89,8 +91,11 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     if table is not None:
         given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
     dataset = with_fitting_fields(_without_links(module.read(root, splits=reading.splits, **given)))
+    if stated:
+        dataset = temperatures.with_scale(dataset, scale)
     unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
-    return replace(dataset, problems=(*dataset.problems, *unread, *radiometric_warnings(dataset)))
+    remarks = (*unread, *radiometric_warnings(dataset), *temperatures.scale_warnings(dataset))
+    return replace(dataset, problems=(*dataset.problems, *remarks))
 
 
 def _without_links(dataset: Dataset) -> Dataset:

@@ -30,6 +30,7 @@ LOSSES: Mapping[str, str] = {
     "inserted_dropped": "mark of an inserted object: the format holds none, so the object looks like an original",
     "not_finite_dropped": "number that is not finite, written as null",
     "sequence_dropped": "sequence or date of a picture: the format holds none",
+    "temperature_dropped": "temperature scale of a 16-bit picture: the format holds none; its levels become counts",
     "class_unfit": "object of a class that the format does not have, written as the nearest one or under a new number",
     "track_made": "object without a track, which got a new one: the format requires tracks",
     "empty_unsaid": "picture known to contain no object: the format cannot distinguish it from an unlabelled picture",

@@ -207,7 +207,7 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
-    """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, sequence."""
+    """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, and more."""
     # HIT-UAV's reader derives sequence and date from fields that its writer keeps.
     dated = writer.reader == "hit-uav"
     found = {
@@ -218,6 +218,7 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
         "sequence": sum(
             (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images
         ),
+        "temperature": sum(i.radiometry is not None and i.radiometry.scale is not None for i in images),
     }
     return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
 

@@ -45,6 +45,23 @@ def require_thermal_levels(background: Background) -> None:
         raise DatasetError(f"{background.path}: no contrast", [problem])
 
 
+def require_temperatures(background: Background) -> None:
+    """Refuse a picture without 16 bits, which radiometric matching requires.
+
+    Raises:
+        DatasetError: The picture has 8 bits.
+    """
+    if background.bit_depth != 16:
+        problem = Problem(
+            background.path.name,
+            "image-no-temperatures",
+            f"{background.bit_depth} bits per pixel",
+            "a 16-bit picture, as radiometric matching needs",
+            "use the radiometric files of the camera, or leave matching.mode out",
+        )
+        raise DatasetError(f"{background.path}: no temperatures", [problem])
+
+
 def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: Path) -> dict[str, Any]:
     """Return the facts about the background for a frame's record."""
     return {

@@ -19,17 +19,26 @@ from infrablend.compositing.local import match_locally
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, percentile_mapping
 from infrablend.compositing.occlusion import Scenery, Share, put_behind, restore_front
 from infrablend.compositing.overlay import compose, flat_layer, make_layer
+from infrablend.compositing.radiometric import ThermalBackdrop, compose_radiance, match_radiometric
 from infrablend.compositing.sensor import Sensor, apply_sensor, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import LocalMatching, MetricSections, NoSensor, Overlay
+from infrablend.config.recipe import (
+    GreyMatching,
+    LocalMatching,
+    MetricSections,
+    NoSensor,
+    Overlay,
+    RadiometricMatching,
+)
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.tasks import Task
+from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix
-from infrablend.pipeline.backgrounds import background_facts, require_thermal_levels
+from infrablend.pipeline.backgrounds import background_facts, require_temperatures, require_thermal_levels
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import (
     FrameDone,
@@ -38,6 +47,7 @@ from infrablend.pipeline.frame_settings import (
     local_settings,
     merge_settings,
     percentile_settings,
+    sensor_profile,
     sensor_strength,
 )
 from infrablend.pipeline.inserts import faint_inserts, measure_inserts
@@ -54,7 +64,7 @@ from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
 from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import move_objects, sample_scene
+from infrablend.sampling.scene import air_source, move_objects, sample_scene
 
 
 class FrameMaker:
@@ -79,6 +89,8 @@ class FrameMaker:
         background = load_background(source.path, source.size_wh)
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
+        elif isinstance(recipe.matching, RadiometricMatching):
+            require_temperatures(background)
 
         # Scene: the objects, their places and temperatures.
         levels, rules = self._settings.levels, recipe.occlusion
@@ -95,7 +107,7 @@ class FrameMaker:
             scene, mapping, matching_facts, faint = self._match(scene, frame, background)
             hidden: list[int] = []
             if not faint:
-                sensor = self._sensor(scene, background)
+                sensor = self._sensor(scene, background, mapping.scale)
                 rendered = self._renderer.render(scene)
                 occluders = {} if cover is None else cover.find(scene)
                 front = front_of(occluders, None if cover is None else cover.scenery, rendered)
@@ -161,7 +173,7 @@ class FrameMaker:
             frozenset(self._settings.ignored),
             source.altitude_m,
             unit,
-            recipe.matching.polarity == "black-hot",
+            isinstance(recipe.matching, GreyMatching) and recipe.matching.polarity == "black-hot",
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
         )
@@ -177,6 +189,12 @@ class FrameMaker:
         """
         matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
         facts: dict[str, Any] = {}
+        scale = None if source.radiometry is None else source.radiometry.scale
+        if isinstance(matching, RadiometricMatching) and scene.objects and scale is not None:
+            thermal = ThermalBackdrop(background.pixels, source.instances, scale)
+            source_of_air = air_source(frame.key(background.size_wh), self._recipe)
+            scene, mapping, found = match_radiometric(scene, thermal, source_of_air)
+            return scene, mapping, {"matching": found}, []
         if isinstance(matching, LocalMatching) and scene.objects:
             assert levels is not None
             backdrop = Backdrop(background.pixels, source.instances, source.time_of_day, levels)
@@ -195,15 +213,16 @@ class FrameMaker:
             scene = scene.without(range(len(scene.objects)), "untrusted")
         return scene, percentile_mapping(background.pixels, percentile_settings(matching)), facts, []
 
-    def _sensor(self, scene: PlacedScene, background: Background) -> Sensor | None:
+    def _sensor(self, scene: PlacedScene, background: Background, scale: TemperatureScale | None) -> Sensor | None:
         """Return the sensor chain fitted to this background; None if there is none or no object."""
         sensor, levels = self._recipe.sensor, self._settings.levels
         if isinstance(sensor, NoSensor) or not scene.objects:
             return None
         assert levels is not None
+        unit_k = None if scale is None else abs(scale.slope_k) * grey_unit(background.pixels, levels)
         return fit_sensor(
             background.pixels,
-            sensor.profile,
+            sensor_profile(sensor, unit_k),
             sensor_strength(sensor),
             levels,
             integer_seed(self._settings.seed, scene.spec.frame_id, "sensor"),
@@ -254,7 +273,8 @@ def overlay(
     Args:
         rendered: The rendered scene.
         background: (h, w) grey levels.
-        mapping: From radiance to the background's grey levels.
+        mapping: From radiance to the background's grey levels, or to radiance at the sensor for a background with
+            temperatures.
         style: Softness of the edge, or flat silhouettes (paper), for pictures without `sensor`.
         sensor: The camera to imitate; None to imitate none.
         motion_px: The scene's motion tail; only with `sensor`.
@@ -266,7 +286,10 @@ def overlay(
         layer = flat_layer(rendered, mapping) if style.flat else make_layer(rendered, mapping, style.softness_px)
     if front is not None:
         layer = put_behind(layer, front)
-    picture = compose(background, layer) if sensor is None else apply_sensor(background, layer, sensor)
+    if mapping.scale is not None:
+        picture = compose_radiance(background, layer, mapping.scale, sensor)
+    else:
+        picture = compose(background, layer) if sensor is None else apply_sensor(background, layer, sensor)
     return picture if front is None else restore_front(picture, background, front)
 
 

@@ -12,7 +12,17 @@ from infrablend.compositing.gain import GainPrior, SharePrior
 from infrablend.compositing.local import LocalSettings
 from infrablend.compositing.mapping import PercentileSettings
 from infrablend.compositing.sensor import SensorStrength
-from infrablend.config.recipe import LocalMatching, MetricSensor, MinContrast, PercentileMatching, Recipe, Sensor
+from infrablend.config.recipe import (
+    LocalMatching,
+    Matching,
+    MetricSensor,
+    MinContrast,
+    PaperSensor,
+    PercentileMatching,
+    RadiometricSensor,
+    Recipe,
+)
+from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.dataset import TimeOfDay
 
 
@@ -84,17 +94,38 @@ def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None)
     return real_least(category, time_of_day) if wanted == "real" else None
 
 
-def percentile_settings(matching: PercentileMatching | LocalMatching) -> PercentileSettings:
+def percentile_settings(matching: Matching) -> PercentileSettings:
     """Return the settings of matching by percentiles: of the artistic look, and of physical frames without objects."""
-    m = matching if isinstance(matching, PercentileMatching) else PercentileMatching(polarity=matching.polarity)
+    if isinstance(matching, PercentileMatching):
+        m = matching
+    else:
+        m = PercentileMatching(polarity=matching.polarity if isinstance(matching, LocalMatching) else "white-hot")
     return PercentileSettings(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
 
 
-def sensor_strength(sensor: Sensor) -> SensorStrength:
+def sensor_strength(sensor: PaperSensor | MetricSensor | RadiometricSensor) -> SensorStrength:
     """Return the strength of each step of the sensor chain."""
     s = sensor
+    if isinstance(s, RadiometricSensor):
+        return SensorStrength(s.optics, 0.0, s.noise, 0.0, False, s.defocus)
     defocus = s.defocus if isinstance(s, MetricSensor) else 0.0
     return SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, defocus)
+
+
+def sensor_profile(
+    sensor: PaperSensor | MetricSensor | RadiometricSensor, grey_unit_k: float | None
+) -> str | SensorProfile:
+    """Return the profile of a sensor; that of a radiometric camera has neither sharpening nor codec.
+
+    Args:
+        sensor: The recipe's sensor.
+        grey_unit_k: Kelvin per level of an 8-bit picture of the same range; None for pictures without temperatures.
+    """
+    if not isinstance(sensor, RadiometricSensor) or grey_unit_k is None:
+        return sensor.profile
+    noise = min(sensor.netd_k / grey_unit_k, 20.0)
+    update = {"halo_gain": 0.0, "codec_quality": None, "levels": None, "noise_grey": noise}
+    return find_profile(sensor.profile).model_copy(update=update)
 
 
 def merge_settings(recipe: Recipe) -> MergeSettings:

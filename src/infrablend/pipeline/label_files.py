@@ -67,6 +67,7 @@ def write_formats(
         finished = replace(finished, counts={**finished.counts, "boxes_loosened": loosened, "loosened_by": by})
     problems += absent_warnings(finished.draws)
     problems += limit_warnings([r for _, r in records])
+    problems += air_warnings([r for _, r in records])
     problems += hiding_warnings(finished.counts)
     if images:
         problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
@@ -127,6 +128,17 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     todo = "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
     found = f"{absent} of {wanted} objects were not inserted ({why})"
     return [Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning")]
+
+
+def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning if radiometric frames have a drawn temperature of the air."""
+    drawn = sum(r.facts.get("matching", {}).get("air") == "drawn" for r in records)
+    if not drawn:
+        return []
+    found = f"the temperature of the air is not stated for {drawn} frame(s), and was drawn"
+    expected = "that of the flight, which the temperatures of all objects are relative to"
+    todo = "set environment.air_temperature_c to one number"
+    return [Problem("environment.air_temperature_c", "air-drawn", found, expected, todo, "warning")]
 
 
 _TRUST = "set matching.on_untrusted to prior or skip for such frames"

@@ -14,7 +14,7 @@ from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
-from infrablend.config.recipe import MetricSections, Recipe
+from infrablend.config.recipe import MetricSections, RadiometricMatching, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.format_table import NATIVE
@@ -63,7 +63,7 @@ class PlannedFrame:
         assert self.configuration is not None
         b = self.background
         when = b.time_of_day, b.sequence, b.captured
-        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when)
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""
@@ -192,6 +192,10 @@ def make_plan(
             )
         elif unknown := _telemetry_missing(recipe, image):
             problems.append(unknown)
+        elif isinstance(recipe.matching, RadiometricMatching) and (
+            image.radiometry is None or not image.radiometry.scale
+        ):
+            problems.append(_scale_missing(image))
         else:
             usable.append(image)
     if not usable:
@@ -305,6 +309,17 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
         " and ".join(found),
         f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
         f"give a table (docs/how_to/own_images.md), or set {' and '.join(fields)}",
+    )
+
+
+def _scale_missing(image: ImageRecord) -> Problem:
+    """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
+    return Problem(
+        image.name,
+        "no-temperature-scale",
+        "no temperature scale, which matching.mode radiometric needs",
+        "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
+        "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
     )
 
 

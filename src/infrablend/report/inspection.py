@@ -20,6 +20,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
+from infrablend.formats.temperatures import describe_scales
 from infrablend.report.figures import plot_text
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
@@ -49,6 +50,7 @@ class Inspection:
         dates: Number of images per date of capture.
         tracks: Number of objects per track, over all sequences.
         picture_sizes: Number of images per size, as annotated, else from the file's header.
+        temperatures: Number of images per temperature scale; empty if no image has one and none is stated.
         decoded: Number of images per bit depth and mode, and grey levels; empty without decoding.
         leakage: Neighbouring images in different splits.
         remarks: Known facts about this published dataset that its files do not contain.
@@ -72,6 +74,7 @@ class Inspection:
     dates: Mapping[str, int]
     tracks: Mapping[str, int]
     picture_sizes: Mapping[str, int]
+    temperatures: Mapping[str, int]
     decoded: Mapping[str, Any]
     leakage: tuple[Leakage, ...]
     remarks: tuple[str, ...]
@@ -101,6 +104,7 @@ class Inspection:
             "dates": dict(self.dates),
             "tracks": {"count": len(self.tracks), "objects": sum(self.tracks.values())},
             "picture_sizes": dict(self.picture_sizes),
+            "temperatures": dict(self.temperatures),
             "decoded": dict(self.decoded),
             "leakage": [one.to_json() for one in self.leakage],
             "remarks": list(self.remarks),
@@ -171,6 +175,7 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
             f"{i.sequence or ''}/{o.track_id}" for i in images for o in i.instances if o.track_id is not None
         ),
         picture_sizes=_counted(f"{s[0]}x{s[1]}" if s else UNKNOWN for s in sizes_known),
+        temperatures=describe_scales(dataset),
         decoded=decoded,
         leakage=leakage(images),
         remarks=_remarks(dataset),

@@ -21,9 +21,12 @@ from infrablend.config.recipe import (
     NoSensor,
     Object,
     PhysicalEnvironment,
+    PhysicalRecipe,
     PhysicalSections,
+    RadiometricSections,
     RandomPitch,
     Recipe,
+    SkyEnvironment,
 )
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import TimeOfDay
@@ -31,10 +34,12 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
+from infrablend.core.temperature import Radiometry
 from infrablend.errors import ModelError
 from infrablend.sampling.metric import Site, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
+from infrablend.thermal.sky import dew_point
 from infrablend.thermal.sun import irradiance, sun_position, time_of
 
 ZERO_C_K = 273.15
@@ -53,6 +58,7 @@ class FrameKey:
         time_of_day: Time of day of the background, or None if unknown.
         sequence: Flight or clip of the background; None if unknown. All its frames have the same sun.
         captured: Date or time of capture, ISO 8601; None if unknown.
+        radiometry: What the picture's file states about the air; None if unknown.
     """
 
     background_id: str
@@ -63,6 +69,7 @@ class FrameKey:
     time_of_day: TimeOfDay | None = None
     sequence: str | None = None
     captured: str | None = None
+    radiometry: Radiometry | None = None
 
     @property
     def frame_id(self) -> str:
@@ -92,9 +99,13 @@ def sample_scene(
     unfit = site.unfit if site is not None and isinstance(recipe, MetricSections) else None
     unfit = "no_horizon" if pitch is None else unfit
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
+    if isinstance(recipe, RadiometricSections) and frame.radiometry is not None:
+        air_k = air_k if frame.radiometry.air_k is None else frame.radiometry.air_k
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
-    weather = _weather(frame, recipe, air_k, seed) if isinstance(recipe, PhysicalSections) else None
+    weather = None
+    if isinstance(recipe, PhysicalSections | RadiometricSections):
+        weather = _weather(frame, recipe, air_k, seed)
     lit = stream(seed, frame.frame_id, "sun") if weather is not None and weather.sun is not None else None
     wanted = _to_hide(frame, recipe, wanted, seed)
     tally = DrawStatistics()
@@ -173,15 +184,31 @@ def sample_scene(
     return place(spec, meshes)
 
 
-def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int) -> Weather:
-    """Draw air, sky and ground of the frame, from a stream of its own."""
+def air_source(frame: FrameKey, recipe: Recipe) -> Literal["metadata", "stated", "drawn"]:
+    """Return where the temperature of the air comes from: the picture's file, the recipe, or a draw from its range."""
+    if frame.radiometry is not None and frame.radiometry.air_k is not None:
+        return "metadata"
+    low, high = recipe.environment.air_temperature_c
+    return "stated" if low == high else "drawn"
+
+
+def _weather(frame: FrameKey, recipe: PhysicalRecipe, air_k: float, seed: int) -> Weather:
+    """Draw air, sky and ground of the frame, from a stream of its own.
+
+    With radiometric matching, humidity is that of the picture's file if it states one, and the ground is that of the
+    picture: it gets its temperature from there when the objects are in their places.
+    """
     rng, e = stream(seed, frame.frame_id, "weather"), recipe.environment
     below = float(rng.uniform(*e.dew_point_below_air_k))
     rng.random()  # unused; keeps the later draws the same as before a quantity was removed
     clear, cover, base = (float(v) for v in rng.random(3))
     day = frame.time_of_day == "day"
-    ground = e.ground_above_air_day_k if day else e.ground_above_air_night_k
-    ground_k = air_k + float(rng.uniform(*ground))
+    if isinstance(e, PhysicalEnvironment):
+        ground_k = air_k + float(rng.uniform(*(e.ground_above_air_day_k if day else e.ground_above_air_night_k)))
+    else:
+        ground_k = air_k
+        if frame.radiometry is not None and frame.radiometry.humidity is not None:
+            below = air_k - dew_point(air_k, frame.radiometry.humidity)
     sun = None
     if day:
         # The sun and the clouds are those of the whole sequence.
@@ -198,7 +225,7 @@ def _weather(frame: FrameKey, recipe: PhysicalSections, air_k: float, seed: int)
     )
 
 
-def _sun(frame: FrameKey, environment: PhysicalEnvironment, share: float, turn: float, cloud: float) -> Sun:
+def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float, cloud: float) -> Sun:
     """Return the sun over a frame.
 
     Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn.

@@ -93,3 +93,16 @@ def relative_humidity(air_k: float, dew_point_k: float) -> float:
     """
     air_c, dew_c = air_k - ZERO_C_K, min(dew_point_k, air_k) - ZERO_C_K
     return math.exp(17.625 * dew_c / (243.04 + dew_c) - 17.625 * air_c / (243.04 + air_c))
+
+
+def dew_point(air_k: float, humidity: float) -> float:
+    """Return the dew point, kelvin, of air at this relative humidity: the inverse of `relative_humidity`.
+
+    Raises:
+        ValueError: The humidity is not above 0 and up to 1.
+    """
+    if not 0 < humidity <= 1:
+        raise ValueError(f"humidity {humidity:g} must be above 0 and up to 1 (it is not a percentage)")
+    air_c = air_k - ZERO_C_K
+    level = math.log(humidity) + 17.625 * air_c / (243.04 + air_c)
+    return min(243.04 * level / (17.625 - level) + ZERO_C_K, air_k)

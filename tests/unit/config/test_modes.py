@@ -24,8 +24,10 @@ from infrablend.config.recipe import (
     NoSensor,
     PaperArtisticRecipe,
     PercentileMatching,
+    RadiometricRecipe,
 )
 from infrablend.core.scene import SceneSpec
+from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import RecipeError
 from infrablend.pipeline.request import Execution
 
@@ -199,6 +201,31 @@ def test_fields_of_older_recipes_are_errors_that_name_the_replacement(old, todo)
         parse_recipe(DRONE + old, "d")
 
 
+def test_radiometric_matching_needs_metric_placement_and_the_physical_look():
+    loaded = read_recipe("hit-uav-person", ["matching.mode=radiometric"])
+    assert isinstance(loaded.recipe, RadiometricRecipe)
+    assert {"matching.gain_grey_per_k", "environment.ground_above_air_night_k", "sensor.codec"} <= {
+        p.where for p in loaded.dropped
+    }
+    with pytest.raises(
+        RecipeError, match=r"found radiometric with placement\.mode paper and appearance\.mode artistic"
+    ):
+        parse_recipe(DRONE, "d", ["matching.mode=radiometric"])
+    with pytest.raises(
+        RecipeError, match=r"sensor\.netd_k: this field has a meaning only with matching\.mode radiometric"
+    ):
+        read_recipe("hit-uav-person", ["sensor.netd_k=0.03"])
+
+
+def test_the_scale_of_16_bit_pictures_is_checked():
+    recipe = load_recipe("hit-uav-person", ["data.unit=counts", "data.slope=0.04"])
+    assert recipe.data.scale == TemperatureScale(0.04)
+    assert load_recipe("hit-uav-person").data.scale is None
+    for wrong in (["data.slope=0.04"], ["data.unit=centikelvin", "data.slope=0.04"], ["data.unit=kelvin"]):
+        with pytest.raises(RecipeError, match="data"):
+            load_recipe("hit-uav-person", wrong)
+
+
 def test_no_moved_or_removed_field_exists():
     existing = {".".join(f) for m in all_modes() for f in fields_of(m)}
     assert not existing & {*MOVED, *REMOVED}
@@ -210,8 +237,8 @@ def test_recipes_have_the_class_of_their_modes():
     assert isinstance(load_recipe("hit-uav-person"), MetricPhysicalRecipe)
     assert isinstance(load_recipe("hit-uav-person").matching, LocalMatching)
     assert isinstance(load_recipe("hit-uav-drone").matching, PercentileMatching)
-    assert {recipe_class(m) for m in all_modes()} == {recipe_class(Modes(p, a)) for p in ("paper", "metric")
-                                                      for a in ("artistic", "physical")}  # fmt: skip
+    of_looks = {recipe_class(Modes(p, a)) for p in ("paper", "metric") for a in ("artistic", "physical")}
+    assert {recipe_class(m) for m in all_modes()} == {*of_looks, RadiometricRecipe}
 
 
 @pytest.mark.parametrize("name", list_recipes())
