@@ -13,7 +13,8 @@
       base: {match: ["Plinth"], delta_t_k: 0, emissivity: 0.95, label: false}
 
 `match` patterns are compared with the names of the file's objects and materials. Reading the file needs Blender and
-happens once, in a process of its own (`infrablend.pipeline.models`); the geometry is cached by the file's content.
+happens once, in a process of its own (`infrablend.pipeline.models`); the geometry is cached by the content of the
+file and of those it refers to.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,6 +35,7 @@ from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model_files import ModelFiles, find_model_files
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
@@ -167,22 +169,23 @@ def is_description(model: str) -> bool:
 
 
 def description_digest(path: Path) -> str:
-    """Return a digest of a user's model: its YAML and its 3D file."""
+    """Return a digest of a user's model: its YAML, its 3D file, and every file that this refers to."""
     _, file = read_description(path)
-    return hashlib.sha256(path.read_bytes() + geometry_file(file).stem.encode()).hexdigest()
+    return hashlib.sha256(path.read_bytes() + find_model_files(file).digest.encode()).hexdigest()
 
 
 def geometry_file(file: Path) -> Path:
-    """Return the cache path of the imported geometry of a 3D file; the name is derived from the file's content.
+    """Return the cache path of the imported geometry of a 3D file.
 
     Raises:
-        ModelError: The 3D file cannot be read.
+        ModelError: The 3D file cannot be read, or refers to files that it may not use.
     """
-    try:
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ModelError(f"model file {file}: cannot be read ({error.strerror or error})") from error
-    return cache_folder() / "models" / f"{digest}.npz"
+    return geometry_path(find_model_files(file))
+
+
+def geometry_path(files: ModelFiles) -> Path:
+    """Return the cache path of the imported geometry of a 3D model; its name depends on the content of all files."""
+    return cache_folder() / "models" / f"{files.digest}.npz"
 
 
 def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str, NDArray[Any]]]:
@@ -195,11 +198,37 @@ def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str,
         with np.load(cached, allow_pickle=False) as data:
             groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
             arrays = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
+        _require_consistent(groups, arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ModelError(
             f"model {where}: the imported geometry in {cached} is damaged ({error}); remove that file and run again"
         ) from error
     return groups, arrays
+
+
+def _require_consistent(groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Check that triangles refer to vertices and pieces that exist.
+
+    Raises:
+        ValueError: They do not.
+    """
+    vertices, triangles, pieces = arrays["vertices_m"], arrays["triangles"], arrays["group_of_triangle"]
+    count = len(triangles)
+    if vertices.shape[1:] != (3,) or triangles.shape != (count, 3) or not count or vertices.dtype.kind != "f":
+        raise ValueError("arrays of wrong shapes")
+    if pieces.shape != (count,) or arrays["smooth"].shape != (count,):
+        raise ValueError("arrays of different lengths")
+    if not np.isfinite(vertices).all():
+        raise ValueError("vertices that are not finite")
+    for indices, most in ((triangles, len(vertices)), (pieces, len(groups))):
+        if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= most:
+            raise ValueError("indices out of range")
+
+
+def write_geometry(path: Path, groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write what `read_geometry` reads."""
+    with path.open("wb") as stream:
+        np.savez(stream, groups=np.array(json.dumps([asdict(g) for g in groups])), **arrays)
 
 
 def load_user_model(path: Path) -> ObjectModel:

@@ -1,83 +1,100 @@
-"""Reads a user's 3D file into plain triangles, in a separate process that ends afterwards.
+"""Reads a user's 3D file into plain triangles, in a confined process that ends afterwards.
 
 A .blend may contain scripts. They are never executed: Blender starts from factory settings with automatic execution
-off, and the process holds no secrets.
+off, and the process holds no secrets. Textures, lights and cameras are not read.
 """
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import bpy
 import numpy as np
+from bpy_extras import image_utils
 
+from infrablend.assets.model_files import TOO_LARGE
 from infrablend.blender.materials import GROUP_NAME
 from infrablend.blender.physical import GROUP_NAME as PHYSICAL_NAME
-from infrablend.core.files import replace_atomically
-from infrablend.core.tasks import Task
-from infrablend.errors import ModelError
+from infrablend.errors import ModelError, Problem
 
 # With more triangles, labels take seconds per frame.
 MAX_TRIANGLES = 2_000_000
+# Instances without any triangle take time, too.
+MAX_INSTANCES = 1_000_000
+GEOMETRY, REQUEST, REFUSAL = "geometry.npz", "request.json", "refusal.json"
+
+_Piece = tuple[Any, Any, Any, Any, str, list[Any]]
+
+
+def _import_usd(file: str) -> Any:
+    return bpy.ops.wm.usd_import(
+        filepath=file,
+        import_cameras=False,
+        import_lights=False,
+        import_volumes=False,
+        create_world_material=False,
+        import_usd_preview=False,  # only the names of materials are used
+        import_textures_mode="IMPORT_NONE",
+    )
+
+
+def _import_fbx(file: str) -> Any:
+    # An FBX usually names pictures on its author's machine, which would be looked for here.
+    image_utils.load_image = lambda path, *_, **__: bpy.data.images.new(Path(str(path)).name or "picture", 1, 1)
+    return bpy.ops.import_scene.fbx(filepath=file, use_image_search=False)
+
 
 _IMPORTERS: dict[str, Callable[[str], Any]] = {
     ".glb": lambda f: bpy.ops.import_scene.gltf(filepath=f),
     ".gltf": lambda f: bpy.ops.import_scene.gltf(filepath=f),
     ".obj": lambda f: bpy.ops.wm.obj_import(filepath=f),
-    ".fbx": lambda f: bpy.ops.import_scene.fbx(filepath=f),
-    ".usd": lambda f: bpy.ops.wm.usd_import(filepath=f),
-    ".usda": lambda f: bpy.ops.wm.usd_import(filepath=f),
-    ".usdc": lambda f: bpy.ops.wm.usd_import(filepath=f),
-    ".usdz": lambda f: bpy.ops.wm.usd_import(filepath=f),
+    ".fbx": _import_fbx,
+    ".usd": _import_usd,
+    ".usda": _import_usd,
+    ".usdc": _import_usd,
+    ".usdz": _import_usd,
+    ".blend": lambda f: bpy.ops.wm.open_mainfile(filepath=f, load_ui=False, use_scripts=False),
 }
 
 
-def make_importer(_settings: Any) -> Callable[[Task], str]:
-    """Create a worker; the payload of its tasks is (3D file, .npz to write)."""
+def import_staged(path: str) -> None:
+    """Import the copy of a 3D file in the folder `path`; the request in it names the copy and the user's file.
 
-    def run(task: Task) -> str:
-        file, target = task.payload
-        import_file(Path(file), Path(target))
-        return str(target)
+    Writes the geometry (triangles in world coordinates, Z up, metres, and named pieces), or the reason for a refusal.
+    """
+    folder = Path(path)
+    request = json.loads((folder / REQUEST).read_text("utf-8"))
+    try:
+        _import(folder / request["file"], request["shown"], folder / GEOMETRY)
+    except ModelError as error:
+        message = error.message.replace(str(folder) + "/", "")
+        too_large = error.problems[0].found if error.problems else ""
+        (folder / REFUSAL).write_text(json.dumps({"message": message, "too_large": too_large}), "utf-8")
 
-    return run
 
-
-def import_file(file: Path, target: Path) -> None:
-    """Read a 3D file and write its triangles (world coordinates, Z up, metres) and named pieces to `target`.
+def _import(file: Path, shown: str, target: Path) -> None:
+    """Read a 3D file and write its geometry to `target`; messages name it as `shown`.
 
     Raises:
-        ModelError: Blender cannot read the file, or it contains no surface.
+        ModelError: Blender cannot read the file, it contains no surface, or too many triangles.
     """
-    _require_inside(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
-        if file.suffix.lower() == ".blend":
-            bpy.ops.wm.open_mainfile(filepath=str(file), load_ui=False, use_scripts=False)
-        else:
-            _IMPORTERS[file.suffix.lower()](str(file))
+        _IMPORTERS[file.suffix.lower()](str(file))
     except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and many more
         raise ModelError(
-            f"model file {file}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
+            f"model file {shown}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
-    pieces = _pieces()
+    pieces = list(_pieces(shown))
     if not pieces:
-        raise ModelError(f"model file {file}: no surface found; expected at least one visible mesh object")
-    count = sum(len(corners) for _, corners, *_ in pieces)
-    if count > MAX_TRIANGLES:
-        raise ModelError(
-            f"model file {file}: {count:,} triangles; expected at most {MAX_TRIANGLES:,}. About ten thousand "
-            "are enough for an object of a few hundred pixels: reduce it in Blender (Decimate modifier)"
-        )
+        raise ModelError(f"model file {shown}: no surface found; expected at least one visible mesh object")
     if not all(np.isfinite(v).all() for v, *_ in pieces):
         raise ModelError(
-            f"model file {file}: vertices that are not finite numbers; expected a valid {file.suffix} file"
+            f"model file {shown}: vertices that are not finite numbers; expected a valid {file.suffix} file"
         )
     vertices, triangles, groups, smooth = [], [], [], []
     facts: list[dict[str, Any]] = []
@@ -96,8 +113,7 @@ def import_file(file: Path, target: Path) -> None:
         groups.append(of_material[np.minimum(t_material, len(of_material) - 1)])
         smooth.append(t_smooth)
         offset += len(v)
-    beside = target.with_name(f".{target.stem}.{os.getpid()}.part")
-    with replace_atomically(target, beside=beside) as temporary, temporary.open("wb") as stream:
+    with target.open("wb") as stream:
         np.savez(
             stream,
             vertices_m=np.concatenate(vertices),
@@ -114,33 +130,12 @@ def _reason(error: Exception) -> str:
     return next((line for line in reversed(lines) if not line.startswith(("Location:", "File "))), type(error).__name__)
 
 
-def _require_inside(file: Path) -> None:
-    """Refuse a glTF that refers to files outside its folder.
+def _pieces(shown: str) -> Iterator[_Piece]:
+    """Yield the evaluated triangles of everything that is visible in a render of the scene.
 
     Raises:
-        ModelError: A reference leaves the folder of the file, or the file is not glTF.
+        ModelError: There are too many.
     """
-    if file.suffix.lower() != ".gltf":
-        return
-    try:
-        content = json.loads(file.read_text("utf-8"))
-        references = [i["uri"] for k in ("buffers", "images") for i in content.get(k, ()) if "uri" in i]
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise ModelError(f"model file {file}: not glTF ({error}); expected a valid .gltf file") from error
-    folder = file.parent.resolve()
-    for uri in references:
-        if isinstance(uri, str) and uri.startswith("data:"):
-            continue
-        named = unquote(str(uri))
-        if "\0" in named or "://" in named or folder not in (folder / named).resolve().parents:
-            raise ModelError(
-                f"model file {file}: refers to {named!r} outside its folder; expected files beside it. "
-                "Save it as .glb, which contains everything"
-            )
-
-
-def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
-    """Return the evaluated triangles of everything that is visible in a render of the scene."""
     scene = bpy.context.scene
     for thing in scene.objects:
         for modifier in thing.modifiers:
@@ -149,14 +144,20 @@ def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
                 modifier.levels = modifier.render_levels
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depsgraph.update()
-    found = []
-    for instance in depsgraph.object_instances:
+    total = 0
+    for number, instance in enumerate(depsgraph.object_instances):
+        if number >= MAX_INSTANCES:
+            raise _too_many(shown, f"more than {MAX_INSTANCES:,} instances")
         thing = instance.object
         if thing.hide_render or thing.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"}:
             continue
         mesh = thing.to_mesh()
         if mesh is None:
             continue
+        # Corners minus two per polygon; counted before Blender computes the triangles.
+        total += len(mesh.loops) - 2 * len(mesh.polygons)
+        if total > MAX_TRIANGLES:
+            raise _too_many(shown, f"more than {MAX_TRIANGLES:,} triangles")
         mesh.calc_loop_triangles()
         count = len(mesh.loop_triangles)
         if count:
@@ -177,9 +178,12 @@ def _pieces() -> list[tuple[Any, Any, Any, Any, str, list[Any]]]:
                 corners = corners[:, ::-1]
             name = instance.parent.name if instance.is_instance and instance.parent else thing.name
             materials = [slot.material for slot in thing.material_slots]
-            found.append((world, corners, smooth[polygon], material[polygon], name, materials))
+            yield world, corners, smooth[polygon], material[polygon], name, materials
         thing.to_mesh_clear()
-    return found
+
+
+def _too_many(shown: str, found: str) -> ModelError:
+    return ModelError(f"model file {shown}: {found}", [Problem(shown, TOO_LARGE, found)])
 
 
 def _infrared(material: Any) -> dict[str, float | None]:

@@ -44,7 +44,7 @@ _BOOT = (
 )
 
 
-def _module_path() -> list[str]:
+def module_path() -> list[str]:
     """Return `sys.path` for a worker: the caller's, without what Blender added when the caller imported bpy.
 
     Blender's folder of scripts contains a second package `bpy` that only works in a running Blender.
@@ -200,7 +200,7 @@ class _Run:
         self._started += 1
         try:
             process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(_module_path()), str(theirs.fileno()), f"worker-{number}"],
+                [sys.executable, "-c", _BOOT, json.dumps(module_path()), str(theirs.fileno()), f"worker-{number}"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -412,7 +412,7 @@ class _Run:
         w.output.close()
         if w in self._workers:
             self._workers.remove(w)
-        return _describe_exit(code)
+        return describe_exit(code)
 
     def kill_all(self) -> None:
         """Kill every worker and leave no zombie."""
@@ -434,7 +434,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         process.kill()
 
 
-def _describe_exit(code: int) -> str:
+def describe_exit(code: int) -> str:
+    """Return how a process ended, by the return code of `subprocess`."""
     if code >= 0:
         return f"ended with exit code {code}"
     try:

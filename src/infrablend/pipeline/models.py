@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import os
 from pathlib import Path
 from typing import Any
 
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.assets.user_model import geometry_file, is_description, read_description
+from infrablend.assets.model_files import find_model_files, too_large
+from infrablend.assets.user_model import (
+    geometry_path,
+    is_description,
+    read_description,
+    read_geometry,
+    write_geometry,
+)
+from infrablend.core.files import read_object, replace_atomically
 from infrablend.core.tasks import Task, WorkerSpec
-from infrablend.errors import ModelError, WorkerDiedError
+from infrablend.errors import ModelError, Problem
+from infrablend.execution.confined import ConfinedLimits, run_confined
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.execution.scratch import scratch_folder
 
-# Time limit of the import process: a damaged or hostile file may hang Blender, even while it exits.
-IMPORT_TIMEOUT_S = 300.0
+log = logging.getLogger(__name__)
+
+IMPORTER = "infrablend.blender.importer:import_staged"
+# Files that the importer reads and writes in its folder.
+REQUEST, GEOMETRY, REFUSAL = "request.json", "geometry.npz", "refusal.json"
+IMPORT_LIMITS = ConfinedLimits(seconds=120.0, memory_bytes=2 * 2**30)
+TOO_SLOW = "model-too-slow"
+# Time limit of a single job in a worker process.
+JOB_TIMEOUT_S = 300.0
 
 
 def ready_model(name: str) -> ObjectModel:
@@ -30,22 +50,51 @@ def ready_model(name: str) -> ObjectModel:
 def import_geometry(file: Path) -> None:
     """Read a 3D file with Blender and cache its geometry, unless that was done before.
 
+    Blender runs in a confined process on copies of the file and of those beside it that it refers to.
+
     Raises:
-        ModelError: Blender cannot read the file.
+        ModelError: The file refers to others that it may not use, is too large, takes too long, or cannot be read.
     """
-    target = geometry_file(file)
+    files = find_model_files(file)
+    target = geometry_path(files)
     if target.is_file():
         return
-    try:
-        run_once("infrablend.blender.importer:make_importer", (str(file), str(target)), f"import {file.name}")
-    except WorkerDiedError as error:
-        raise ModelError(
-            f"model file {file}: Blender crashed or hung on it ({error.message}); expected a valid "
-            f"{file.suffix} file. Open it in Blender, save it again, and use the new file."
-        ) from error
+    shown = str(file)
+    with scratch_folder(in_memory=False) as scratch:
+        folder = Path(scratch)
+        copy = files.copy_to(folder / "model")
+        request = {"file": str(copy.relative_to(folder)), "shown": shown}
+        (folder / REQUEST).write_text(json.dumps(request), "utf-8")
+        outcome = run_confined(IMPORTER, folder, IMPORT_LIMITS)
+        log.info(
+            "import of %s: %s, at most %d MiB\n%s", shown, outcome.ending, outcome.peak_bytes >> 20, outcome.output
+        )
+        if outcome.ending == "memory":
+            raise too_large(files.main, outcome.detail)
+        if outcome.ending == "time":
+            raise _too_slow(files.main, outcome.detail)
+        if outcome.ending == "crash":
+            raise ModelError(
+                f"model file {file}: Blender crashed on it ({outcome.detail}); expected a valid {file.suffix} file. "
+                "Open it in Blender, save it again, and use the new file."
+            )
+        if refusal := read_object(folder / REFUSAL):
+            if refusal.get("too_large"):
+                raise too_large(files.main, str(refusal["too_large"]))
+            raise ModelError(str(refusal.get("message")))
+        with replace_atomically(target, beside=target.with_name(f".{target.stem}.{os.getpid()}.part")) as temporary:
+            write_geometry(temporary, *read_geometry(folder / GEOMETRY, shown))
 
 
-def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = IMPORT_TIMEOUT_S) -> Any:
+def _too_slow(file: Path, found: str) -> ModelError:
+    problem = Problem(
+        str(file), TOO_SLOW, f"its import took {found}", f"an import in at most {IMPORT_LIMITS.seconds:g} s",
+        "apply its modifiers in Blender, remove what is not visible, and save it again",
+    )  # fmt: skip
+    return ModelError(f"model file {file}: its import took {found}", [problem])
+
+
+def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = JOB_TIMEOUT_S) -> Any:
     """Run one job in a separate worker process and return its value.
 
     Raises:

@@ -22,7 +22,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
     path = tmp_path / "files" / "My quad (v2).glb"
     path.parent.mkdir()
-    path.write_bytes(b"glTF, as far as this test is concerned")
+    path.write_text("{}")  # glTF, as far as this test is concerned
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
     facts: list[dict[str, object]] = [{"object": o, "material": m} for o, m in PIECES]
