@@ -36,7 +36,7 @@ def test_every_file_that_decides_the_shape_is_part_of_the_digest(tmp_path):
             "sub/d.usdc",
             crate(b"a text that is long enough", b"/a/path/of/the/scene.png-not", b"https://x.org/a.png"),
         ),
-        "d.blend": ("sub/e.blend", blend(("Image", 1, {"filepath": "/home/me/a.png", "source": 1}))),
+        "d.blend": ("sub/e.blend", blend(("Image", 1, {"filepath": "/elsewhere/a.png", "source": 1}))),
     }
     for name, (other, content) in beside.items():
         (folder / other).write_bytes(content)
@@ -62,12 +62,12 @@ def test_copied_blend_has_no_path_that_the_import_does_not_need(tmp_path):
     folder = tmp_path
     (folder / "b.blend").write_bytes(blend())
     blocks = (
-        ("Image", 1, {"filepath": "/home/me/a.png", "source": 1}),
+        ("Image", 1, {"filepath": "/elsewhere/a.png", "source": 1}),
         ("Library", 2, {"filepath": "//b.blend"}),
     )
     (folder / "a.blend").write_bytes(gzip.compress(blend(*blocks)))
     copy = find_model_files(folder / "a.blend").copy_to(tmp_path / "copy")
-    assert b"/home/me" not in copy.read_bytes() and b"//b.blend" in copy.read_bytes()
+    assert b"/elsewhere" not in copy.read_bytes() and b"//b.blend" in copy.read_bytes()
     assert sorted(p.name for p in copy.parent.iterdir()) == ["a.blend", "b.blend"]
     assert read_blend(copy.read_bytes()).layouts == read_blend(blend(*blocks)).layouts
 
