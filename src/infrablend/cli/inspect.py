@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,6 +81,8 @@ def _blocks(facts: Inspection) -> list[str]:
     rows = [[k, *_summed([facts.time_of_day[s].get(k, 0) for s in splits])] for k in kinds]
     blocks.append(grid(["images by time of day", *splits, "all"], rows))
     blocks.append(table(_further(facts)))
+    if "flight" in facts.notes:
+        blocks.append(_flight(facts.notes["flight"]))
     if facts.leakage:
         lines = [
             f"  {one.near} of {one.images} {one.split} images have a {one.other} image at most {one.distance} frame "
@@ -90,6 +93,27 @@ def _blocks(facts: Inspection) -> list[str]:
     if facts.remarks:
         blocks.append("\n".join(["known faults of this dataset", *(f"  - {r}" for r in facts.remarks)]))
     return [*blocks, _problems(facts)]
+
+
+def _flight(note: Mapping[str, Any]) -> str:
+    """Return the table of what the pictures' own headers state, and where."""
+    from infrablend.cli.results import grid
+
+    rows = []
+    for row in note["facts"]:
+        low, high = row["lowest"], row["highest"]
+        span = "" if low is None else _value(low) if low == high else f"{_value(low)} to {_value(high)}"
+        rows.append([row["field"], row["source"] or "missing", row["count"], span])
+    lines = [grid(["flight data", "source", "pictures", "range"], rows)]
+    lines += [f"camera: {camera} ({count})" for camera, count in note["cameras"].items()]
+    lines += [f"left out: {count} {reason}" for reason, count in note["left_out"].items()]
+    if note["radiometric"]:
+        lines.append(f"with a radiometric layer: {note['radiometric']}")
+    return "\n".join(lines)
+
+
+def _value(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _summed(counts: list[int]) -> list[int]:

@@ -144,6 +144,7 @@ class ImageRecord:
         captured: Date or time of capture, ISO 8601; None if unknown.
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air; None if
             nothing is known.
+        hfov_deg: Field of view of the camera across the width of the picture; None if unknown.
     """
 
     id: str
@@ -160,6 +161,7 @@ class ImageRecord:
     sequence: str | None = None
     captured: str | None = None
     radiometry: Radiometry | None = None
+    hfov_deg: float | None = None
 
     @property
     def name(self) -> str:

@@ -18,17 +18,20 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, read_text
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
-_FIELDS = ("pitch_deg", "altitude_m", "time_of_day")
+_FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg")
 _KEYS = ("file", "stem", "sequence")
 # Further columns that `infrablend frames` writes: read for single pictures, or there for people and other programs.
 FURTHER = ("captured", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
+_RANGES = (
+    ("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres"), ("hfov_deg", 0.1, 170.0, "degrees"),
+)  # fmt: skip
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Pitch, altitude, time and flight of a picture; None where unknown.
+    """Pitch, altitude, time, field of view and flight of a picture; None where unknown.
 
     Attributes:
         pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
@@ -36,6 +39,7 @@ class Capture:
         time_of_day: Day or night.
         sequence: Flight or clip of the picture.
         captured: Date or time of capture, ISO 8601.
+        hfov_deg: Field of view across the width of the picture.
     """
 
     pitch_deg: float | None = None
@@ -43,6 +47,7 @@ class Capture:
     time_of_day: TimeOfDay | None = None
     sequence: str | None = None
     captured: str | None = None
+    hfov_deg: float | None = None
 
     def over(self, other: Capture) -> Capture:
         """Return these values, completed by `other`'s."""
@@ -162,7 +167,7 @@ def pitch_note(sources: Mapping[str, int]) -> str:
 
 
 def read_table(path: Path) -> CaptureTable:
-    """Read a CSV or JSON table with `file`, `stem` or `sequence` and some of `pitch_deg`, `altitude_m`, `time_of_day`.
+    """Read a CSV or JSON table of captures by `file`, `stem` or `sequence`, with some of the fields of a `Capture`.
 
     A row for a picture may also name its `sequence` and when it was `captured`. Other columns are not read. CSV: a
     header line. JSON: a list of records, or one object with the file names, stems or sequences as keys. Rows
@@ -221,7 +226,7 @@ def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | None]:
     values: dict[str, float | None] = {}
-    for name, low, high, unit in (("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres")):
+    for name, low, high, unit in _RANGES:
         raw = row.get(name)
         if raw is None or str(raw).strip() == "":
             values[name] = None
@@ -241,7 +246,8 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
     if captured and not _is_time(captured):
         return Capture(), ("table-value", f"captured {captured!r}", "a date or time such as 2024-05-01T06:30:00+02:00")
     sequence = str(row.get("sequence") or "").strip()
-    return Capture(values["pitch_deg"], values["altitude_m"], of_day, sequence or None, captured or None), None
+    known = values["pitch_deg"], values["altitude_m"], of_day
+    return Capture(*known, sequence or None, captured or None, values["hfov_deg"]), None
 
 
 def _is_time(text: str) -> bool:

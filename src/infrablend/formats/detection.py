@@ -14,6 +14,7 @@ from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import folder, temperatures
 from infrablend.formats.base import Match, shorten
+from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.radiometric import radiometric_warnings
 from infrablend.formats.reading import READ_ALL, Reading
@@ -93,6 +94,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     dataset = with_fitting_fields(_without_links(module.read(root, splits=reading.splits, **given)))
     if stated:
         dataset = temperatures.with_scale(dataset, scale)
+    dataset = add_flight_data(dataset)
     unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
     remarks = (*unread, *radiometric_warnings(dataset), *temperatures.scale_warnings(dataset))
     return replace(dataset, problems=(*dataset.problems, *remarks))

@@ -54,7 +54,7 @@ def make_dataset(
     ids = assign_ids(inside)
     complete = []
     for name, record in sorted(inside.items()):
-        own = Capture(record.pitch_deg, record.altitude_m, record.time_of_day)
+        own = Capture(record.pitch_deg, record.altitude_m, record.time_of_day, hfov_deg=record.hfov_deg)
         known = captures.of(name, name, own, record.sequence)
         complete.append(
             replace(
@@ -64,6 +64,7 @@ def make_dataset(
                 altitude_m=known.altitude_m,
                 time_of_day=known.time_of_day,
                 captured=record.captured or known.captured,
+                hfov_deg=known.hfov_deg,
             )
         )
     if table is not None:

@@ -185,7 +185,7 @@ def _telemetry_not_in_name(image: ImageRecord) -> Capture | None:
     """Return pitch, altitude and time of day of a picture, unless its name contains them."""
     facts = facts_from_name(image.name)
     said = facts.capture if facts else Capture()
-    known = Capture(image.pitch_deg, image.altitude_m, image.time_of_day)
+    known = Capture(image.pitch_deg, image.altitude_m, image.time_of_day, hfov_deg=image.hfov_deg)
     return None if known.over(said) == said else known
 
 
@@ -200,9 +200,11 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
         return Written()
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(("file", "pitch_deg", "altitude_m", "time_of_day"))
+    columns = ["pitch_deg", "altitude_m", "time_of_day"]
+    columns += ["hfov_deg"] if any(c.hfov_deg is not None for _, c in rows) else []
+    table.writerow(("file", *columns))
     for name, c in rows:
-        table.writerow((name, *("" if v is None else v for v in (c.pitch_deg, c.altitude_m, c.time_of_day))))
+        table.writerow((name, *("" if (v := getattr(c, k)) is None else v for k in columns)))
     return Written((write_text(out / "metadata.csv", text.getvalue()),))
 
 

@@ -105,7 +105,7 @@ def _degrees(value: Any, reference: Any, negative: str, largest: float) -> float
     parts = [number(v) for v in value]
     if any(p is None or p < 0 for p in parts):
         return None
-    degrees = sum(p / 60**k for k, p in enumerate(parts) if p is not None)
+    degrees = math.fsum(p / 60**k for k, p in enumerate(parts) if p is not None)
     if degrees > largest or not any(parts):
         return None
     return -degrees if _text(reference).upper() == negative else degrees

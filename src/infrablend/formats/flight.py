@@ -1,0 +1,334 @@
+"""Completes pictures as DJI and FLIR cameras write them with what their own headers state about the flight.
+
+Pitch, height, field of view, time and place of each picture come from its EXIF, XMP and FLIR block (`formats.rjpeg`).
+What a table, an annotation or a file name states counts more. Pictures of visible light are left out, and what is
+missing is asked for once per field.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import statistics
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from infrablend.core.dataset import Dataset, ImageRecord, TimeOfDay
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
+from infrablend.thermal.sun import sun_position, time_of
+
+# Only these formats hold pictures of any camera; those of the public datasets are known.
+ANY_CAMERA = ("folder", "yolo", "coco", "voc", "dota", "masks")
+# Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
+_LOOKED_AT = 64
+# A picture without a radiometric layer and this many times larger than those with one is a visible twin.
+_TWIN_SIZE = 4
+# Clocks that differ by this much in at least three pictures are reported; a larger gap means other flights.
+_CLOCKS_S = (60.0, 25 * 3600.0)
+_LEAST_PAIRS = 3
+# A longer break between two pictures starts another flight.
+_BREAK_S = 600.0
+# A local clock is within this of the sun's time: time zones and daylight saving.
+_CLOCK_OFF_H = (-2, -1, 0, 1, 2)
+_DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
+_NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
+_ASKED = {
+    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'"),
+    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
+    "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
+}
+_RECORD_FIELDS = ("pitch_deg", "altitude_m", "hfov_deg", "captured")
+GIVEN = "table, annotation or file name"
+
+
+def add_flight_data(dataset: Dataset) -> Dataset:
+    """Return the dataset with the flight data of its pictures, or as it is if they are not from such a camera.
+
+    `notes["flight"]` then holds the table of facts: per field and source the number of pictures and the range.
+    """
+    if dataset.format not in ANY_CAMERA:
+        return dataset
+    jpegs = [i for i in dataset.images if _is_jpeg(i)]
+    step = max(1, len(jpegs) // _LOOKED_AT)
+    looked_at = {i.id: f for i in jpegs[::step][:_LOOKED_AT] if isinstance(f := _read(i), CameraFacts)}
+    if not any(f.from_a_drone_camera for f in looked_at.values()):
+        return dataset
+    problems: list[Problem] = []
+    facts: dict[str, CameraFacts] = {}
+    for image in jpegs:
+        found = looked_at.get(image.id) or _read(image)
+        if isinstance(found, CameraFacts):
+            facts[_key(image)] = found
+            problems += found.problems
+        else:
+            problems.append(found)
+    left_out = _left_out(dataset.images, facts)
+    kept = [i for i in dataset.images if _key(i) not in left_out]
+    if not kept:
+        kept, left_out = list(dataset.images), {}
+    problems += _left_out_warnings(dataset, left_out)
+    images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
+    known = [facts[_key(i)] for i in kept if _key(i) in facts]
+    problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
+    note = {
+        "pictures": len(images),
+        "left_out": dict(sorted(Counter(left_out.values()).items())),
+        "cameras": dict(sorted(Counter(_camera(f) for f in known).items())),
+        "radiometric": sum(bool(f.raw) for f in known),
+        "facts": [row.to_json() for row in _rows(kept, facts)],
+    }
+    notes = {**dataset.notes, "pitch": _pitch_note(kept, facts), "flight": note}
+    return replace(dataset, images=tuple(images), problems=(*dataset.problems, *problems), notes=notes)
+
+
+def _key(image: ImageRecord) -> str:
+    return f"{image.split}/{image.id}"
+
+
+def _is_jpeg(image: ImageRecord) -> bool:
+    """Return whether a picture is a JPEG file and no link; opening a pipe would wait for ever."""
+    path = image.path
+    return path.suffix.lower() in (".jpg", ".jpeg") and path.is_file() and not path.is_symlink()
+
+
+def _read(image: ImageRecord) -> CameraFacts | Problem:
+    try:
+        return read_facts(image.path)
+    except DatasetError as error:
+        fault = error.problems[0]
+        return replace(fault, found=f"{fault.found}; its flight data are not read", severity="warning")
+
+
+# ---- Leaving pictures out
+
+
+def _left_out(images: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> dict[str, str]:
+    """Return the reason for each picture that is not thermal; none if nothing shows which pictures are thermal."""
+    if not any(f.thermal for f in facts.values()):
+        return {}
+    largest = max((_pixels(f) for f in facts.values() if f.raw), default=0)
+    reasons = {}
+    for image in images:
+        f = facts.get(_key(image))
+        if f is None or f.thermal or image.instances:
+            continue
+        if f.visible:
+            reasons[_key(image)] = f"visible light ({f.visible})"
+        elif f.camera and not f.from_a_drone_camera:
+            reasons[_key(image)] = f"of another camera ({f.camera})"
+        elif largest and _pixels(f) >= _TWIN_SIZE * largest:
+            reasons[_key(image)] = "visible light (far larger than the thermal pictures)"
+    return reasons
+
+
+def _pixels(f: CameraFacts) -> int:
+    return f.size_wh[0] * f.size_wh[1]
+
+
+def _left_out_warnings(dataset: Dataset, left_out: Mapping[str, str]) -> list[Problem]:
+    by_reason: dict[str, list[str]] = defaultdict(list)
+    for key, reason in left_out.items():
+        by_reason[reason].append(key.rpartition("/")[2])
+    return [
+        _warning(dataset, "flight-left-out", f"{len(names)} picture(s) left out: {reason}; {_some(names)}", "")
+        for reason, names in sorted(by_reason.items())
+    ]
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _warning(dataset: Dataset, code: str, found: str, expected: str, todo: str = "") -> Problem:
+    return Problem(dataset.root.name, code, found, expected, todo, "warning")
+
+
+# ---- Completing records
+
+
+def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
+    """Return a record with the facts that it lacks."""
+    if f is None:
+        return image
+    captured = f.facts.get("captured")
+    image = replace(
+        image,
+        size_wh=image.size_wh or f.size_wh,
+        pitch_deg=f.value("pitch_deg") if image.pitch_deg is None else image.pitch_deg,
+        altitude_m=f.value("altitude_m") if image.altitude_m is None else image.altitude_m,
+        hfov_deg=f.value("hfov_deg") if image.hfov_deg is None else image.hfov_deg,
+        captured=image.captured or (None if captured is None else str(captured.value)),
+        extra={**image.extra, "camera": f.camera} if f.camera else image.extra,
+    )
+    return image if image.time_of_day else replace(image, time_of_day=_time_of_day(image.captured, f))
+
+
+def _time_of_day(captured: str | None, f: CameraFacts) -> TimeOfDay | None:
+    """Return day or night from the sun's elevation; None if time or place are unknown or the clock leaves both open."""
+    latitude, longitude = f.value("latitude_deg"), f.value("longitude_deg")
+    if captured is None or len(captured) <= 10 or latitude is None or longitude is None:
+        return None
+    exact = time_of(captured)
+    if exact is not None:
+        times = [exact]
+    else:
+        try:
+            local = datetime.fromisoformat(captured).replace(tzinfo=UTC)
+        except ValueError:
+            return None
+        times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
+    up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
+    if min(up) > _DAY_ABOVE_DEG:
+        return "day"
+    return "night" if max(up) < _NIGHT_BELOW_DEG else None
+
+
+def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Return the records with a flight each: pictures of a folder and camera without a break of ten minutes."""
+    groups: dict[tuple[str, str], list[tuple[datetime, int]]] = defaultdict(list)
+    for k, image in enumerate(images):
+        when = _naive(image.captured)
+        if image.sequence is None and when is not None:
+            groups[str(image.path.parent), str(image.extra.get("camera", ""))].append((when, k))
+    flights: dict[int, str] = {}
+    for times in groups.values():
+        start, last = None, None
+        for when, k in sorted(times):
+            if last is None or (when - last).total_seconds() > _BREAK_S:
+                start = when
+            last = when
+            assert start is not None
+            flights[k] = f"flight-{start:%Y%m%d-%H%M%S}"
+    return [replace(i, sequence=flights[k]) if k in flights else i for k, i in enumerate(images)]
+
+
+def _naive(captured: str | None) -> datetime | None:
+    """Return a time of capture without its time zone; None for a date alone."""
+    if captured is None or len(captured) <= 10:
+        return None
+    try:
+        return datetime.fromisoformat(captured).replace(tzinfo=None)
+    except ValueError:
+        return None
+
+
+# ---- What is missing, and what does not fit together
+
+
+def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
+    problems = []
+    for name, (title, setting) in _ASKED.items():
+        lacking = [i.name for i in images if getattr(i, name) is None]
+        if lacking:
+            found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
+            todo = f"give {setting} or a column {name} in metadata.csv"
+            problems.append(_warning(dataset, "flight-missing", found, "it in EXIF or XMP, or from you", todo))
+    return problems
+
+
+def _camera(f: CameraFacts) -> str:
+    fov = f.value("hfov_deg")
+    return f"{f.camera or 'unknown'}, {f.size_wh[0]}x{f.size_wh[1]}" + ("" if fov is None else f", {fov:.1f} degrees")
+
+
+def _cameras(dataset: Dataset, known: Iterable[CameraFacts]) -> list[Problem]:
+    counts = Counter(_camera(f) for f in known)
+    if len({(f.rpartition(" degrees")[0] or f).rsplit(",", 1)[0] for f in counts}) < 2:
+        return []
+    found = "pictures of several cameras: " + "; ".join(f"{c} ({n})" for c, n in sorted(counts.items()))
+    todo = "put each camera's pictures into a folder of their own, with a sensor profile each"
+    return [_warning(dataset, "flight-cameras", found, "one camera", todo)]
+
+
+def _clocks(dataset: Dataset, facts: Iterable[CameraFacts]) -> list[Problem]:
+    """Return warnings about clocks that disagree, within a file and between cameras that took the same numbers."""
+    problems = []
+    apart: dict[int, list[str]] = defaultdict(list)
+    numbered: dict[str, dict[str, datetime]] = defaultdict(dict)
+    for f in facts:
+        times = sorted(f.clocks.values())
+        if times and (times[-1] - times[0]).total_seconds() >= _CLOCKS_S[0]:
+            apart[round((times[-1] - times[0]).total_seconds() / 60)].append(f.path.name)
+        number = _NUMBER.search(f.path.stem.upper())
+        if times and number:
+            numbered[_lens(f)].setdefault(number[1], times[0])
+    for minutes, names in sorted(apart.items()):
+        found = f"clocks {_minutes(minutes)} apart inside {len(names)} picture(s): {_some(names)}"
+        problems.append(_warning(dataset, "flight-clocks", f"{found}; EXIF DateTimeOriginal is used", "one time"))
+    lenses = sorted(numbered)
+    for k, one in enumerate(lenses):
+        for other in lenses[k + 1 :]:
+            both = numbered[one].keys() & numbered[other].keys()
+            gaps = [(numbered[other][n] - numbered[one][n]).total_seconds() for n in sorted(both)]
+            if len(gaps) >= _LEAST_PAIRS and _CLOCKS_S[0] <= abs(statistics.median(gaps)) <= _CLOCKS_S[1]:
+                found = f"the clocks of {one} and {other} are {_minutes(round(statistics.median(gaps) / 60))} apart"
+                todo = "compare captures by number instead of time, or correct one clock (exiftool -AllDates+=1)"
+                found += f" in pictures with the same numbers ({len(gaps)})"
+                problems.append(_warning(dataset, "flight-clocks", found, "one clock", todo))
+    return problems
+
+
+def _lens(f: CameraFacts) -> str:
+    return f"{f.camera or 'an unknown camera'} ({f.size_wh[0]}x{f.size_wh[1]})"
+
+
+def _minutes(minutes: int) -> str:
+    return f"{abs(minutes) // 60}:{abs(minutes) % 60:02d} h"
+
+
+# ---- The table
+
+
+@dataclass(frozen=True)
+class FactRow:
+    """One row of the table of facts: how many pictures have a fact from a source.
+
+    Attributes:
+        field: Name of the fact.
+        source: Tag or tags that it comes from; empty for pictures that lack it.
+        count: Number of pictures.
+        lowest: Smallest value; None for missing facts.
+        highest: Largest value; None for missing facts.
+    """
+
+    field: str
+    source: str
+    count: int
+    lowest: float | str | None = None
+    highest: float | str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {k: getattr(self, k) for k in ("field", "source", "count", "lowest", "highest")}
+
+
+def _rows(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> list[FactRow]:
+    """Return the table of facts; `given` are the records as read, without facts from the pictures."""
+    rows = []
+    for name in FIELDS:
+        values: dict[str, list[float | str]] = defaultdict(list)
+        lacking = 0
+        for image in given:
+            own = getattr(image, name) if name in _RECORD_FIELDS else None
+            f = facts.get(_key(image))
+            fact = None if f is None else f.facts.get(name)
+            if own is not None:
+                values[GIVEN].append(own)
+            elif fact is not None:
+                values[fact.source].append(fact.value)
+            else:
+                lacking += 1
+        rows += [FactRow(name, source, len(v), min(v), max(v)) for source, v in sorted(values.items())]
+        rows += [FactRow(name, "", lacking)] if lacking else []
+    return rows
+
+
+def _pitch_note(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> str:
+    rows = [r for r in _rows(given, facts) if r.field == "pitch_deg"]
+    if len(rows) == 1:
+        return rows[0].source or "none"
+    return ", ".join(f"{r.source or 'none'} ({r.count} of {len(given)})" for r in rows)

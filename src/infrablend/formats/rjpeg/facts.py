@@ -1,0 +1,267 @@
+"""What one picture's file states about how it was taken, each fact with the tag that it comes from."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+from infrablend.core.camera_angles import pitch_of_gimbal
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.rjpeg import lens
+from infrablend.formats.rjpeg.dji import has_raw_layer
+from infrablend.formats.rjpeg.exif import Exif, number, read_exif
+from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
+from infrablend.formats.rjpeg.segments import APP1, JpegHeader, read_header
+from infrablend.formats.rjpeg.xmp import Xmp, read_xmp
+
+FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
+"""Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
+
+DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/1.0/", "http://pix4d.com/camera/1.0"
+_XMP_DATES = (("http://ns.adobe.com/xap/1.0/", "CreateDate"), ("http://ns.adobe.com/xap/1.0/", "ModifyDate"))
+# Below this pitch a laser that points along the camera's axis hits the ground too far away to give a height.
+_LEAST_LASER_PITCH_DEG = 15.0
+# A relative height below this is a drone that flew into a valley, or a barometer that drifted: no height over ground.
+_LEAST_ALTITUDE_M = 0.0
+_EXIF_DATE = re.compile(r"(\d{4})[:\-](\d\d)[:\-](\d\d)[ T](\d\d):(\d\d):(\d\d)", re.ASCII)
+# DJI's cameras end file names with the lens: wide, zoom, visible; T and R are thermal.
+_VISIBLE_NAME = re.compile(r"_([WZVS])(?:_\d+)?$", re.ASCII)
+_THERMAL_NAME = re.compile(r"_(T|R|IR|THRM)(?:_\d+)?$", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A value, and the tag or tags that it comes from."""
+
+    value: float | str
+    source: str
+
+
+@dataclass(frozen=True)
+class CameraFacts:
+    """What one picture's file states.
+
+    Attributes:
+        path: The file.
+        size_wh: Width and height of the picture in pixels.
+        camera: Maker and model; empty if not stated.
+        raw: `DJI` or `FLIR` for a picture with a radiometric layer; empty for others.
+        thermal: Whether the file itself says that the picture is thermal.
+        visible: Why the picture is one of visible light; empty if nothing says so.
+        facts: Known facts by name, see `FIELDS`.
+        clocks: Times of capture without time zone by their tag.
+        problems: Faults of the file, as warnings.
+    """
+
+    path: Path
+    size_wh: tuple[int, int]
+    camera: str
+    raw: str
+    thermal: bool
+    visible: str
+    facts: Mapping[str, Fact]
+    clocks: Mapping[str, datetime]
+    problems: tuple[Problem, ...]
+
+    @property
+    def from_a_drone_camera(self) -> bool:
+        """Whether the file looks like one of a DJI or FLIR camera, or states flight data."""
+        maker = self.camera.split(" ")[0].upper()
+        return bool(self.raw) or maker in ("DJI", "FLIR") or "pitch_deg" in self.facts
+
+    def value(self, name: str) -> float | None:
+        """Return a known number, or None."""
+        fact = self.facts.get(name)
+        return None if fact is None or isinstance(fact.value, str) else fact.value
+
+
+def read_facts(path: Path) -> CameraFacts:
+    """Return what a picture's file states; only headers are read.
+
+    Raises:
+        DatasetError: The file is no JPEG file, or its segments contradict themselves; with one problem.
+    """
+    header = read_header(path)
+    exif, xmp = read_exif(header), read_xmp(header)
+    problems = [*exif.problems, *xmp.problems]
+    record = _camera_record(header, problems)
+    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if has_raw_layer(header) else ""
+    facts: dict[str, Fact] = {}
+    for add in (_add_angles, _add_altitude):
+        add(facts, exif, xmp, lambda *found: problems.append(_warning(path, *found)))
+    _add_field_of_view(facts, exif, xmp, record, header.size_wh)
+    clocks = _clocks(exif, xmp)
+    _add_time_and_place(facts, exif, xmp, record, clocks)
+    source = xmp.values.get((DJI, "ImageSource"), "")
+    infrared = "infrared" in source.lower() or "thermal" in source.lower()
+    name_says = _VISIBLE_NAME.search(path.stem.upper())
+    visible = ""
+    if source and not infrared:
+        visible = f"ImageSource {source[:40]}"
+    elif name_says and not raw and not infrared and exif.make.upper() == "DJI":
+        visible = f"file name ends in _{name_says[1]}"
+    return CameraFacts(
+        path,
+        header.size_wh,
+        " ".join(dict.fromkeys(p for p in (exif.make, exif.model.strip("* ")) if p)),
+        raw,
+        bool(raw) or infrared or _THERMAL_NAME.search(path.stem.upper()) is not None,
+        visible,
+        facts,
+        clocks,
+        tuple(problems),
+    )
+
+
+Warn = Callable[[str, str, str], None]
+
+
+def _warning(path: Path, code: str, found: str, expected: str) -> Problem:
+    return Problem(path.name, code, found, expected, severity="warning")
+
+
+def _camera_record(header: JpegHeader, problems: list[Problem]) -> CameraRecord | None:
+    if not header.find(APP1, SIGNATURE):
+        return None
+    try:
+        return FlirBlock(header).camera()
+    except DatasetError as error:
+        problems += [Problem(p.where, p.code, p.found, p.expected, p.todo, "warning") for p in error.problems]
+        return None
+
+
+def _xmp_number(xmp: Xmp, *names: tuple[str, str]) -> tuple[float, str] | None:
+    """Return the first of these properties that is a number, with its tag."""
+    for namespace, name in names:
+        found = number(xmp.values.get((namespace, name)))
+        if found is not None:
+            prefix = {DJI: "drone-dji", FLIR: "FLIR", PIX4D: "Camera"}[namespace]
+            return found, f"XMP {prefix}:{name}"
+    return None
+
+
+def _is_flir(exif: Exif) -> bool:
+    return exif.make.upper().startswith("FLIR")
+
+
+def _add_angles(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
+    # Pix4D's names are used with other zeros too (0 straight down); only FLIR's use of them is known: MAVLink's.
+    pix4d = (PIX4D,) if _is_flir(exif) else ()
+    pitch = _xmp_number(xmp, (DJI, "GimbalPitchDegree"), *((n, "Pitch") for n in pix4d))
+    if pitch is not None:
+        below = pitch_of_gimbal(pitch[0])
+        if -90.0 <= below <= 90.0:
+            facts["pitch_deg"] = Fact(round(below, 6), pitch[1])
+        else:
+            warn("flight-pitch", f"{pitch[1]} {pitch[0]:g}, left out", "-90 (straight down) to 90 degrees")
+    for field, dji, other in (("roll_deg", "GimbalRollDegree", "Roll"), ("yaw_deg", "GimbalYawDegree", "Yaw")):
+        found = _xmp_number(xmp, (DJI, dji), *((n, other) for n in pix4d))
+        if found is not None and abs(found[0]) <= 360.0:
+            facts[field] = Fact(found[0], found[1])
+
+
+def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
+    """Add the height above the ground: from the laser if it hit it, else that above take-off."""
+    relative = _xmp_number(xmp, (DJI, "RelativeAltitude"), (FLIR, "MAVRelativeAltitude"))
+    laser = _xmp_number(xmp, (DJI, "LRFTargetDistance"))
+    pitch = facts.get("pitch_deg")
+    status = xmp.values.get((DJI, "LRFStatus"), "Normal")
+    if laser is not None and laser[0] > 0 and status == "Normal" and pitch is not None:
+        assert isinstance(pitch.value, float)
+        if pitch.value >= _LEAST_LASER_PITCH_DEG:
+            height = laser[0] * math.sin(math.radians(pitch.value))
+            facts["altitude_m"] = Fact(round(height, 3), f"{laser[1]} and pitch")
+            return
+    if relative is not None:
+        if _LEAST_ALTITUDE_M < relative[0] <= 1e5:
+            facts["altitude_m"] = Fact(round(relative[0], 6), relative[1])
+        else:
+            found = f"{relative[1]} {relative[0]:g} m, left out"
+            warn("flight-altitude", found, "a height above take-off")
+
+
+def _add_field_of_view(
+    facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, size_wh: tuple[int, int]
+) -> None:
+    pitch_um = lens.PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
+    calibrated = number(xmp.values.get((DJI, "CalibratedFocalLength")))
+    if exif.focal_length_35mm is not None:
+        fov, source = lens.fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"
+    elif record is not None and record.hfov_deg is not None:
+        fov, source = record.hfov_deg, "FLIR FieldOfView"
+    elif exif.focal_length_mm is not None and pitch_um is not None:
+        width_mm = pitch_um * size_wh[0] / 1000
+        fov, source = lens.fov_of_width(width_mm, exif.focal_length_mm), f"EXIF FocalLength, {pitch_um:g} um pixels"
+    elif calibrated is not None and calibrated > 0:
+        fov, source = lens.fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"
+    else:
+        return
+    if exif.zoom is not None and exif.zoom > 1:
+        fov, source = lens.zoomed(fov, exif.zoom), f"{source}, DigitalZoomRatio"
+    if 0.1 <= fov <= 170.0:
+        facts["hfov_deg"] = Fact(round(fov, 4), source)
+
+
+def _clocks(exif: Exif, xmp: Xmp) -> dict[str, datetime]:
+    """Return the times of capture by their tag, without time zone."""
+    texts = {**exif.dates, **{f"XMP xmp:{k[1]}": xmp.values.get(k, "") for k in _XMP_DATES}}
+    clocks: dict[str, datetime] = {}
+    for tag, text in texts.items():
+        match = _EXIF_DATE.match(text)
+        if match is None:
+            continue
+        try:
+            clocks[tag] = datetime(*(int(g) for g in match.groups()))  # type: ignore[arg-type]
+        except ValueError:
+            continue
+    return clocks
+
+
+def _zone(local: datetime, utc_text: str) -> timezone | None:
+    """Return the time zone of a local time, from the same time in UTC; None if that is unknown or absurd."""
+    match = _EXIF_DATE.match(utc_text)
+    if match is None:
+        return None
+    try:
+        utc = datetime(*(int(g) for g in match.groups()))  # type: ignore[arg-type]
+    except ValueError:
+        return None
+    quarters = round((local - utc) / timedelta(minutes=15))
+    return timezone(timedelta(minutes=15 * quarters)) if abs(quarters) <= 14 * 4 else None
+
+
+def _flir_zone(local: datetime, stamp: datetime) -> timezone | None:
+    """Return the time zone of FLIR's own time stamp, if it is the same moment and its zone was set (not 0)."""
+    offset = stamp.utcoffset()
+    same = abs(stamp.replace(tzinfo=None) - local) <= timedelta(seconds=2)
+    return timezone(offset) if same and offset else None
+
+
+def _add_time_and_place(
+    facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, clocks: Mapping[str, datetime]
+) -> None:
+    original = clocks.get("EXIF DateTimeOriginal")
+    if original is not None:
+        zone, source = _zone(original, xmp.values.get((DJI, "UTCAtExposure"), "")), "EXIF DateTimeOriginal"
+        if zone is not None:
+            source += ", XMP drone-dji:UTCAtExposure"
+        elif record is not None and record.captured is not None:
+            zone = _flir_zone(original, datetime.fromisoformat(record.captured))
+            source += "" if zone is None else ", FLIR DateTimeOriginal"
+        facts["captured"] = Fact(original.replace(tzinfo=zone).isoformat(), source)
+    elif record is not None and record.captured is not None:
+        facts["captured"] = Fact(record.captured, "FLIR DateTimeOriginal")
+    elif clocks:
+        tag, when = next(iter(clocks.items()))
+        facts["captured"] = Fact(when.isoformat(), tag)
+    latitude = _xmp_number(xmp, (DJI, "GpsLatitude"))
+    longitude = _xmp_number(xmp, (DJI, "GpsLongitude"), (DJI, "GpsLongtitude"))  # DJI's own spelling
+    if exif.latitude_deg is not None and exif.longitude_deg is not None:
+        facts["latitude_deg"] = Fact(exif.latitude_deg, "EXIF GPSLatitude")
+        facts["longitude_deg"] = Fact(exif.longitude_deg, "EXIF GPSLongitude")
+    elif latitude is not None and longitude is not None and abs(latitude[0]) <= 90 and abs(longitude[0]) <= 180:
+        facts["latitude_deg"], facts["longitude_deg"] = Fact(*latitude), Fact(*longitude)
