@@ -144,6 +144,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     dropped, kept = _change_modes(data, pairs)
     for key, value in pairs:
         _set(data, key, value, problems)
+    _prefer_stated_lens(data, pairs)
     if folder is not None and isinstance(data.get("objects"), list):
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
@@ -165,6 +166,16 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     if problems:
         raise RecipeError(f"recipe {where}: {len(set(problems))} field(s) are wrong", sorted(set(problems)))
     return LoadedRecipe(recipe, tuple(dropped), tuple(kept))
+
+
+def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> None:
+    """Let a lens that the settings state count more than the field of view of the pictures' own files."""
+    stated = {key for key, _ in pairs}
+    stated |= {f"camera.{f}" for key, value in pairs if key == "camera" and isinstance(value, dict) for f in value}
+    camera = data.get("camera")
+    lens = stated & {"camera.focal_length_mm", "camera.sensor_width_mm"}
+    if lens and isinstance(camera, dict) and modes_of(data).placement == "metric":
+        camera.setdefault("field_of_view", "recipe")
 
 
 def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:

@@ -134,10 +134,14 @@ class MetricCamera(Camera):
 
     altitude: Literal["metadata"] | FixedAltitude | RandomAltitude = "metadata"
     """Height above the ground: that of each background (`metadata`), `{fixed_m: 60}` or `{random_m: [60, 120]}`."""
+    field_of_view: Literal["metadata", "recipe"] = "metadata"
+    """Horizontal field of view: that of each background whose own file or table states it, and that of
+    `focal_length_mm` for all others (`metadata`); or that of `focal_length_mm` for all (`recipe`). A `focal_length_mm`
+    or `sensor_width_mm` set on the command line implies `recipe`."""
     calibrate: bool = True
     """With `altitude: metadata`: correct the height until the annotated people, cars and two-wheelers of the image have
     their real size. Heights in metadata count from take-off; in an image without such objects the height is multiplied
-    by 1.15."""
+    by 1.15, unless it comes from the header of the picture itself."""
 
 
 # ---- Objects

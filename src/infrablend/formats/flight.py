@@ -155,6 +155,10 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     if f is None:
         return image
     captured = f.facts.get("captured")
+    extra = {"camera": f.camera} if f.camera else {}
+    height = f.facts.get("altitude_m")
+    if height is not None and image.altitude_m is None:
+        extra["altitude_from"] = "laser" if "LRF" in height.source else "take-off"
     image = replace(
         image,
         size_wh=image.size_wh or f.size_wh,
@@ -162,7 +166,7 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
         altitude_m=f.value("altitude_m") if image.altitude_m is None else image.altitude_m,
         hfov_deg=f.value("hfov_deg") if image.hfov_deg is None else image.hfov_deg,
         captured=image.captured or (None if captured is None else str(captured.value)),
-        extra={**image.extra, "camera": f.camera} if f.camera else image.extra,
+        extra={**image.extra, **extra},
     )
     return image if image.time_of_day else replace(image, time_of_day=_time_of_day(image.captured, f))
 

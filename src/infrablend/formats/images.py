@@ -89,7 +89,9 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
         if expected_wh is not None and size_wh != tuple(expected_wh):
             found, expected = f"{size_wh[0]}x{size_wh[1]} px", f"{expected_wh[0]}x{expected_wh[1]} px as annotated"
             raise _refuse(path, "image-size", found, expected, "correct the annotation or replace the picture")
-        if getattr(picture, "n_frames", 1) != 1:
+        # Cameras put a preview behind the picture (MPO): Pillow opens the first frame, which is the picture.
+        file_type = "JPEG" if picture.format == "MPO" else str(picture.format)
+        if file_type != "JPEG" and getattr(picture, "n_frames", 1) != 1:
             raise _refuse(path, "image-frames", f"{picture.n_frames} frames", "one picture", "split the file")
         try:
             picture.load()
@@ -102,14 +104,12 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             problems.append(Problem(where, "image-exif-turned", found, "no EXIF orientation", severity="warning"))
         quantization: tuple[tuple[int, ...], ...] = ()
         subsampling = -1
-        if picture.format == "JPEG":
+        if file_type == "JPEG":
             tables: dict[int, Any] = picture.quantization
             quantization = tuple(tuple(int(v) for v in tables[k]) for k in sorted(tables))
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
-        return Background(
-            path, pixels, mode, bit_depth, str(picture.format), quantization, subsampling, tuple(problems)
-        )
+        return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
 
 
 def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:

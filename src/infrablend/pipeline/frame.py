@@ -63,6 +63,7 @@ from infrablend.pipeline.original import copy_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
+from infrablend.sampling.calibration import FROM_TABLE, PRIORS
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import air_source, move_objects, sample_scene
 
@@ -176,6 +177,7 @@ class FrameMaker:
             isinstance(recipe.matching, GreyMatching) and recipe.matching.polarity == "black-hot",
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
+            PRIORS.get(str(source.extra.get("altitude_from")), FROM_TABLE),
         )
 
     def _match(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import statistics
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -63,7 +64,7 @@ class PlannedFrame:
         assert self.configuration is not None
         b = self.background
         when = b.time_of_day, b.sequence, b.captured
-        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry)
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""
@@ -169,6 +170,7 @@ def make_plan(
     images = dataset.images[:limit] if limit is not None else dataset.images
     problems = [*recipe_warnings, *dataset.problems, *turned]
     usable = []
+    stands = all(model.stands for model in models.values())
     for image in images:
         if not is_text(image.path.name) or not is_text(image.id):
             problems.append(
@@ -190,7 +192,7 @@ def make_plan(
                     "use its labels only (infrablend convert), or use another dataset",
                 )
             )
-        elif unknown := _telemetry_missing(recipe, image):
+        elif unknown := _telemetry_missing(recipe, image) or (_above_horizon(recipe, image) if stands else None):
             problems.append(unknown)
         elif isinstance(recipe.matching, RadiometricMatching) and (
             image.radiometry is None or not image.radiometry.scale
@@ -295,17 +297,22 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
-    """Return a problem if the recipe needs the camera's pitch or height and it is unknown; None otherwise."""
+    """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
     height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
-    if not pitch and not height:
+    # A picture from a card names its camera. The recipe's lens is another camera's: it would give a wrong scale.
+    own = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata" and "camera" in image.extra
+    lens = own and image.hfov_deg is None
+    if not pitch and not height and not lens:
         return None
     found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
-    wanted = ["a pitch"] * pitch + ["an altitude"] * height
+    found += ["unknown field of view of " + str(image.extra.get("camera"))] * lens
+    wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
+    fields += ["camera.focal_length_mm"] * lens
     return Problem(
         image.name,
-        "no-pitch" if pitch else "no-altitude",
+        "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
         " and ".join(found),
         f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
         f"give a table (docs/how_to/own_images.md), or set {' and '.join(fields)}",
@@ -320,6 +327,23 @@ def _scale_missing(image: ImageRecord) -> Problem:
         "no temperature scale, which matching.mode radiometric needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
         "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
+    )
+
+
+def _above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
+    """Return a problem if no part of the ground is in view, as far as pitch and field of view are known."""
+    if not isinstance(recipe, MetricSections) or recipe.camera.pitch != "metadata" or image.hfov_deg is None:
+        return None
+    w, h = image.size_wh or recipe.camera.size_px
+    half_deg = math.degrees(math.atan(math.tan(math.radians(image.hfov_deg) / 2) * h / w))
+    if image.pitch_deg is None or image.pitch_deg + half_deg > 0:
+        return None
+    return Problem(
+        image.name,
+        "above-horizon",
+        f"a camera pitch of {image.pitch_deg:g} degrees, so the whole picture is above the horizon",
+        "ground in view, for metric placement on the ground",
+        "leave the picture out, or correct its pitch in a metadata table",
     )
 
 
@@ -369,7 +393,7 @@ def fingerprint(dataset: Dataset) -> str:
         digest.update(f"{c.id}\x1f{c.name}\x1e".encode())
     for image in dataset.images:
         facts = (image.id, image.split, image.pitch_deg, image.altitude_m, image.time_of_day, image.size_wh)
-        digest.update(repr(facts).encode())
+        digest.update(repr(facts if image.hfov_deg is None else (*facts, image.hfov_deg)).encode())
         for i in image.instances:
             digest.update(i.category.encode() + i.box_xyxy.tobytes())
             if i.corners_xy is not None:

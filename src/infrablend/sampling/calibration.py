@@ -19,13 +19,31 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
 
-# Without any anchor the true height is assumed to be 1.15 times the stated one; this is the spread in HIT-UAV's groups.
 NOMINAL_FACTOR = 1.15
-_NOMINAL_SD = 0.16  # of the logarithm
 # Limits of the correction, as true over stated height: 1/1.1 to 1/0.65.
 FACTOR_BOUNDS = (1 / 1.1, 1 / 0.65)
 _MIN_SIDE_PX = 6.0
 _HEADINGS = np.deg2rad(np.arange(0.0, 180.0, 7.5))
+
+
+@dataclass(frozen=True)
+class HeightPrior:
+    """What is known about a stated height before any object of known size is looked at.
+
+    Attributes:
+        factor: True over stated height.
+        sd: Standard deviation of the factor's logarithm.
+    """
+
+    factor: float
+    sd: float
+
+
+# Heights in file names and tables, as in HIT-UAV: 1.15 times too low, with the spread between its groups.
+FROM_TABLE = HeightPrior(NOMINAL_FACTOR, 0.16)
+PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser": HeightPrior(1.0, 0.03)}
+"""Heights in a picture's own header, by their origin (`ImageRecord.extra["altitude_from"]`): above take-off, where only
+the relief between there and here is unknown, or from the laser range finder."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +89,9 @@ class Calibration:
     anchors: Mapping[str, int]
 
 
-def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -> Calibration:
+def calibrate(
+    camera: CameraSpec, stated_m: float, labels: Sequence[Instance], prior: HeightPrior = FROM_TABLE
+) -> Calibration:
     """Calibrate the camera's height with the annotated boxes of one image.
 
     The median size ratio of each class (sitting people and half-hidden cars are outliers) is weighted against the
@@ -81,6 +101,7 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
         camera: The camera at the stated height (see `at_height`).
         stated_m: The stated height.
         labels: The image's own objects; those cut by the frame's edge are left out.
+        prior: What is known about the stated height.
     """
     ratios: dict[KnownClass, list[float]] = {}
     for label in labels:
@@ -91,7 +112,7 @@ def calibrate(camera: CameraSpec, stated_m: float, labels: Sequence[Instance]) -
         if ratio is not None:
             ratios.setdefault(kind, []).append(math.log(ratio))
     # A box larger than predicted means that the camera is closer than stated.
-    weight, total = 1 / _NOMINAL_SD**2, math.log(NOMINAL_FACTOR) / _NOMINAL_SD**2
+    weight, total = 1 / prior.sd**2, math.log(prior.factor) / prior.sd**2
     for name, found in sorted(ratios.items()):
         # Objects of one image share their errors (pose, annotator), so more than a few add little.
         precision = min(len(found), 6) / REFERENCES[name].sd ** 2

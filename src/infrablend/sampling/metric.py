@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -25,7 +25,7 @@ from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pi
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
 from infrablend.core.skyline import Skyline, find_skyline, noise_of
-from infrablend.sampling.calibration import Calibration, calibrate
+from infrablend.sampling.calibration import FROM_TABLE, Calibration, HeightPrior, calibrate
 from infrablend.sampling.placement import (
     MAX_OVERLAP,
     DrawStatistics,
@@ -78,6 +78,7 @@ class Site:
         black_hot: Whether hot is dark.
         max_noise_grey: Noise above which nothing is inserted, 8-bit levels; None for no limit.
         hiding: What can hide objects in part; None for nothing.
+        height_prior: What is known about `altitude_m`.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -88,6 +89,7 @@ class Site:
     black_hot: bool = False
     max_noise_grey: float | None = None
     hiding: Hiding | None = None
+    height_prior: HeightPrior = FROM_TABLE
 
     @cached_property
     def median_level(self) -> float:
@@ -124,9 +126,12 @@ class Site:
 
 
 def real_camera(
-    recipe: MetricRecipe, pitch_rad: float, size_wh: tuple[int, int], site: Site, rng: np.random.Generator
+    recipe: MetricRecipe, like: CameraSpec, site: Site, rng: np.random.Generator
 ) -> tuple[CameraSpec, View]:
-    """Return the background's own camera over the ground; height and roll are drawn where the recipe says so."""
+    """Return the background's own camera over the ground; height and roll are drawn where the recipe says so.
+
+    `like` has its pitch, lens and size.
+    """
     c = recipe.camera
     drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
     if isinstance(c.altitude, FixedAltitude):
@@ -139,11 +144,14 @@ def real_camera(
     else:
         raise ValueError("no altitude; the plan must have left this background out")
     roll = math.radians(rng.uniform(*c.roll_deg))
-    camera = CameraSpec(1.0, pitch_rad, roll, c.focal_length_mm, c.sensor_width_mm, size_wh)
-    camera = at_height(camera, stated)
+    camera = at_height(replace(like, roll_rad=roll), stated)
     # A height stated by the recipe is taken literally; only the metadata's height is nominal.
     nominal = c.calibrate and c.altitude == "metadata"
-    found = calibrate(camera, stated, site.labels) if nominal else Calibration(stated, stated, 1.0, 0.0, {})
+    found = (
+        calibrate(camera, stated, site.labels, site.height_prior)
+        if nominal
+        else Calibration(stated, stated, 1.0, 0.0, {})
+    )
     camera = at_height(camera, found.height_m)
     ground = ground_z_m(camera, found.height_m)
     return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd)

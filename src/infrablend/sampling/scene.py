@@ -16,6 +16,7 @@ from infrablend.config.recipe import (
     Count,
     FixedPitch,
     HorizonPitch,
+    MetricCamera,
     MetricRecipe,
     MetricSections,
     NoSensor,
@@ -59,6 +60,7 @@ class FrameKey:
         sequence: Flight or clip of the background; None if unknown. All its frames have the same sun.
         captured: Date or time of capture, ISO 8601; None if unknown.
         radiometry: What the picture's file states about the air; None if unknown.
+        hfov_deg: Horizontal field of view of the background; None if unknown.
     """
 
     background_id: str
@@ -70,6 +72,7 @@ class FrameKey:
     sequence: str | None = None
     captured: str | None = None
     radiometry: Radiometry | None = None
+    hfov_deg: float | None = None
 
     @property
     def frame_id(self) -> str:
@@ -115,13 +118,13 @@ def sample_scene(
             tally.leave_out(unfit)
         wanted = []
     c, view = recipe.camera, None
+    like = CameraSpec(1.0, pitch_rad, 0.0, _focal_length_mm(frame, recipe), c.sensor_width_mm, frame.size_wh)
     if isinstance(recipe, MetricSections):
         if site is None:
             raise ValueError(f"{frame.frame_id}: metric placement needs the background")
-        camera, view = real_camera(recipe, pitch_rad, frame.size_wh, site, stream(seed, frame.frame_id, "camera"))
+        camera, view = real_camera(recipe, like, site, stream(seed, frame.frame_id, "camera"))
         poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally)
     else:
-        like = CameraSpec(1.0, pitch_rad, 0.0, c.focal_length_mm, c.sensor_width_mm, frame.size_wh)
         labels, ignored = (site.labels, site.ignored) if site else ((), frozenset())
         camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally)
     objects, meshes = [], []
@@ -362,6 +365,14 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         raise ModelError(f"recipe {recipe.name}: " + "; ".join(wrong))
 
 
+def _focal_length_mm(frame: FrameKey, recipe: Recipe) -> float:
+    """Return the focal length of the camera: that of the background's own field of view, or the recipe's."""
+    c = recipe.camera
+    if not isinstance(c, MetricCamera) or c.field_of_view == "recipe" or frame.hfov_deg is None:
+        return c.focal_length_mm
+    return c.sensor_width_mm / 2 / math.tan(math.radians(frame.hfov_deg) / 2)
+
+
 def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: Site | None) -> float | None:
     """Return the camera's pitch, degrees; None if it comes from a horizon that is neither found nor stated."""
     pitch = recipe.camera.pitch
@@ -375,7 +386,7 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: 
         if site is None:
             raise ValueError(f"{frame.frame_id}: the horizon is found in the background, which is missing")
         c = recipe.camera
-        focal_px = c.focal_length_mm / c.sensor_width_mm * frame.size_wh[0]
+        focal_px = _focal_length_mm(frame, recipe) / c.sensor_width_mm * frame.size_wh[0]
         half_px = frame.size_wh[1] / 2
         if site.horizon_px is not None:
             return math.degrees(math.atan((half_px - site.horizon_px) / focal_px))

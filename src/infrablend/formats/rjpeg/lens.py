@@ -27,11 +27,6 @@ def fov_of_width(width: float, focal_length: float) -> float:
     return math.degrees(2 * math.atan(width / 2 / focal_length))
 
 
-def focal_length_mm(hfov_deg: float, sensor_width_mm: float) -> float:
-    """Return the focal length, mm, that gives a field of view across the width of a sensor."""
-    return sensor_width_mm / 2 / math.tan(math.radians(hfov_deg) / 2)
-
-
 def zoomed(hfov_deg: float, zoom: float) -> float:
     """Return the field of view, degrees, that is left of one by digital zoom."""
     return math.degrees(2 * math.atan(math.tan(math.radians(hfov_deg) / 2) / zoom))

@@ -1,0 +1,145 @@
+"""Facts of a picture: EXIF and XMP in their forms, the lens, both makers."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from infrablend.errors import DatasetError
+from infrablend.formats.rjpeg import lens
+from infrablend.formats.rjpeg.facts import DJI, CameraFacts, read_facts
+from infrablend.formats.rjpeg.segments import APP1, read_header
+from infrablend.formats.rjpeg.writing import Maker, segment_bytes
+from infrablend.formats.rjpeg.xmp import EXTENDED, MAX_BYTES, STANDARD, read_xmp
+from tests.flights import plain_jpeg, shot, with_xmp
+
+HEAD = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+TAIL = b"</rdf:RDF></x:xmpmeta>"
+
+
+def values(facts: CameraFacts) -> dict[str, Any]:
+    return {name: fact.value for name, fact in facts.facts.items()}
+
+
+@pytest.mark.parametrize("elements", [False, True])
+@pytest.mark.parametrize("maker", ["dji", "flir"])
+def test_facts_of_both_makers_and_both_forms_of_xmp(maker: Maker, elements: bool, tmp_path: Path) -> None:
+    facts = read_facts(shot(tmp_path / "a.jpg", maker, pitch_deg=47.5, altitude_m=61.25, elements=elements))
+    assert facts.raw == maker.upper() and facts.thermal and not facts.visible and not facts.problems
+    found = values(facts)
+    assert found["pitch_deg"] == 47.5 and found["altitude_m"] == 61.25
+    assert found["captured"] == "2026-01-12T06:30:00"
+    assert found["latitude_deg"] == pytest.approx(46.2) and found["longitude_deg"] == pytest.approx(15.1)
+    assert found["hfov_deg"] == pytest.approx(lens.fov_of_35mm(40, (160, 128)), abs=1e-3)
+
+
+def test_the_laser_counts_more_than_the_height_above_take_off(tmp_path: Path) -> None:
+    fact = read_facts(shot(tmp_path / "a.jpg", pitch_deg=30.0, altitude_m=80.0, laser_m=100.0)).facts["altitude_m"]
+    assert fact.value == pytest.approx(50.0) and "LRFTargetDistance" in fact.source
+    level = read_facts(shot(tmp_path / "b.jpg", pitch_deg=5.0, altitude_m=80.0, laser_m=900.0)).facts["altitude_m"]
+    assert level.value == 80.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "missing"),
+    [
+        ({"altitude_m": -3.0}, "flight-altitude", "altitude_m"),
+        ({"altitude_m": 0.0}, "flight-altitude", "altitude_m"),
+        ({"pitch_deg": 130.0}, "flight-pitch", "pitch_deg"),
+        ({"pitch_deg": -99.0}, "flight-pitch", "pitch_deg"),
+    ],
+)
+def test_values_that_cannot_be_are_left_out(changes: dict[str, float], code: str, missing: str, tmp_path: Path) -> None:
+    facts = read_facts(shot(tmp_path / "a.jpg", **changes))
+    assert [p.code for p in facts.problems] == [code] and missing not in facts.facts
+
+
+def test_a_camera_that_looks_up_has_a_negative_pitch(tmp_path: Path) -> None:
+    assert read_facts(shot(tmp_path / "a.jpg", pitch_deg=-20.0)).value("pitch_deg") == -20.0
+
+
+def test_the_time_in_utc_gives_the_time_zone(tmp_path: Path) -> None:
+    facts = read_facts(shot(tmp_path / "a.jpg", utc=datetime(2026, 1, 12, 5, 30, 1)))
+    assert facts.facts["captured"].value == "2026-01-12T06:30:00+01:00"
+
+
+def test_the_35_mm_equivalent_is_that_of_the_diagonal() -> None:
+    # DJI's M30T: 9.1 mm and 12 um pixels, 640 across; it states 40 mm.
+    exact = math.degrees(2 * math.atan(640 * 0.012 / 2 / 9.1))
+    assert lens.fov_of_35mm(40, (640, 512)) == pytest.approx(exact, abs=0.2)
+
+
+def test_digital_zoom_narrows_the_view() -> None:
+    assert math.tan(math.radians(lens.zoomed(40, 2) / 2)) == pytest.approx(math.tan(math.radians(20)) / 2)
+
+
+def test_extended_xmp_is_joined_in_the_order_of_its_offsets(tmp_path: Path) -> None:
+    text = HEAD + b'<rdf:Description xmlns:d="%s" d:GimbalPitchDegree="-33.0"/>' % DJI.encode() + TAIL
+    guid = b"0123456789ABCDEF0123456789ABCDEF"
+    main = HEAD + b'<rdf:Description xmlns:n="http://ns.adobe.com/xmp/note/" n:HasExtendedXMP="%s"/>' % guid + TAIL
+    parts = []
+    for at in (100, 0):
+        chunk = text[at:] if at else text[:100]
+        size = len(text).to_bytes(4, "big") + at.to_bytes(4, "big")
+        parts.append(segment_bytes(APP1, EXTENDED + guid + size + chunk))
+    path = plain_jpeg(tmp_path / "a.jpg")
+    data = path.read_bytes()
+    whole = data[:2] + b"".join(parts) + segment_bytes(APP1, STANDARD + main) + data[2:]
+    path.write_bytes(whole)
+    assert read_facts(path).value("pitch_deg") == 33.0
+    path.write_bytes(whole.replace(len(text).to_bytes(4, "big") + bytes(4), (999).to_bytes(4, "big") + bytes(4)))
+    assert [p.code for p in read_facts(path).problems] == ["xmp-extended"]
+
+
+BOMB = b"<!DOCTYPE x [" + b"".join(b'<!ENTITY a%d "%s">' % (k, b"&a%d;" % (k - 1) * 10) for k in range(1, 9)) + b"]>"
+OUTSIDE = b'<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>'
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        (BOMB + HEAD + b"&a8;" + TAIL, "xmp-forbidden"),
+        (OUTSIDE + HEAD + b"&e;" + TAIL, "xmp-forbidden"),
+        (HEAD, "xmp-unreadable"),
+        (b"", "xmp-unreadable"),
+        (b"\xff\xfe\x00", "xmp-unreadable"),
+        (HEAD + b"<a>" * 15_000, "xmp-unreadable"),
+    ],
+)
+def test_hostile_xmp_is_refused_and_the_rest_is_read(text: bytes, code: str, tmp_path: Path) -> None:
+    facts = read_facts(with_xmp(shot(tmp_path / "a.jpg"), text))
+    assert [p.code for p in facts.problems] == [code] and facts.value("pitch_deg") == 60.0
+
+
+def test_more_xmp_than_any_camera_writes_is_not_parsed(tmp_path: Path) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg")
+    data = path.read_bytes()
+    big = segment_bytes(APP1, STANDARD + b" " * 60_000) * (MAX_BYTES // 60_000 + 1)
+    path.write_bytes(data[:2] + big + data[2:])
+    assert [p.code for p in read_xmp(read_header(path)).problems] == ["xmp-too-large"]
+
+
+@pytest.mark.parametrize(
+    ("data", "code"),
+    [
+        (b"\x89PNG", "jpeg-missing"),
+        (b"\xff\xd8", "jpeg-truncated"),
+        (b"\xff\xd8\xff\xe1\xff\xff" + bytes(100), "jpeg-truncated"),
+        (b"\xff\xd8\xff\xe1\x00\x01" + bytes(100), "jpeg-length"),
+        (b"\xff\xd8" + b"\xff" * 500, "jpeg-truncated"),
+        (b"\xff\xd8" + b"\xff\xe5\x00\x02" * 5000, "jpeg-segments"),
+        (b"\xff\xd8\xff\xda", "jpeg-truncated"),
+        (b"\xff\xd8\xff\xc0\x00\x04\x08\x00\xff\xda", "jpeg-length"),
+        (b"\xff\xd8\xff\xc0\x00\x0b\x08\x00\x00\x00\x00\x01\x01\x11\x00\xff\xda", "jpeg-truncated"),
+    ],
+)
+def test_lengths_that_lie_are_named(data: bytes, code: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(data)
+    with pytest.raises(DatasetError) as caught:
+        read_header(path)
+    assert [p.code for p in caught.value.problems] == [code]

@@ -1,0 +1,136 @@
+"""A folder of pictures from a DJI or FLIR card is a dataset without any table."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from infrablend import api
+from infrablend.core.dataset import Dataset
+from infrablend.formats import flight as flight_data
+from infrablend.formats.rjpeg.writing import Maker
+from tests.flights import START, flight, plain_jpeg, shot
+from tests.samples import picture
+
+
+def codes(dataset: Dataset) -> dict[str, str]:
+    return {p.code: str(p) for p in dataset.problems if p.code.startswith("flight")}
+
+
+@pytest.mark.parametrize("maker", ["dji", "flir"])
+def test_every_picture_gets_what_its_header_states(maker: Maker, tmp_path: Path) -> None:
+    dataset = api.read_dataset(flight(tmp_path, 3, maker))
+    assert [(i.pitch_deg, i.altitude_m, i.size_wh) for i in dataset.images] == [(60.0, 50.0, (160, 128))] * 3
+    assert all(i.hfov_deg is not None and i.captured is not None for i in dataset.images)
+    assert len({i.sequence for i in dataset.images}) == 1 and not codes(dataset)
+
+
+def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    (tmp_path / "metadata.csv").write_text("file,pitch_deg,altitude_m,hfov_deg\nDJI_0001_T.JPG,80,44,20\n")
+    one, two = api.read_dataset(tmp_path).images
+    assert (one.pitch_deg, one.altitude_m, one.hfov_deg) == (80.0, 44.0, 20.0) and two.pitch_deg == 60.0
+
+
+def test_visible_twins_and_other_files_are_left_out_and_counted(tmp_path: Path) -> None:
+    flight(tmp_path, 3)
+    for k in range(3):
+        plain_jpeg(tmp_path / f"DJI_{k + 1:04}_W.JPG", (640, 480), {0x010F: "DJI", 0x0110: "M3T"})
+    plain_jpeg(tmp_path / "IMG_77.jpg", exif={0x010F: "Apple", 0x0110: "iPhone 12"})
+    plain_jpeg(tmp_path / "DJI_0009.JPG", (2000, 1500), {0x010F: "DJI", 0x0110: "XT2"})
+    dataset = api.read_dataset(tmp_path)
+    assert [i.path.name for i in dataset.images] == [f"DJI_{k:04}_T.JPG" for k in (1, 2, 3)]
+    assert dataset.notes["flight"]["left_out"] == {
+        "of another camera (Apple iPhone 12)": 1,
+        "visible light (far larger than the thermal pictures)": 1,
+        "visible light (file name ends in _W)": 3,
+    }
+    assert sum(p.code == "flight-left-out" for p in dataset.problems) == 3
+
+
+def test_labelled_pictures_are_kept(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    plain_jpeg(tmp_path / "DJI_0009.JPG", (2000, 1500), {0x010F: "DJI"})
+    (tmp_path / "DJI_0009.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    assert len(api.read_dataset(tmp_path).images) == 3
+
+
+def test_what_is_missing_is_asked_for_once_per_field(tmp_path: Path) -> None:
+    flight(tmp_path, 3)
+    for k in range(4, 6):
+        shot(tmp_path / f"DJI_{k:04}_T.JPG", number=k, altitude_m=None, pitch_deg=None, focal_length_35mm=None)
+    found = [str(p) for p in api.read_dataset(tmp_path).problems if p.code == "flight-missing"]
+    assert len(found) == 3
+    assert "camera pitch missing in 2 of 5 pictures: DJI_0004_T.JPG, DJI_0005_T.JPG" in found[0]
+    assert "--set camera.altitude='{fixed_m: 80}' or a column altitude_m" in found[1]
+    assert "camera.focal_length_mm" in found[2] and "hfov_deg" in found[2]
+
+
+def test_two_cameras_in_one_folder_are_reported(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    shot(tmp_path / "FLIR0001.jpg", "flir")
+    text = codes(api.read_dataset(tmp_path))["flight-cameras"]
+    assert "DJI M3T, 160x128" in text and "FLIR Vue Pro R, 160x128" in text
+
+
+def test_clocks_an_hour_apart_are_reported(tmp_path: Path) -> None:
+    flight(tmp_path, 3)
+    for k in range(3):
+        late = START + timedelta(hours=1, seconds=10 * k)
+        shot(tmp_path / "second" / f"FLIR_{k + 1:04}.jpg", "flir", k, captured=late)
+    text = codes(api.read_dataset(tmp_path))["flight-clocks"]
+    assert "1:00 h apart in pictures with the same numbers (3)" in text
+
+
+def test_day_and_night_come_from_the_sun(tmp_path: Path) -> None:
+    for name, hour in (("noon", 12), ("midnight", 0), ("dawn", 7)):
+        shot(tmp_path / f"{name}_T.jpg", captured=START.replace(hour=hour))
+    assert {i.id: i.time_of_day for i in api.read_dataset(tmp_path).images} == {
+        "noon_T": "day", "midnight_T": "night", "dawn_T": None,
+    }  # fmt: skip
+
+
+def test_a_break_starts_another_flight(tmp_path: Path) -> None:
+    for k, minutes in enumerate((0, 5, 30, 32)):
+        shot(tmp_path / f"DJI_{k:04}_T.JPG", captured=START + timedelta(minutes=minutes))
+    sequences = [i.sequence for i in api.read_dataset(tmp_path).images]
+    assert sequences == ["flight-20260112-063000"] * 2 + ["flight-20260112-070000"] * 2
+
+
+def test_a_damaged_header_is_named_and_the_others_are_read(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    (tmp_path / "DJI_0003_T.JPG").write_bytes(b"\xff\xd8\xff\xe1\xff\xff")
+    dataset = api.read_dataset(tmp_path)
+    assert "jpeg-truncated" in {p.code for p in dataset.problems} and dataset.images[0].pitch_deg == 60.0
+
+
+def test_plain_pictures_stay_as_they_are(tmp_path: Path) -> None:
+    for k in range(3):
+        picture(tmp_path / f"{k}.jpg", k)
+    dataset = api.read_dataset(tmp_path)
+    assert "flight" not in dataset.notes and all(i.size_wh is None for i in dataset.images)
+
+
+def test_inspect_shows_what_was_found_where(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from infrablend.cli.app import build_app
+
+    shot(flight(tmp_path, 2) / "DJI_0003_T.JPG", altitude_m=None)
+    text = CliRunner().invoke(build_app(), ["inspect", str(tmp_path)], env={"COLUMNS": "200"}).output
+    assert "XMP drone-dji:GimbalPitchDegree" in text and "with a radiometric layer: 3" in text
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("altitude_m") and "missing" in line]
+    assert row == ["altitude_m", "missing", "1"]
+
+
+def test_headers_of_many_pictures_are_read_quickly(tmp_path: Path) -> None:
+    one = shot(tmp_path / "DJI_0000_T.JPG")
+    for k in range(1, 200):
+        shutil.copy(one, tmp_path / f"DJI_{k:04}_T.JPG")
+    start = time.process_time()
+    flight_data.add_flight_data(api.read_dataset(tmp_path))
+    assert time.process_time() - start < 4.0
