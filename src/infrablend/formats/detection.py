@@ -16,7 +16,6 @@ from infrablend.formats import folder, temperatures
 from infrablend.formats.base import Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
-from infrablend.formats.radiometric import radiometric_warnings
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import unread_label_files
@@ -96,7 +95,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         dataset = temperatures.with_scale(dataset, scale)
     dataset = add_flight_data(dataset)
     unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
-    remarks = (*unread, *radiometric_warnings(dataset), *temperatures.scale_warnings(dataset))
+    remarks = (*unread, *temperatures.scale_warnings(dataset))
     return replace(dataset, problems=(*dataset.problems, *remarks))
 
 

@@ -74,6 +74,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
     known = [facts[_key(i)] for i in kept if _key(i) in facts]
     problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
+    problems += _with_temperatures(dataset, known)
     note = {
         "pictures": len(images),
         "left_out": dict(sorted(Counter(left_out.values()).items())),
@@ -232,6 +233,18 @@ def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
             todo = f"give {setting} or a column {name} in metadata.csv"
             problems.append(_warning(dataset, "flight-missing", found, "it in EXIF or XMP, or from you", todo))
     return problems
+
+
+def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
+    """Return a warning if pictures contain temperatures, which are not used."""
+    makers = [f.raw for f in known if f.raw]
+    if not makers:
+        return []
+    which = " and ".join(sorted(set(makers)))
+    found = f"{len(makers)} of {len(known)} pictures are radiometric ({which}), but read as plain pictures"
+    todo = "go on if the grey levels suffice: the temperatures in these files are not used"
+    expected = "pictures whose grey levels are all that is needed"
+    return [_warning(dataset, "image-radiometric", found, expected, todo)]
 
 
 def _camera(f: CameraFacts) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from datetime import timedelta
@@ -10,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.core.dataset import Dataset
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.formats import flight as flight_data
 from infrablend.formats.rjpeg.writing import Maker
 from tests.flights import START, flight, plain_jpeg, shot
-from tests.samples import picture
+from tests.samples import SAMPLES, picture
 
 
 def codes(dataset: Dataset) -> dict[str, str]:
-    return {p.code: str(p) for p in dataset.problems if p.code.startswith("flight")}
+    return {p.code: str(p) for p in dataset.problems if p.code.startswith("flight-")}
 
 
 @pytest.mark.parametrize("maker", ["dji", "flir"])
@@ -106,6 +107,26 @@ def test_a_damaged_header_is_named_and_the_others_are_read(tmp_path: Path) -> No
     (tmp_path / "DJI_0003_T.JPG").write_bytes(b"\xff\xd8\xff\xe1\xff\xff")
     dataset = api.read_dataset(tmp_path)
     assert "jpeg-truncated" in {p.code for p in dataset.problems} and dataset.images[0].pitch_deg == 60.0
+
+
+@pytest.mark.parametrize("maker", ["dji", "flir"])
+def test_a_folder_of_radiometric_pictures_gets_a_hint(maker: Maker, tmp_path: Path) -> None:
+    (found,) = api.inspect(flight(tmp_path, 3, maker)).problems
+    assert (found.code, found.severity) == ("image-radiometric", "warning")
+    assert f"3 of 3 pictures are radiometric ({maker.upper()})" in found.found and "are not used" in found.todo
+
+
+def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("infrablend.formats.flight.read_facts", lambda path: pytest.fail(str(path)))
+    for name in ("birdsai", "monet", "wisard"):
+        api.read_dataset(SAMPLES[name](tmp_path / name))
+
+
+def test_pipes_are_not_opened(tmp_path: Path) -> None:
+    """A pipe among the pictures would make the reader wait for ever."""
+    os.mkfifo(tmp_path / "a.jpg")
+    image = ImageRecord("a", tmp_path / "a.jpg", "train", (8, 8), None, None, None, ())
+    assert flight_data.add_flight_data(Dataset(tmp_path, "folder", (), (image,))).problems == ()
 
 
 def test_plain_pictures_stay_as_they_are(tmp_path: Path) -> None:

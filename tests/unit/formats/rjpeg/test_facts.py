@@ -37,6 +37,14 @@ def test_facts_of_both_makers_and_both_forms_of_xmp(maker: Maker, elements: bool
     assert found["hfov_deg"] == pytest.approx(lens.fov_of_35mm(40, (160, 128)), abs=1e-3)
 
 
+def test_other_pictures_are_not_radiometric(tmp_path: Path) -> None:
+    for marker, data in ((0xE1, b"Exif\0\0" + bytes(100)), (0xE3, bytes(100))):
+        path = plain_jpeg(tmp_path / "a.jpg")
+        jpeg = path.read_bytes()
+        path.write_bytes(jpeg[:2] + segment_bytes(marker, data) + jpeg[2:])
+        assert read_facts(path).raw == ""
+
+
 def test_the_laser_counts_more_than_the_height_above_take_off(tmp_path: Path) -> None:
     fact = read_facts(shot(tmp_path / "a.jpg", pitch_deg=30.0, altitude_m=80.0, laser_m=100.0)).facts["altitude_m"]
     assert fact.value == pytest.approx(50.0) and "LRFTargetDistance" in fact.source
