@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from PIL import Image
+
+from infrablend.formats import derived
 
 # The same examples on every machine and in every run; shared machines make deadlines meaningless.
 settings.register_profile(
@@ -33,6 +35,14 @@ REAL_DATA_VARIABLE = "INFRABLEND_REAL_DATA"
 NEEDS = "NEEDS"
 WORKER_MEMORY_BYTES = 3 * 1024**3
 """Memory of one parallel test worker with the processes that its tests start: torch and Blender at most."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def derived_pictures_apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep pictures that readers make from videos out of the user's cache; published weights stay there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(derived, "FOLDER", str(tmp_path_factory.mktemp("derived")))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -104,6 +104,18 @@ def _written(folder: Path, write: Callable[[tuple[ImageRecord, ...], tuple[Categ
 # -- in alphabetical order -------------------------------------------------------------------------------------
 
 
+@sample("anti-uav")
+def _anti_uav(folder: Path) -> Path:
+    """Pictures of two sequences in two splits; the second frame of the first shows no drone."""
+    for k, split in enumerate(("train", "test")):
+        sequence = folder / split / f"2019092{k}_111757_1_{k}"
+        for n in range(2):
+            picture(sequence / f"{n + 1:06d}.jpg", 3 * k + n)
+        top = {"exist": [1, k], "gt_rect": [[5, 6, 12, 8], [30, 20, 9, 7] if k else []]}
+        (sequence / "IR_label.json").write_text(json.dumps(top))
+    return folder
+
+
 @sample("bambi")
 def _bambi(folder: Path) -> Path:
     """Two flights in two splits, their pictures in one folder, with a twin in visible light."""
@@ -205,6 +217,28 @@ def _dota_annfiles(folder: Path) -> Path:
     return folder
 
 
+@sample("drone-vehicle")
+def _drone_vehicle(folder: Path) -> Path:
+    """Pairs of two splits without a white border; the second of train shows no vehicle."""
+    points = ("x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4")
+    for k, (split, stem) in enumerate((("train", "00001"), ("train", "00002"), ("val", "00001"))):
+        for n, (pictures, labels) in enumerate((("imgr", "labelr"), ("img", "label"))):
+            picture(folder / split / f"{split}{pictures}" / f"{stem}.jpg", 2 * k + n)
+            objects = "".join(
+                f"<object><name>{name}</name><truncated>0</truncated><polygon>"
+                + "".join(
+                    f"<{p}>{v}</{p}>" for p, v in zip(points, (x, 10, x + 12, 13, x + 10, 21, x - 2, 18), strict=True)
+                )
+                + "</polygon></object>"
+                for name, x in (("car", 8), ("feright car", 35))
+            )
+            size = "<size><width>64</width><height>48</height><depth>3</depth></size>"
+            text = f"<annotation><filename>{stem}.jpg</filename>{size}{objects if k != 1 else ''}</annotation>"
+            (folder / split / f"{split}{labels}").mkdir(exist_ok=True)
+            (folder / split / f"{split}{labels}" / f"{stem}.xml").write_text(text)
+    return folder
+
+
 @sample("dut-anti-uav")
 def _dut_anti_uav(folder: Path) -> Path:
     """Colour pictures with the same names in two splits; the second of train shows no drone."""
@@ -244,6 +278,19 @@ def _folder_yolo(folder: Path) -> Path:
         path.with_suffix(".txt").write_text(text)
     (folder / "classes.txt").write_text("fox\nhare\n")
     (folder / "metadata.csv").write_text("file,pitch_deg,altitude_m,time_of_day\ntrain/b 0.jpg,30,50,day\n")
+    return folder
+
+
+@sample("halmstad")
+def _halmstad(folder: Path) -> Path:
+    """Two clips of 31 frames; the drone is there in the first frame, not in the last."""
+    from tests.videos import write_ground_truth, write_video
+
+    (folder / "Video_IR").mkdir(parents=True)
+    for k, clip in enumerate(("IR_DRONE_001", "IR_BIRD_002")):
+        write_video(folder / "Video_IR" / f"{clip}.mp4", frames=31, codec="mpeg4")
+        boxes = [(10.0 + k, 11.0, 12.0, 8.0), *[None] * 30]
+        write_ground_truth(folder / "Video_IR" / f"{clip}_LABELS.mat", boxes)
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -91,3 +92,26 @@ def bracketed(number: int, seconds: float) -> str:
         f"[rel_alt: {10 + seconds:.3f} abs_alt: 132.860] "
         f"[gb_yaw: {yaw if yaw <= 180 else yaw - 360:.1f} gb_pitch: -60.0 gb_roll: 0.0] </font>"
     )
+
+
+def write_ground_truth(path: Path, boxes: Sequence[tuple[float, float, float, float] | None]) -> Path:
+    """Write a file that holds boxes the way MATLAB's `groundTruth` objects do, as far as mcos-decoder looks."""
+
+    def element(kind: int, payload: bytes) -> bytes:
+        return struct.pack("<II", kind, len(payload)) + payload + bytes(-len(payload) % 8)
+
+    def cell(box: tuple[float, float, float, float] | None) -> bytes:
+        if box is None:
+            return element(14, element(2, bytes(104)))
+        return element(14, element(2, bytes(32)) + element(9, struct.pack("<4d", *box)))
+
+    tree = b"".join(cell(b) for b in boxes)
+    for _ in range(5):
+        tree = element(14, tree)
+    workspace = struct.pack("<II", 0x01000000, 0) + tree
+    flags = element(6, struct.pack("<II", 9, 0))
+    shape = element(5, struct.pack("<ii", 1, len(workspace)))
+    array = element(14, flags + shape + element(1, b"") + element(2, workspace))
+    head = b"MATLAB 5.0 MAT-file".ljust(116) + struct.pack("<Q", 128) + struct.pack("<HH", 0x0100, 0x4D49)
+    path.write_bytes(head + array)
+    return path

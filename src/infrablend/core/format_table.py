@@ -160,6 +160,18 @@ FORMATS: tuple[Format, ...] = (
         written_as="voc",
     ),
     Format(
+        "anti-uav", "infrablend.formats.anti_uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON per sequence",
+        written_as="coco",
+    ),
+    Format(
+        "halmstad", "infrablend.formats.halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels",
+        written_as="coco",
+    ),
+    Format(
+        "drone-vehicle", "infrablend.formats.drone_vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes",
+        written_as="dota",
+    ),
+    Format(
         "bambi", "infrablend.formats.bambi", "BAMBI: wildlife from straight above, a JSON of boxes per flight",
         written_as="coco",
     ),

@@ -30,7 +30,7 @@ def make_dataset(
     """Return a dataset of records without ids, which get an id, and pitch and altitude from a table or their names.
 
     Args:
-        root: Folder of the dataset, which contains the path of every record.
+        root: Folder of the dataset, with the picture of every record, or the file that the picture was made from.
         format: Name of the format.
         records: Records of the reader.
         categories: Categories of the dataset.
@@ -43,7 +43,7 @@ def make_dataset(
         DatasetError: No record is left, or the table cannot be read.
     """
     found = list(problems)
-    inside = {r.path.relative_to(root).as_posix(): r for r in records}
+    inside = {_name_in(root, r): r for r in records}
     if not inside:
         asked = f" in the splits {', '.join(splits)}" if splits else ""
         missing = Problem(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
@@ -77,6 +77,13 @@ def make_dataset(
             )
     more = {"table": path.name if path else None, "pitch": captures.note()}
     return Dataset(root, format, tuple(categories), sort_images(complete), tuple(found), {**notes, **more})
+
+
+def _name_in(root: Path, record: ImageRecord) -> str:
+    """Return the path of a record's picture in the dataset, or the name that a reader gave to one that it made."""
+    if record.path.is_relative_to(root):
+        return record.path.relative_to(root).as_posix()
+    return f"{record.split}/{record.name}"
 
 
 def unlabelled_problems(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:

@@ -334,7 +334,109 @@ DUT_ANTI_UAV = Source(
     limits=("Visible light, not thermal.", "Neighbouring numbers are likely frames of one video."),
 )
 
-SOURCES: tuple[Source, ...] = (HIT_UAV, BIRDSAI, MONET, WISARD, WIT_UAS, DUT_ANTI_UAV)
+BAMBI = Source(
+    name="bambi",
+    title="The BAMBI Dataset: Multimodal Nadir UAV-Recordings of Forest Wildlife",
+    page="https://github.com/bambi-eco/Dataset",
+    licence=CC_BY_4,
+    licence_note="The version environment-nc is CC BY-NC 4.0; it is not read.",
+    attribution="Christoph Praschl, Hugo Markoff, Anna Maschek, Wolfram Jantsch, Stephanie Wohlfahrt, Horst Leitner, "
+    "Sara Beery, Michael \u00d8rsted, David C. Schedl",
+    citation="""\
+@misc{praschl-bambi,
+  title        = {The {BAMBI} Dataset: Multimodal Nadir {UAV}-Recordings of Forest Wildlife},
+  author       = {Praschl, Christoph and Markoff, Hugo and Maschek, Anna and Jantsch, Wolfram and Wohlfahrt, Stephanie
+                  and Leitner, Horst and Beery, Sara and {\\O}rsted, Michael and Schedl, David C.},
+  year         = {2026},
+  howpublished = {CV4Animals Workshop at the IEEE/CVF Conference on Computer Vision and Pattern Recognition (CVPR)}
+}""",
+    archives=(Archive(part="flight", file="flight_146.zip"),),
+    by_hand="The flights are on Zenodo, an archive of up to 1.5 GB each. With the authors' script:\n"
+    "  git clone https://github.com/bambi-eco/Dataset bambi-tools\n"
+    "  python bambi-tools/download_from_zenodo.py --split test --unzip\n"
+    "or in a browser, part 1 of 8: https://doi.org/10.5281/zenodo.18692354",
+    limits=(
+        "BAMBI states no height above the ground: its poses have the altitude above the sea.",
+        "Boxes between annotated key frames are interpolated; only key frames are read unless you ask for all.",
+        "Keep the frames of a flight, better those of a place, in one split.",
+    ),
+)
+
+DRONE_VEHICLE = Source(
+    name="drone-vehicle",
+    title="DroneVehicle: Drone-based RGB-Infrared Cross-Modality Vehicle Detection",
+    page="https://github.com/VisDrone/DroneVehicle",
+    licence=UNKNOWN,
+    licence_note="The authors state no licence: ask them before you publish anything made from it.",
+    attribution="Yiming Sun, Bing Cao, Pengfei Zhu, Qinghua Hu",
+    citation="""\
+@article{sun-drone-vehicle,
+  title   = {Drone-based {RGB}-Infrared Cross-Modality Vehicle Detection via Uncertainty-Aware Learning},
+  author  = {Sun, Yiming and Cao, Bing and Zhu, Pengfei and Hu, Qinghua},
+  journal = {IEEE Transactions on Circuits and Systems for Video Technology},
+  year    = {2022},
+  doi     = {10.1109/TCSVT.2022.3168279}
+}""",
+    archives=tuple(Archive(part=p, file=f"{p}.zip", into=p) for p in ("train", "val", "test")),
+    by_hand="The authors' page links three shared folders that ask for an access code, which is on the page, too.",
+    limits=(
+        "DroneVehicle states neither camera pitch nor altitude of its pictures.",
+        "Neighbouring numbers are likely frames of one flight, and no sequence is stated.",
+        "InfraBlend's reader was written from published descriptions, not from the files.",
+    ),
+)
+
+ANTI_UAV = Source(
+    name="anti-uav",
+    title="Anti-UAV: A Large-Scale Benchmark for Vision-based UAV Tracking (Anti-UAV300, 410 and 600)",
+    page="https://github.com/ZhaoJ9014/Anti-UAV",
+    licence=MIT,
+    licence_note="The licence of the project's repository; the archives hold none. Anti-UAV410 states none.",
+    attribution="Nan Jiang, Kuiran Wang, Xiaoke Peng, Xuehui Yu, Qiang Wang, Junliang Xing, Guorong Li, Jian Zhao, "
+    "Guodong Guo, Zhenjun Han",
+    citation="""\
+@article{jiang-anti-uav,
+  title   = {{Anti-UAV}: A Large-Scale Benchmark for Vision-Based {UAV} Tracking},
+  author  = {Jiang, Nan and Wang, Kuiran and Peng, Xiaoke and Yu, Xuehui and Wang, Qiang and Xing, Junliang and
+             Li, Guorong and Zhao, Jian and Guo, Guodong and Han, Zhenjun},
+  journal = {IEEE Transactions on Multimedia},
+  year    = {2021}
+}""",
+    archives=(Archive(part="all", file="Anti-UAV.zip"),),
+    by_hand="Links of all versions are on the pages https://github.com/ZhaoJ9014/Anti-UAV and, for Anti-UAV410,\n"
+    "https://github.com/HwangBo94/Anti-UAV410",
+    limits=(
+        "The cameras are on the ground and look up: no backgrounds for views from above.",
+        "InfraBlend's reader was written from published descriptions, not from the files.",
+    ),
+)
+
+HALMSTAD = Source(
+    name="halmstad",
+    title="Halmstad drone detection dataset: Real-Time Drone Detection and Tracking With Visible, Thermal and Acoustic "
+    "Sensors",
+    page="https://github.com/DroneDetectionThesis/Drone-detection-dataset",
+    licence=CC0_1,
+    attribution="Fredrik Svanstr\u00f6m, Cristofer Englund, Fernando Alonso-Fernandez",
+    citation="""\
+@inproceedings{svanstrom-halmstad,
+  title     = {Real-Time Drone Detection and Tracking With Visible, Thermal and Acoustic Sensors},
+  author    = {Svanstr{\\"o}m, Fredrik and Englund, Cristofer and Alonso-Fernandez, Fernando},
+  booktitle = {International Conference on Pattern Recognition (ICPR)},
+  year      = {2020}
+}""",
+    archives=(Archive(part="all", file="Drone-detection-dataset.zip"),),
+    by_hand="git clone https://github.com/DroneDetectionThesis/Drone-detection-dataset (the thermal part is 67 MB)",
+    limits=(
+        "The camera is on the ground and looks up: no backgrounds for views from above.",
+        "There is no published split; keep the frames of a clip together.",
+        "Boxes were drawn by hand and are loose; clips of two drones at once cannot be decoded.",
+    ),
+)
+
+SOURCES: tuple[Source, ...] = (
+    HIT_UAV, BIRDSAI, MONET, WISARD, WIT_UAS, DUT_ANTI_UAV, BAMBI, DRONE_VEHICLE, ANTI_UAV, HALMSTAD,
+)  # fmt: skip
 """All datasets, in the order of `infrablend fetch --list`."""
 
 

@@ -1003,7 +1003,10 @@ def test_progress_lines():
 
 
 def test_the_table_of_sources():
-    assert [s.name for s in sources.SOURCES] == ["hit-uav", "birdsai", "monet", "wisard", "wit-uas", "dut-anti-uav"]
+    assert [s.name for s in sources.SOURCES] == [
+        "hit-uav", "birdsai", "monet", "wisard", "wit-uas", "dut-anti-uav", "bambi", "drone-vehicle", "anti-uav",
+        "halmstad",
+    ]  # fmt: skip
     for s in sources.SOURCES:
         fetched = [a.url for a in s.archives if a.url]
         assert all(u.startswith("https://") for u in fetched)

@@ -1,0 +1,99 @@
+"""Pictures that a reader makes from files of a dataset: frames of videos, and crops.
+
+They are PNG files in the user's cache folder, made once and found again by the path, size and time of the source. The
+dataset's own folder is never written to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from infrablend.core.file_names import file_name
+from infrablend.core.files import write_bytes
+from infrablend.core.user_folders import cache_folder
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import load_background
+from infrablend.formats.video import Video
+
+FOLDER = "pictures"
+# Counts up when the same source would give other pixels.
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class VideoPart:
+    """Part of a video's frames to keep: columns from the left as a share of the width; 1 for all."""
+
+    left: float = 1.0
+
+
+WHOLE = VideoPart()
+
+
+def derived_folder(source: Path, form: str) -> Path:
+    """Return the folder of the pictures made from a file; another one if the file changes."""
+    status = source.stat()
+    text = f"{_VERSION}|{source.resolve()}|{status.st_size}|{status.st_mtime_ns}|{form}"
+    digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:24]
+    return cache_folder() / FOLDER / f"{file_name(source.stem)[:40]}-{digest}"
+
+
+def video_frames(
+    source: Path, numbers: Collection[int], part: VideoPart = WHOLE
+) -> tuple[Mapping[int, Path], list[Problem]]:
+    """Return the pictures of some frames of a video by their numbers, and the faults of the video.
+
+    Frames that do not exist or cannot be decoded are missing in the result.
+
+    Raises:
+        MissingDependencyError: PyAV is not installed.
+        DatasetError: The video cannot be opened.
+        OutputError: The cache folder cannot be written.
+    """
+    if not numbers:
+        return {}, []
+    folder = derived_folder(source, f"frames {part.left}")
+    paths = {n: folder / f"{n:06d}.png" for n in sorted(numbers)}
+    missing = {n for n, path in paths.items() if not path.is_file()}
+    if not missing:
+        return paths, []
+    with Video(source) as video:
+        for frame in video.frames():
+            if frame.number in missing:
+                pixels = frame.pixels
+                pixels = pixels[:, : round(pixels.shape[1] * part.left)]
+                write_bytes(paths[frame.number], _png(Image.fromarray(pixels.copy())))
+            if frame.number >= max(missing):
+                break
+        problems = video.problems()
+    return {n: path for n, path in paths.items() if path.is_file()}, problems
+
+
+def crop(source: Path, border_px: int) -> Path:
+    """Return a picture without a border of some pixels on every side.
+
+    Raises:
+        DatasetError: The picture cannot be decoded, or is not larger than the border.
+        OutputError: The cache folder cannot be written.
+    """
+    path = derived_folder(source, f"crop {border_px}") / f"{file_name(source.stem)}.png"
+    if path.is_file():
+        return path
+    picture = load_background(source)
+    pixels = picture.pixels[border_px : -border_px or None, border_px : -border_px or None]
+    if not pixels.size:
+        found = f"{picture.size_wh[0]}x{picture.size_wh[1]} px, all of it border"
+        raise DatasetError(f"{source}: {found}", [Problem(source.name, "image-size", found, "a larger picture")])
+    return write_bytes(path, _png(Image.fromarray(pixels.copy())))
+
+
+def _png(picture: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()

@@ -1,0 +1,172 @@
+"""Halmstad's drones (Svanström et al. 2021) as published: thermal clips from the ground, MATLAB files of boxes.
+
+    [Data/]Video_IR/IR_<AIRPLANE|BIRD|DRONE|HELICOPTER>_NNN.mp4   and   IR_..._NNN_LABELS.mat
+
+A clip shows objects of the one class in its name. Its label file is a MATLAB `groundTruth` object with one box per
+frame, x and y counted from 1, which mcos-decoder decodes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError, MissingDependencyError, Problem
+from infrablend.formats import derived
+from infrablend.formats.annotation_files import leaves_folder
+from infrablend.formats.anti_uav import step_of
+from infrablend.formats.base import Match, check_splits
+from infrablend.formats.box_checks import check_box
+from infrablend.formats.pictures import read_size
+from infrablend.formats.records import make_dataset
+from infrablend.formats.values import to_floats
+from infrablend.formats.video import Video
+
+NAME = "halmstad"
+OPTIONS = {"every": "step in frames; 30 (a second) is the default"}
+CATEGORIES = tuple(Category(k, n) for k, n in enumerate(("airplane", "bird", "drone", "helicopter")))
+
+_CLIP = re.compile(r"IR_(AIRPLANE|BIRD|DRONE|HELICOPTER)_(\d{3,4})", re.ASCII)
+_FOLDERS = (".", "Video_IR", "Data/Video_IR")
+_LABELS = "_LABELS.mat"
+_STEP = 30
+_MAX_LABEL_BYTES = 20_000_000
+# Labels that differ from the frames by one are usual; more are worth a line each.
+_USUAL_DIFFERENCE = 1
+
+
+def _clips(root: Path) -> dict[str, Path]:
+    """Return the thermal clips by stem."""
+    for name in _FOLDERS:
+        folder = root / name
+        found = {
+            p.stem: p for p in sorted(folder.glob("IR_*.mp4"))
+            if _CLIP.fullmatch(p.stem) and p.is_file() and not leaves_folder(p)
+        } if folder.is_dir() else {}  # fmt: skip
+        if found:
+            return found
+    return {}
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` contains thermal clips with label files beside them."""
+    clips = _clips(root)
+    labelled = [n for n, p in clips.items() if p.with_name(n + _LABELS).is_file()]
+    if not labelled:
+        return Match(NAME, False, "no IR_<CLASS>_NNN.mp4 with an IR_<CLASS>_NNN_LABELS.mat beside it")
+    return Match(NAME, True, f"{len(labelled)} thermal clip(s) with labels, such as {labelled[0]}")
+
+
+def read(
+    root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, every: str = ""
+) -> Dataset:  # fmt: skip
+    """Read frames and boxes of the thermal clips; there is no published split, so all are train.
+
+    Args:
+        root: Folder of the repository, its `Data` or its `Video_IR`.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude, by file or by clip; None uses any `metadata.csv` or `.json`.
+        every: Step in frames. Frames are PNG files in the cache folder.
+
+    Raises:
+        DatasetError: An option has a wrong value, or no frame can be read.
+        MissingDependencyError: PyAV or mcos-decoder is not installed.
+    """
+    step = step_of(root, every) or _STEP
+    wanted = check_splits(splits)
+    decoder = _require_decoder()
+    problems: list[Problem] = []
+    counts: Counter[str] = Counter()
+    records: list[ImageRecord] = []
+    for clip, path in _clips(root).items() if "train" in wanted else ():
+        counts["clips"] += 1
+        records += _read_clip(root, clip, path, step, decoder, problems, counts)
+    keys = ("clips", "undecoded", "frames", "objects", "read", "absent")
+    notes = {"labels": NAME, "rows": {k: counts[k] for k in keys}}
+    return make_dataset(root, NAME, records, CATEGORIES, problems, notes, metadata=metadata, splits=wanted)
+
+
+def _require_decoder() -> Any:
+    try:
+        return importlib.import_module("mcos_decoder")
+    except ImportError as error:
+        raise MissingDependencyError(
+            "mcos-decoder is not installed; the labels of the Halmstad dataset need it. "
+            'Install the extras: pip install "infrablend[halmstad,video]"'
+        ) from error
+
+
+def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Problem | None]:
+    """Return one box or None per frame, or an empty list and the problem."""
+    expected, todo = "a MATLAB file with a groundTruth object", "fetch the file again"
+    try:
+        if leaves_folder(path) or not path.is_file():
+            return [], Problem(where, "annotation-missing", "no label file", expected, todo)
+        if path.stat().st_size > _MAX_LABEL_BYTES:
+            most = f"at most {_MAX_LABEL_BYTES / 1e6:.0f} MB"
+            return [], Problem(where, "annotation-too-large", f"{path.stat().st_size / 1e6:.0f} MB", most, todo)
+        boxes = list(decoder.load_groundtruth(path))
+    except Exception as error:  # scipy's and the decoder's parsers raise what they like on damaged files
+        found = f"cannot be decoded ({type(error).__name__}: {error})"[:120].replace(str(path), path.name)
+        return [], Problem(where, "annotation-unreadable", found, expected, todo)
+    if not any(b is not None for b in boxes):
+        found = f"no box in any of {len(boxes)} frames: mcos-decoder cannot decode two objects at once, for example"
+        return [], Problem(where, "annotation-undecoded", found, "at least one box", "the clip is left out", "warning")
+    return boxes, None
+
+
+def _read_clip(
+    root: Path, clip: str, path: Path, step: int, decoder: Any, problems: list[Problem], counts: Counter[str]
+) -> list[ImageRecord]:  # fmt: skip
+    label = path.with_name(clip + _LABELS)
+    where = label.relative_to(root).as_posix()
+    boxes, problem = _read_labels(label, where, decoder)
+    if problem is not None:
+        problems.append(problem)
+        counts["undecoded"] += 1
+        return []
+    here = path.relative_to(root).as_posix()
+    try:
+        total = len(Video(path).timeline.times_s)
+        frames, faults = derived.video_frames(path, range(0, min(total, len(boxes)), step))
+    except DatasetError as error:
+        problems += [Problem(here, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        return []
+    problems += [Problem(here, p.code, p.found, p.expected, p.todo, p.severity) for p in faults]
+    if abs(total - len(boxes)) > _USUAL_DIFFERENCE:
+        found = f"{len(boxes)} label(s) for {total} frame(s); what has no counterpart is left out"
+        problems.append(Problem(where, "annotation-length", found, "a label per frame", severity="warning"))
+    match = _CLIP.fullmatch(clip)
+    category = match[1].lower() if match else CATEGORIES[2].name
+    records = []
+    for number, picture in frames.items():
+        size_wh, problem = read_size(picture, here)
+        problems += [problem] if problem else []
+        if size_wh is None:
+            continue
+        counts["frames"] += 1
+        instances: tuple[Instance, ...] = ()
+        numbers = None if boxes[number] is None else to_floats(boxes[number], 4)
+        if numbers is None:
+            counts["absent"] += 1
+        else:
+            counts["objects"] += 1
+            x, y, w, h = numbers
+            # MATLAB counts from 1.
+            box, problem = check_box((x - 1, y - 1, x - 1 + w, y - 1 + h), size_wh, f"{where}: frame {number}")
+            problems += [problem] if problem else []
+            if box is not None:
+                counts["read"] += 1
+                instances = (Instance(category, box, track_id=0),)
+        records.append(
+            ImageRecord(
+                "", picture, "train", size_wh, None, None, None, instances, extra={"frame": number},
+                file_name=f"{clip}/{clip}_{number:05d}.png", sequence=clip,
+            )
+        )  # fmt: skip
+    return records
