@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import SPLITS, Dataset
+from infrablend.core.user_folders import cache_folder
 from infrablend.errors import InfraBlendError
-from infrablend.formats import detection
+from infrablend.formats import derived, detection
 from infrablend.formats.reading import Reading
 from infrablend.report.checking import check_dataset, unreadable
 from infrablend.report.inspection import inspect_dataset
@@ -339,11 +340,12 @@ def exercise(root: Path, name: str) -> None:
 def assert_sound(dataset: Dataset, root: Path) -> None:
     """Check the properties that every reader guarantees."""
     real = os.path.realpath(root)
+    made = os.path.realpath(cache_folder() / derived.FOLDER)
     names = {c.name for c in dataset.categories}
     assert len({i.id for i in dataset.images}) == len(dataset.images)
     assert list(dataset.images) == sorted(dataset.images, key=lambda i: (SPLITS.index(i.split), i.id))
     for image in dataset.images:
-        assert os.path.realpath(image.path).startswith(real), image.path
+        assert os.path.realpath(image.path).startswith((real, made)), image.path
         assert ".." not in Path(image.name).parts and not Path(image.name).is_absolute()
         assert image.pitch_deg is None or -90 <= image.pitch_deg <= 90
         assert image.time_of_day in (None, "day", "night")
