@@ -73,11 +73,12 @@ def files(tmp_path_factory):
 def set_array_counts(file, count):
     """Set the count of all array modifiers, which Blender would evaluate at once."""
     blend = read_blend(file.read_bytes())
+    data = bytearray(blend.data)
     wanted = {k for k, (name, *_) in enumerate(blend.layouts) if name == "ArrayModifierData"}
     for _, at, (_, _, fields) in blend.structures(wanted):
         (place,) = (at + f.offset for f in fields if f.name == "count" and not f.inside)
-        blend.data[place : place + 4] = count.to_bytes(4, "little")
-    file.write_bytes(blend.data)
+        data[place : place + 4] = count.to_bytes(4, "little")
+    file.write_bytes(data)
 
 
 def show(file):

@@ -61,6 +61,11 @@ def test_a_confined_process_reaches_its_folder_alone(tmp_path: Path, monkeypatch
     assert json.loads((folder / "done.json").read_text()) == {"landlock": version}
 
 
+def test_a_function_that_cannot_be_imported_is_no_crash(tmp_path: Path) -> None:
+    outcome = run_confined("infrablend.no_such_module:run", tmp_path, ConfinedLimits())
+    assert (outcome.ending, outcome.last_line.split(":")[0]) == ("no-start", "ModuleNotFoundError")
+
+
 @pytest.mark.parametrize(
     ("code", "ending"),
     [

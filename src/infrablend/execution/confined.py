@@ -20,6 +20,7 @@ from typing import Literal
 
 import psutil
 
+from infrablend.execution.confinement import NO_START
 from infrablend.execution.process_pool import describe_exit, module_path
 from infrablend.execution.worker import ONE_THREAD
 
@@ -33,7 +34,7 @@ _TAIL_BYTES = 4000
 # Environment variables that the process needs; tokens and passwords are none of them.
 _PASSED = {"PATH", "LANG", "TZ", "LD_LIBRARY_PATH"}
 
-Ending = Literal["done", "crash", "time", "memory"]
+Ending = Literal["done", "no-start", "crash", "time", "memory"]
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,10 @@ class ConfinedOutcome:
     """End of a confined process.
 
     Attributes:
-        ending: `done`, or why it was ended: it crashed, took too long, or too much memory.
+        ending: `done`, or why there is no result: the function could not be imported, the process crashed, or it took
+            too much time or memory.
         detail: Exit status or limit, for messages.
-        output: Last lines of its output.
+        output: End of its output.
         peak_bytes: Highest resident memory that was seen.
     """
 
@@ -64,6 +66,11 @@ class ConfinedOutcome:
     detail: str
     output: str
     peak_bytes: int
+
+    @property
+    def last_line(self) -> str:
+        """Last line of the output, which names the error of a Python program."""
+        return next((line.strip() for line in reversed(self.output.splitlines()) if line.strip()), "")
 
 
 def run_confined(function: str, folder: Path, limits: ConfinedLimits) -> ConfinedOutcome:
@@ -105,7 +112,8 @@ def _watch(process: subprocess.Popen[bytes], limits: ConfinedLimits) -> tuple[En
     while True:
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = process.wait(_POLL_S)
-            return ("done", "", peak) if code == 0 else ("crash", describe_exit(code), peak)
+            ending: Ending = "done" if code == 0 else "no-start" if code == NO_START else "crash"
+            return ending, describe_exit(code), peak
         with contextlib.suppress(psutil.Error):
             peak = max(peak, watched.memory_info().rss)
         if peak > limits.memory_bytes:

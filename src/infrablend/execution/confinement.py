@@ -17,7 +17,11 @@ import resource
 import signal
 import site
 import sys
+import traceback
 from pathlib import Path
+
+# Exit code of a process that cannot import the function.
+NO_START = 97
 
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
 # System calls 444 to 446 have these numbers on every architecture.
@@ -48,7 +52,13 @@ def main(function: str, folder: str, parent_pid: int, memory_bytes: int) -> None
     confined = confine(Path(folder))
     os.chdir(folder)
     module, _, name = function.partition(":")
-    getattr(importlib.import_module(module), name)(folder)
+    try:
+        work = getattr(importlib.import_module(module), name)
+    except Exception:
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(NO_START)
+    work(folder)
     Path(folder, "done.json").write_text(json.dumps({"landlock": confined}), "utf-8")
     sys.stdout.flush()
     sys.stderr.flush()
@@ -119,6 +129,7 @@ def _libraries() -> list[str]:
     for name in ("infrablend", "bpy", "numpy", "psutil", "zstandard"):
         spec = importlib.util.find_spec(name)
         found |= {str(Path(p)) for p in (spec.submodule_search_locations or ())} if spec else set()
+    found |= {p for p in sys.path if any(Path(p or ".").glob("*.dist-info"))}
     found |= {p for p in os.environ.get("LD_LIBRARY_PATH", "").split(":") if p}
     found.discard("/")
     return sorted({os.path.realpath(p) for p in found} | found)

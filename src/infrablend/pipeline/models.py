@@ -20,7 +20,7 @@ from infrablend.assets.user_model import (
 )
 from infrablend.core.files import read_object, replace_atomically
 from infrablend.core.tasks import Task, WorkerSpec
-from infrablend.errors import ModelError, Problem
+from infrablend.errors import ModelError, Problem, RenderError
 from infrablend.execution.confined import ConfinedLimits, run_confined
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.scratch import scratch_folder
@@ -54,6 +54,7 @@ def import_geometry(file: Path) -> None:
 
     Raises:
         ModelError: The file refers to others that it may not use, is too large, takes too long, or cannot be read.
+        RenderError: Blender cannot start.
     """
     files = find_model_files(file)
     target = geometry_path(files)
@@ -73,10 +74,14 @@ def import_geometry(file: Path) -> None:
             raise too_large(files.main, outcome.detail)
         if outcome.ending == "time":
             raise _too_slow(files.main, outcome.detail)
+        if outcome.ending == "no-start":
+            raise RenderError(
+                f"Blender could not start, to import {file}: {outcome.last_line}. Run `infrablend doctor`."
+            )
         if outcome.ending == "crash":
             raise ModelError(
-                f"model file {file}: Blender crashed on it ({outcome.detail}); expected a valid {file.suffix} file. "
-                "Open it in Blender, save it again, and use the new file."
+                f"model file {file}: Blender crashed on it ({outcome.detail}; {outcome.last_line}); "
+                f"expected a valid {file.suffix} file. Open it in Blender, save it again, and use the new file."
             )
         if refusal := read_object(folder / REFUSAL):
             if refusal.get("too_large"):

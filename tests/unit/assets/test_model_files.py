@@ -3,6 +3,7 @@
 import contextlib
 import gzip
 import hashlib
+import time
 import zipfile
 from pathlib import Path
 
@@ -113,3 +114,24 @@ def test_usd_packages_contain_what_they_name(tmp_path):
         package.writestr("a.usda", "#usda 1.0\n" * 1000)
     with pytest.raises(ModelError, match="compressed"):
         find_model_files(file)
+
+
+@pytest.mark.parametrize(
+    "text", [b'"""\\"' * 10**5, b"\\'" * 10**6, b"@@@\\@@@" * 10**5, b'\\"' * 10**6, b"@" * 10**5, b"@a" * 10**6]
+)
+def test_unclosed_texts_in_usd_cost_no_second_look(tmp_path, text):
+    """Reading text that was made to be slow takes a second, not hours."""
+    (tmp_path / "a.usda").write_bytes(b"#usda 1.0\n" + text)
+    started = time.process_time()
+    with contextlib.suppress(ModelError):
+        find_model_files(tmp_path / "a.usda")
+    assert time.process_time() - started < 10
+
+
+def test_a_reference_of_any_length_is_named_in_short(tmp_path):
+    (tmp_path / "a.gltf").write_bytes(gltf("/" + 10**6 * "a"))
+    with pytest.raises(ModelError) as caught:
+        find_model_files(tmp_path / "a.gltf")
+    assert len(str(caught.value)) < 1000
+    (tmp_path / "a.gltf").write_bytes(gltf(10**6 * "a"))
+    assert list(find_model_files(tmp_path / "a.gltf").digests) == ["a.gltf"]

@@ -18,10 +18,12 @@ from pathlib import Path, PureWindowsPath
 
 from infrablend.assets.model_files import blend, gltf, obj, usd
 from infrablend.assets.model_files.reference import Reference, UnreadableFileError
+from infrablend.core.files import output_error
 from infrablend.errors import ModelError, Problem
 
 MAX_BYTES = 2**30
 MAX_FILES = 1000
+_SHOWN = 300  # characters of a name in a message
 OUTSIDE, TOO_LARGE, NO_FILE = "model-outside", "model-too-large", "model-reference"
 
 
@@ -49,6 +51,7 @@ class ModelFiles:
 
         Raises:
             ModelError: A file has changed since it was checked.
+            OutputError: The folder cannot be written.
         """
         root = self.main.parent
         for name, digest in self.digests.items():
@@ -58,8 +61,11 @@ class ModelFiles:
             if name.lower().endswith(".blend"):
                 data = blend.empty_unneeded_paths(blend.read_blend(data))
             target = folder / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(data)
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            except OSError as error:
+                raise output_error(target, error) from error
         return folder / self.main.name
 
 
@@ -144,7 +150,7 @@ def _resolved(root: Path, folder: Path, reference: Reference) -> Iterator[str]:
     # Some importers take a backslash for a separator, others do not.
     inside = [_inside(root, folder, name) for name in dict.fromkeys((written, portable))]
     if None in inside:
-        if reference.certain or (portable.startswith("/") and "\0" not in written and Path(portable).exists()):
+        if reference.certain or (portable.startswith("/") and "\0" not in written and os.path.lexists(portable)):
             at_root = Path(portable).is_relative_to(root) and ".." not in Path(portable).parts
             raise _ReferenceError(OUTSIDE, "given as an absolute path" if at_root else "outside of its folder")
         return
@@ -185,7 +191,8 @@ def _problem(main: Path, name: str, reference: Reference, error: _ReferenceError
         ".gltf": "save it as .glb, which contains everything",
     }.get(Path(name).suffix.lower(), "put the file beside the model, and refer to it by its name")
     where = str(main) if name == main.name else f"{main}: {name}"
-    return Problem(where, code, f"refers to the {reference.what} {reference.name!r}, which is {found}", inside, todo)
+    named = reference.name if len(reference.name) <= _SHOWN else reference.name[:_SHOWN] + "..."
+    return Problem(where, code, f"refers to the {reference.what} {named!r}, which is {found}", inside, todo)
 
 
 def _read(main: Path, path: Path, name: str) -> bytes:

@@ -13,7 +13,8 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import zstandard
@@ -21,7 +22,8 @@ import zstandard
 from infrablend.assets.model_files.reference import Reference, UnreadableFileError
 
 MAX_BYTES = 2**30
-_MAX_BLOCKS = 5_000_000
+_MAX_BLOCKS = 2_000_000
+_MAX_STRUCTURES = 5_000_000
 _MAX_FIELDS = 50_000
 _PATH_FIELD = re.compile(r"file|path|dir|pic$|cachepath|cache_directory")
 # Paths within a scene or a cache, not of files.
@@ -85,32 +87,41 @@ class _Block(NamedTuple):
     items: int
 
 
-@dataclass
+@dataclass(frozen=True)
 class BlendFile:
     """A .blend in memory, without its compression.
 
     Attributes:
-        data: Content, to be changed by `empty_unneeded_paths`.
+        data: Content.
         blocks: All blocks.
         layouts: Name, size and fields of every structure.
     """
 
-    data: bytearray
-    pointer_size: int
-    blocks: list[_Block] = field(default_factory=list)
-    layouts: list[_Layout] = field(default_factory=list)
+    data: bytes
+    blocks: list[_Block]
+    layouts: list[_Layout]
 
     def structures(self, wanted: set[int]) -> Iterator[tuple[_Block, int, _Layout]]:
         """Yield block, position and layout of each structure whose number is in `wanted`."""
+        seen = 0
         for block in self.blocks:
             if block.struct_index in wanted:
                 layout = self.layouts[block.struct_index]
-                for k in range(min(block.items, block.length // max(1, layout[1]))):
+                items = min(block.items, block.length // max(1, layout[1]))
+                seen += items
+                if seen > _MAX_STRUCTURES:
+                    raise UnreadableFileError(f"more than {_MAX_STRUCTURES:,} structures")
+                for k in range(items):
                     yield block, block.start + k * layout[1], layout
+
+    @cached_property
+    def by_address(self) -> dict[int, _Block]:
+        """All blocks by the address they had in Blender."""
+        return {b.address: b for b in self.blocks}
 
     def text(self, at: int, size: int) -> str:
         """Return the text in a field of characters."""
-        return bytes(self.data[at : at + size]).split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
+        return self.data[at : at + size].split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
 
     def number(self, at: int, size: int) -> int:
         """Return an unsigned whole number or an address."""
@@ -170,10 +181,11 @@ def folder_kinds() -> frozenset[str]:
 
 def empty_unneeded_paths(blend: BlendFile) -> bytes:
     """Return the content of a .blend with every path emptied that `find_references` does not return."""
+    emptied = bytearray(blend.data)
     for _, at, layout, one in _paths(blend):
         if not one.pointer and not _is_needed(layout, one):
-            blend.data[at + one.offset : at + one.offset + one.size] = bytes(one.size)
-    return bytes(blend.data)
+            emptied[at + one.offset : at + one.offset + one.size] = bytes(one.size)
+    return bytes(emptied)
 
 
 def _paths(blend: BlendFile) -> Iterator[tuple[_Block, int, _Layout, _Field]]:
@@ -198,7 +210,8 @@ def _text_of(blend: BlendFile, at: int, one: _Field) -> str:
     if not one.pointer:
         return blend.text(at + one.offset, one.size)
     address = blend.number(at + one.offset, one.size)
-    return next((blend.text(b.start, b.length) for b in blend.blocks if address and b.address == address), "")
+    block = blend.by_address.get(address) if address else None
+    return blend.text(block.start, block.length) if block else ""
 
 
 def _is_needed(layout: _Layout, one: _Field) -> bool:
@@ -266,7 +279,7 @@ def _read_blocks(data: bytes) -> BlendFile:
     else:  # version 5: BLENDER17-01v0500
         pointer, large, at = 8, True, int(data[7:9])
     form = struct.Struct("<4sI" + ("Q" if pointer == 8 else "I") + "II") if not large else struct.Struct("<4sIQqq")
-    blend = BlendFile(bytearray(data), pointer)
+    blocks: list[_Block] = []
     layout_block = None
     while True:
         if large:
@@ -280,14 +293,13 @@ def _read_blocks(data: bytes) -> BlendFile:
             raise UnreadableFileError("a .blend that is cut off")
         if code == b"DNA1":
             layout_block = (at, length)
-        blend.blocks.append(_Block(index, address, at, length, count))
-        if len(blend.blocks) > _MAX_BLOCKS:
+        blocks.append(_Block(index, address, at, length, count))
+        if len(blocks) > _MAX_BLOCKS:
             raise UnreadableFileError(f"more than {_MAX_BLOCKS:,} blocks")
         at += length
     if layout_block is None:
         raise UnreadableFileError("a .blend without a description of its structures")
-    blend.layouts = _read_layouts(data[layout_block[0] : sum(layout_block)], pointer)
-    return blend
+    return BlendFile(data, blocks, _read_layouts(data[layout_block[0] : sum(layout_block)], pointer))
 
 
 def _read_layouts(data: bytes, pointer: int) -> list[_Layout]:

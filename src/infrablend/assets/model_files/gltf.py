@@ -10,6 +10,8 @@ from urllib.parse import unquote
 
 from infrablend.assets.model_files.reference import Reference, UnreadableFileError
 
+_MAX_JSON_BYTES = 100 * 2**20
+
 
 def find_references(data: bytes) -> list[Reference]:
     """Return the files that a glTF names, by `uri` anywhere in its JSON.
@@ -18,7 +20,10 @@ def find_references(data: bytes) -> list[Reference]:
         UnreadableFileError: The data is not glTF.
     """
     try:
-        content = json.loads(str(_json_chunk(data), "utf-8"))
+        text = _json_chunk(data)
+        if len(text) > _MAX_JSON_BYTES:
+            raise ValueError(f"its JSON has {len(text) >> 20} MB")
+        content = json.loads(str(text, "utf-8"))
         found = {
             Reference(name, what, needed=what != "image")
             for what, uri in _uris(content, "file")

@@ -16,19 +16,20 @@ from collections.abc import Iterator
 from infrablend.assets.model_files.reference import Reference, UnreadableFileError
 
 # Comments and texts are matched first, so that an `@` within them opens no path.
+# The closing mark is optional, so that a missing one costs no second look at the rest.
 _TEXT = re.compile(
-    rb'"""(?:\\.|[^\\])*?"""|'
-    rb"'''(?:\\.|[^\\])*?'''|"
-    rb'"(?:\\.|[^"\\\n])*"|'
-    rb"'(?:\\.|[^'\\\n])*'|#[^\n]*|"
-    rb"@@@(?P<long>(?:\\@@@|[^@]|@(?!@@))*)@@@|@(?P<short>[^@\n]*)@",
+    rb'"""(?:\\.|[^"\\]|"(?!""))*+(?:""")?|'
+    rb"\'\'\'(?:\\.|[^'\\]|'(?!''))*+(?:\'\'\')?|"
+    rb'"(?:\\.|[^"\\\n])*+"?|'
+    rb"'(?:\\.|[^'\\\n])*+'?|#[^\n]*+|"
+    rb"@@@(?P<long>(?:\\@@@|[^@]|@(?!@@))*+)(?:@@@)?|@(?P<short>[^@\n]*+)@",
     re.DOTALL,
 )
 _PICTURE = re.compile(r"\.(?:png|jpe?g|exr|hdr|tiff?|tga|bmp|webp|gif|dds)$", re.I)
 _FILE = re.compile(rf"{_PICTURE.pattern[:-2]}|usd[acz]?|abc|mtlx|vdb|obj|fbx|stl|ply|gltf|glb|blend)$", re.I)
 # Value clips build the names of files while the scene is read.
 _CLIPS = b"templateAssetPath"
-_MAX_TOKEN_BYTES = 64 * 2**20
+_MAX_TOKEN_BYTES = 16 * 2**20
 
 
 def find_references(data: bytes) -> list[Reference]:
@@ -72,16 +73,21 @@ def _of_package(data: bytes) -> list[Reference]:
     leaving: set[Reference] = set()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as package:
-            for entry in package.infolist():
-                if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1:
-                    raise UnreadableFileError("the files in its package are compressed, which USD does not allow")
+            entries = package.infolist()
+            if any(entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1 for entry in entries):
+                raise UnreadableFileError("the files in its package are compressed, which USD does not allow")
+            if sum(entry.file_size for entry in entries) > len(data):
+                raise UnreadableFileError("the files in its package overlap")
+            for entry in entries:
                 if re.search(r"\.usd[acz]?$", entry.filename, re.I):
                     folder = posixpath.dirname(entry.filename)
                     for found in find_references(package.read(entry)):
                         name = found.name.replace("\\", "/")
                         if name.startswith("/") or posixpath.normpath(posixpath.join(folder, name)).startswith(".."):
                             leaving.add(Reference(found.name, found.what))
-    except (zipfile.BadZipFile, NotImplementedError, OSError, EOFError, RecursionError) as error:
+    except UnreadableFileError:
+        raise
+    except (zipfile.BadZipFile, RuntimeError, ValueError, struct.error, OSError, EOFError) as error:
         raise UnreadableFileError(f"not a USD package: {error}") from error
     return sorted(leaving)
 
