@@ -138,6 +138,42 @@ def _bambi(folder: Path) -> Path:
     return folder
 
 
+@sample("bambi:tracks")
+def _bambi_tracks(folder: Path) -> Path:
+    """Two published flights with pictures instead of videos; the second picture shows no animal, only a rock."""
+    for flight, split in (("7", "train"), ("12", "test")):
+        rows = [
+            "3,1,5,6,12,8,1.0,6,1.0,Cervus elaphus (Red deer),0,2,0",
+            "3,2,30,20,9,7,1.0,60,0.0,Sus scrofa (Wild boar),0,0,1",
+            "4,3,5,6,12,8,1.0,0,1.0,No-animal,0,0,0",
+        ]
+        (folder / flight).mkdir(parents=True)
+        (folder / flight / f"{flight}_gt.txt").write_text("\n".join(rows) + "\n")
+        poses = [{"timestamp": f"2024-03-22T10:47:0{k}", "pitch": 360.0 - k, "alt": 900.0} for k in range(5)]
+        (folder / flight / f"{flight}_matched_poses.json").write_text(json.dumps({"images": poses}))
+        top = {"flight_key": flight, "split": split, "flight_info": {"start_time": "2024-03-22T10:47:00"}}
+        (folder / flight / f"{flight}_metadata.json").write_text(json.dumps(top))
+        for k in (3, 4):
+            picture(folder / flight / "thermal" / f"{flight}_matched_processed_{k:08d}.png", k + int(flight))
+    return folder
+
+
+@sample("bambi:yolo")
+def _bambi_yolo(folder: Path) -> Path:
+    """YOLO labels of published class numbers, and the poses of the flight."""
+    for k, (split, text) in enumerate(
+        (("train", "6 0.5 0.5 0.2 0.2\n62 0.2 0.25 0.1 0.125\n"), ("train", ""), ("val", "0 0.5 0.5 0.2 0.2\n"))
+    ):
+        picture(folder / "images" / split / f"163_{k}.png", k)
+        label = folder / "labels" / split / f"163_{k}.txt"
+        label.parent.mkdir(parents=True, exist_ok=True)
+        label.write_text(text)
+    poses = [{"timestamp": "2024-03-22T10:47:08", "rotation": [5.0 * k, 0, 90]} for k in range(3)]
+    (folder / "correction_data").mkdir()
+    (folder / "correction_data" / "163_matched_poses.json").write_text(json.dumps({"images": poses}))
+    return folder
+
+
 @sample("birdsai")
 def _birdsai(folder: Path) -> Path:
     """Two sequences of different sizes in train, one in test, and files beside the tables that are not tables."""

@@ -24,12 +24,12 @@ def pitch_of_gimbal(gimbal_deg: float) -> float:
 
 
 def pitch_of_tilt(tilt_deg: float) -> float:
-    """Return the angle below the horizon for a tilt away from straight down (BAMBI).
+    """Return the angle below the horizon for a tilt away from straight down, in any number of turns (BAMBI).
 
-    >>> pitch_of_tilt(0.0), pitch_of_tilt(25.0)
-    (90.0, 65.0)
+    >>> pitch_of_tilt(0.0), pitch_of_tilt(25.0), pitch_of_tilt(359.0)
+    (90.0, 65.0, 89.0)
     """
-    return STRAIGHT_DOWN_DEG - abs(tilt_deg)
+    return STRAIGHT_DOWN_DEG - abs((tilt_deg + 180.0) % 360.0 - 180.0)
 
 
 def _without_overshoot(pitch_deg: float) -> float:

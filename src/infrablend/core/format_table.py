@@ -172,7 +172,7 @@ FORMATS: tuple[Format, ...] = (
         written_as="dota",
     ),
     Format(
-        "bambi", "infrablend.formats.bambi", "BAMBI: wildlife from straight above, a JSON of boxes per flight",
+        "bambi", "infrablend.formats.bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO",
         written_as="coco",
     ),
     Format(

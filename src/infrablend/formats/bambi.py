@@ -1,9 +1,12 @@
-"""BAMBI (2026): wildlife from straight above, thermal pictures with a JSON file of boxes per flight.
+"""BAMBI (2026): wildlife from straight above, thermal pictures and videos with boxes per flight.
 
-    <flight>_metadata.json    thermal/<flight>_<frame>.jpg    [rgb/<flight>_<frame>.jpg]
+    <flight>_metadata.json    thermal/<flight>_<frame>.jpg    [rgb/<flight>_<frame>.jpg]      corrected boxes
+    [<flight>/]<flight>_gt.txt  <flight>_matched_processed.mp4  [<flight>_matched_poses.json <flight>_metadata.json]
+    images/<split>/<flight>_<frame>.png  labels/<split>/<flight>_<frame>.txt  [**/<flight>_matched_poses.json]
 
-A file lists the frames of one flight and the boxes of each, in px of the undistorted thermal picture. Its split is that
-of the flight. Published flights look straight down. The visible-light twins are not read.
+The first file lists the frames of one flight and the boxes of each, in px of the undistorted thermal picture; the
+others are read by `bambi_tracks`. The split is that of the flight. Flights look straight down, unless their poses say
+otherwise. The visible-light twins are not read.
 """
 
 from __future__ import annotations
@@ -11,13 +14,15 @@ from __future__ import annotations
 import datetime
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats import bambi_tracks
 from infrablend.formats.annotation_files import leaves_folder, read_json
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box
@@ -26,7 +31,10 @@ from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_pr
 from infrablend.formats.values import to_floats, to_int
 
 NAME = "bambi"
-OPTIONS = {"unlabelled": "keep or drop thermal pictures that no file lists; drop is the default"}
+OPTIONS = {
+    "unlabelled": "keep or drop thermal pictures that no file lists; drop is the default",
+    "frames": "key (the default): annotated frames of published flights, or all: also those with interpolated boxes",
+}
 SPECIES = {
     "Rotwild": "red deer",
     "Rehwild": "roe deer",
@@ -34,7 +42,6 @@ SPECIES = {
     "Schwarzwild": "wild boar",
 }
 """English class names by the hunters' names in the files; other species keep theirs."""
-STRAIGHT_DOWN_DEG = 90.0
 
 _PATTERN = "*_metadata.json"
 _PICTURES = "thermal"
@@ -48,9 +55,14 @@ def _flight_files(root: Path) -> list[Path]:
 
 
 def detect(root: Path) -> Match:
-    """Decide whether `root` contains a file of a flight beside a folder of thermal pictures."""
+    """Decide whether `root` contains a flight: boxes as JSON beside thermal pictures, tracks, or YOLO with poses."""
+    flight = bambi_tracks.find_flight(root)
+    if flight:
+        return Match(NAME, True, flight)
     if not (root / _PICTURES).is_dir():
-        return Match(NAME, False, f"no folder {_PICTURES}")
+        return Match(
+            NAME, False, f"no folder {_PICTURES}, and no flight with <flight>_gt.txt or <flight>_matched_poses"
+        )
     for path in _flight_files(root):
         try:
             with path.open("rb") as file:
@@ -74,6 +86,7 @@ class _Reading:
         records: Records of the frames in the wanted splits.
         species: Names of all species in the files.
         listed: Names of the pictures that a file lists.
+        poses: Poses by flight and frame.
     """
 
     root: Path
@@ -83,6 +96,7 @@ class _Reading:
     records: list[ImageRecord] = field(default_factory=list)
     species: set[str] = field(default_factory=set)
     listed: set[str] = field(default_factory=set)
+    poses: Mapping[str, Mapping[int, bambi_tracks.Pose]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -101,6 +115,7 @@ def read(
     splits: Iterable[str] | None = None,
     metadata: Path | None = None,
     unlabelled: str = "drop",
+    frames: str = "key",
 ) -> Dataset:
     """Read the thermal pictures and boxes of all flights in a folder.
 
@@ -110,13 +125,23 @@ def read(
         metadata: Table of pitch and altitude, by file or by flight (`sequence`); None uses any `metadata.csv` or
             `.json`. Without one, the pitch is straight down.
         unlabelled: Whether to `keep` or `drop` thermal pictures that no file lists. Kept ones are train.
+        frames: Frames of published flights to read: `key` or `all`.
 
     Raises:
         DatasetError: An option has a wrong value, or no picture can be read.
+        MissingDependencyError: The frames are in a video, and PyAV is not installed.
     """
-    require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP))
+    require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP), frames=(frames, ("key", "all")))
     wanted = check_splits(splits)
+    if bambi_tracks.find_flight(root):
+        found = bambi_tracks.read_flights(root, wanted, key_frames=frames == "key")
+        notes = {"labels": NAME, "rows": found.rows()}
+        categories = bambi_tracks.categories(found.species)
+        return make_dataset(
+            root, NAME, found.records, categories, found.problems, notes, metadata=metadata, splits=wanted
+        )  # fmt: skip
     state = _Reading(root, PictureFolder.scan(root / _PICTURES))
+    state.poses = bambi_tracks.all_poses(root, state.problems)
     for path in _flight_files(root):
         _read_flight(state, path, wanted)
     others = [name for name in state.pictures.by_name if name not in state.listed]
@@ -187,9 +212,11 @@ def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> I
             if size_wh is not None:
                 instances = tuple(_instances(state, given, size_wh, where))
                 extra = {} if (k := to_int(frame.get("frame_idx"))) is None else {"frame": k}
+                pose = state.poses.get(flight.key, {}).get(extra.get("frame", -1))
+                pitch, captured = (STRAIGHT_DOWN_DEG, None) if pose is None else (pose.pitch_deg, pose.captured)
                 return ImageRecord(
-                    "", path, flight.split, size_wh, STRAIGHT_DOWN_DEG, None, None, instances,
-                    extra=extra, file_name=name, sequence=flight.key, captured=flight.captured,
+                    "", path, flight.split, size_wh, pitch, None, None, instances,
+                    extra=extra, file_name=name, sequence=flight.key, captured=captured or flight.captured,
                 )  # fmt: skip
     state.problems += [problem] if problem else []
     return None

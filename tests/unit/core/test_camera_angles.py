@@ -21,6 +21,9 @@ def test_a_level_camera_has_no_negative_zero() -> None:
     assert math.copysign(1.0, pitch_of_gimbal(0.0)) == 1.0
 
 
-@pytest.mark.parametrize(("tilt", "pitch"), [(0.0, 90.0), (10.0, 80.0), (-10.0, 80.0), (90.0, 0.0)])
+@pytest.mark.parametrize(
+    ("tilt", "pitch"),
+    [(0.0, 90.0), (10.0, 80.0), (-10.0, 80.0), (90.0, 0.0), (360.5, 89.5), (359.5, 89.5), (180.0, -90.0)],
+)
 def test_a_tilt_counts_from_straight_down(tilt: float, pitch: float) -> None:
     assert pitch_of_tilt(tilt) == pitch

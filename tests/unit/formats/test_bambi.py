@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import bambi, detection
+from infrablend.formats import bambi, bambi_tracks, detection
 from tests.samples import SAMPLES, picture
 
 
@@ -100,6 +103,77 @@ def test_a_table_replaces_the_straight_down_view(data: Path) -> None:
     assert (first.pitch_deg, first.altitude_m, first.time_of_day) == (90.0, 60.0, "day")
     again = bambi.read(data, metadata=data / "other.csv")
     assert [i.pitch_deg for i in again.images if i.id == "12_102"] == [80.0]
+
+
+def test_published_tracks_give_species_poses_and_times(tmp_path: Path) -> None:
+    d = detection.read(SAMPLES["bambi:tracks"](tmp_path))
+    assert d.format == "bambi" and d.problems == ()
+    assert [(i.split, i.sequence, i.file_name, i.pitch_deg) for i in d.images] == [
+        ("train", "7", "7_3.png", 87.0), ("train", "7", "7_4.png", 86.0),
+        ("test", "12", "12_3.png", 87.0), ("test", "12", "12_4.png", 86.0),
+    ]  # fmt: skip
+    deer, boar = d.images[0].instances
+    assert (deer.category, deer.track_id, deer.extra["age"], deer.extra["interpolated"]) == ("red deer", 1, 2.0, False)
+    assert boar.box_xyxy.tolist() == [30, 20, 39, 27] and boar.extra["interpolated"] is True
+    assert d.images[0].captured == "2024-03-22T10:47:03"
+    assert d.notes["rows"] == {
+        "flights": 2, "frames": 4, "objects": 6, "read": 4, "no_animal": 2, "interpolated_frames": 0, "without_pose": 0,
+    }  # fmt: skip
+
+
+def test_frames_with_interpolated_boxes_alone_are_read_on_request(tmp_path: Path) -> None:
+    root = SAMPLES["bambi:tracks"](tmp_path)
+    table = root / "7" / "7_gt.txt"
+    table.write_text(table.read_text().replace("(Red deer),0,2,0", "(Red deer),0,2,1") + "x,y\n4,1,2,3,4,5,1,99,1\n")
+    d = detection.read(root)
+    assert [i.file_name for i in d.images if i.split == "train"] == ["7_4.png"]
+    assert d.notes["rows"]["interpolated_frames"] == 1
+    assert codes(d) == ["category-unknown", "row-malformed"]
+    everything = detection.read(root, detection.Reading(options={"frames": "all"}))
+    assert [i.file_name for i in everything.images if i.split == "train"] == ["7_3.png", "7_4.png"]
+
+
+def test_frames_come_from_the_left_half_of_the_video(tmp_path: Path) -> None:
+    videos = pytest.importorskip("tests.videos")
+    root = SAMPLES["bambi:tracks"](tmp_path)
+    shutil.rmtree(root / "7" / "thermal")
+    twin = np.full((48, 96), 200, np.uint8)
+    pictures = [twin.copy() for _ in range(5)]
+    for k, wide in enumerate(pictures):
+        wide[:, :48] = 16 + k
+    videos.write_video(root / "7" / "7_matched_processed.mp4", pictures)
+    d = detection.read(root)
+    first = d.images[0]
+    assert first.size_wh == (48, 48) and first.extra["frame"] == 3 and d.problems == ()
+    with Image.open(first.path) as frame:
+        assert frame.getextrema() == (videos.level(3),) * 2
+
+
+def test_annotations_without_a_video_are_reported(tmp_path: Path) -> None:
+    root = SAMPLES["bambi:tracks"](tmp_path)
+    shutil.rmtree(root / "7" / "thermal")
+    d = detection.read(root)
+    assert {i.sequence for i in d.images} == {"12"} and codes(d) == ["image-missing"]
+
+
+def test_yolo_labels_have_the_published_classes(tmp_path: Path) -> None:
+    d = detection.read(SAMPLES["bambi:yolo"](tmp_path))
+    assert d.format == "bambi" and d.problems == ()
+    assert [(i.id, i.pitch_deg, [o.category for o in i.instances]) for i in d.images] == [
+        ("163_0", 90.0, ["red deer", "wild boar"]), ("163_1", 85.0, []), ("163_2", 80.0, []),
+    ]  # fmt: skip
+    assert [bambi_tracks.species_of(k) for k in (0, 2, 16, 17, 48, 49, 69, 74, 75, -1)] == [
+        "no animal", "red deer", "red deer", "roe deer", "fallow deer", "unknown", "wild boar", "hybrid pig", None,
+        None,
+    ]  # fmt: skip
+
+
+def test_corrected_boxes_take_the_pose_of_their_frame(data: Path) -> None:
+    poses = [{"pitch": 0.0}] * 100 + [{"pitch": 12.5, "timestamp": "2024-03-22T11:00:00"}]
+    (data / "7_matched_poses.json").write_text(json.dumps({"images": poses}))
+    first, second = detection.read(data).images[:2]
+    assert (first.pitch_deg, first.captured) == (77.5, "2024-03-22T11:00:00")
+    assert (second.pitch_deg, second.captured) == (90.0, "2024-03-22")
 
 
 def test_real_frames(real_data: Path) -> None:
