@@ -55,7 +55,7 @@ REFUSED = {
     "library.blend": blend(("Library", 1, {"filepath": "//../secret.blend"})),
     "cache.blend": blend(("MeshCacheModifierData", 1, {"filepath": "/tmp/secret.mdd"})),
     "alembic.blend": blend(("CacheFile", 1, {"filepath": "//../secret.abc"})),
-    "points.blend": blend(("PointCache", 1, {"path": "/tmp/points"})),
+    "points.blend": blend(("PointCache", 1, {"path": "/tmp"})),
     "windows.blend": blend(("Library", 1, {"filepath": "C:\\Users\\me\\secret.blend"})),
     "packed.blend": gzip.compress(blend(("Library", 1, {"filepath": "/a.blend"}))),
 }

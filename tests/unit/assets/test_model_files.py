@@ -64,6 +64,7 @@ def test_copied_blend_has_no_path_that_the_import_does_not_need(tmp_path):
     (folder / "b.blend").write_bytes(blend())
     blocks = (
         ("Image", 1, {"filepath": "/elsewhere/a.png", "source": 1}),
+        ("PointCache", 3, {"path": "/elsewhere/points"}),
         ("Library", 2, {"filepath": "//b.blend"}),
     )
     (folder / "a.blend").write_bytes(gzip.compress(blend(*blocks)))

@@ -17,7 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 from infrablend.assets.model_files import blend, gltf, obj, usd
-from infrablend.assets.model_files.reference import Reference, UnreadableFileError
+from infrablend.assets.model_files.reference import (
+    Reference,
+    UnreadableFileError,
+    UnsupportedContentError,
+)
 from infrablend.core.files import output_error
 from infrablend.errors import ModelError, Problem
 
@@ -92,10 +96,10 @@ def find_model_files(main: Path) -> ModelFiles:
         try:
             references = _references(name, data)
         except UnreadableFileError as error:
-            raise ModelError(
-                f"model file {main}: {'' if name == main.name else name + ': '}{error}; expected a valid "
-                f"{Path(name).suffix} file"
-            ) from error
+            unsupported = isinstance(error, UnsupportedContentError)
+            expected = "a shape that is all in the file" if unsupported else f"a valid {Path(name).suffix} file"
+            where = f"model file {main}" if name == main.name else f"model file {main}: {name}"
+            raise ModelError(f"{where}: {error}; expected {expected}") from error
         for reference in references:
             try:
                 waiting += _resolved(main.parent, Path(name).parent, reference)
@@ -150,7 +154,7 @@ def _resolved(root: Path, folder: Path, reference: Reference) -> Iterator[str]:
     # Some importers take a backslash for a separator, others do not.
     inside = [_inside(root, folder, name) for name in dict.fromkeys((written, portable))]
     if None in inside:
-        if reference.certain or (portable.startswith("/") and "\0" not in written and os.path.lexists(portable)):
+        if reference.certain or ("\0" not in written and os.path.lexists(root / folder / portable)):
             at_root = Path(portable).is_relative_to(root) and ".." not in Path(portable).parts
             raise _ReferenceError(OUTSIDE, "given as an absolute path" if at_root else "outside of its folder")
         return
@@ -164,7 +168,7 @@ def _resolved(root: Path, folder: Path, reference: Reference) -> Iterator[str]:
         if not path.resolve().is_relative_to(root.resolve()):
             raise _ReferenceError(OUTSIDE, "a link that leaves its folder")
         if reference.what in blend.folder_kinds():
-            raise _ReferenceError(NO_FILE, "a folder, which is not supported")
+            raise _ReferenceError(NO_FILE, "not in the file")
         if not path.is_file():
             if not reference.certain and path.is_dir():
                 continue
@@ -186,6 +190,8 @@ def _inside(root: Path, folder: Path, name: str) -> str | None:
 def _problem(main: Path, name: str, reference: Reference, error: _ReferenceError) -> Problem:
     code, found = error.args
     inside = "a regular file in the folder of the model"
+    if reference.what in blend.folder_kinds():
+        inside = "no cache outside of the file"
     todo = {
         ".blend": "make linked data local, apply caches and pack files in Blender, and save it again",
         ".gltf": "save it as .glb, which contains everything",

@@ -19,7 +19,11 @@ from typing import NamedTuple
 
 import zstandard
 
-from infrablend.assets.model_files.reference import Reference, UnreadableFileError
+from infrablend.assets.model_files.reference import (
+    Reference,
+    UnreadableFileError,
+    UnsupportedContentError,
+)
 
 MAX_BYTES = 2**30
 _MAX_BLOCKS = 2_000_000
@@ -153,22 +157,24 @@ def find_references(blend: BlendFile) -> list[Reference]:
     """
     found: set[Reference] = set()
     for _, at, layout, one in _paths(blend):
-        name = _text_of(blend, at, one).removeprefix("//")
+        name = blend.text(*_place_of(blend, at, one)).removeprefix("//")
         if not name or not _is_needed(layout, one) or name == "<builtin>":
             continue
         packed = any(blend.number(at + f.offset, f.size) for f in layout[2] if f.name == "packedfile")
-        if one.owner in _FOLDERS:
-            found.add(Reference(name.rstrip("/\\") or name, _FOLDERS[one.owner]))
+        if one.owner in _FOLDERS:  # Blender sets most of them before there is a cache
+            found.add(Reference(name.rstrip("/\\") or name, _FOLDERS[one.owner], certain=False))
         elif packed and one.owner == "Library":
-            raise UnreadableFileError(f"it contains the packed library {name!r}, which is not supported; make it local")
+            raise UnsupportedContentError(
+                f"it contains the packed library {name!r}, which is not supported; make it local"
+            )
         elif not packed:
             if one.owner.startswith("CacheFile") and not name.lower().endswith(".abc"):
-                raise UnreadableFileError(f"it uses the cache {name!r}; only Alembic caches (.abc) are supported")
+                raise UnsupportedContentError(f"it uses the cache {name!r}; only Alembic caches (.abc) are supported")
             found.add(Reference(name, _FILES[one.owner], required=True))
     if nodes := _READING_NODES.search(blend.data):
-        raise UnreadableFileError(f"its geometry nodes read files ({nodes[0].decode()}), which is not supported")
+        raise UnsupportedContentError(f"its geometry nodes read files ({nodes[0].decode()}), which is not supported")
     if picture := _shaping_picture(blend):
-        raise UnreadableFileError(
+        raise UnsupportedContentError(
             f"the picture {picture!r} changes its shape, but is not in the file; pack it into the .blend"
         )
     return sorted(found)
@@ -180,11 +186,12 @@ def folder_kinds() -> frozenset[str]:
 
 
 def empty_unneeded_paths(blend: BlendFile) -> bytes:
-    """Return the content of a .blend with every path emptied that `find_references` does not return."""
+    """Return the content of a .blend with every path emptied but those of files that decide the shape."""
     emptied = bytearray(blend.data)
     for _, at, layout, one in _paths(blend):
-        if not one.pointer and not _is_needed(layout, one):
-            emptied[at + one.offset : at + one.offset + one.size] = bytes(one.size)
+        if one.owner in _FOLDERS or not _is_needed(layout, one):
+            start, size = _place_of(blend, at, one)
+            emptied[start : start + size] = bytes(size)
     return bytes(emptied)
 
 
@@ -206,12 +213,13 @@ def _holds_path(one: _Field) -> bool:
     return one.size > 8 and (bool(_PATH_FIELD.search(one.name)) or (one.name == "name" and one.owner in _NAMED_BY_PATH))
 
 
-def _text_of(blend: BlendFile, at: int, one: _Field) -> str:
+def _place_of(blend: BlendFile, at: int, one: _Field) -> tuple[int, int]:
+    """Return position and size of the text of a field, which is elsewhere if the field is a pointer."""
     if not one.pointer:
-        return blend.text(at + one.offset, one.size)
+        return at + one.offset, one.size
     address = blend.number(at + one.offset, one.size)
     block = blend.by_address.get(address) if address else None
-    return blend.text(block.start, block.length) if block else ""
+    return (block.start, block.length) if block else (at, 0)
 
 
 def _is_needed(layout: _Layout, one: _Field) -> bool:

@@ -9,6 +9,10 @@ class UnreadableFileError(ValueError):
     """A file that is not of the format that its name says; the message gives the reason."""
 
 
+class UnsupportedContentError(UnreadableFileError):
+    """A valid file whose shape depends on files in a way that cannot be followed."""
+
+
 @dataclass(frozen=True, order=True)
 class Reference:
     """A file that a 3D file names.

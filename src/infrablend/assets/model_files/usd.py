@@ -13,7 +13,11 @@ import struct
 import zipfile
 from collections.abc import Iterator
 
-from infrablend.assets.model_files.reference import Reference, UnreadableFileError
+from infrablend.assets.model_files.reference import (
+    Reference,
+    UnreadableFileError,
+    UnsupportedContentError,
+)
 
 # Comments and texts are matched first, so that an `@` within them opens no path.
 # The closing mark is optional, so that a missing one costs no second look at the rest.
@@ -50,21 +54,21 @@ def _of_layer(data: bytes) -> set[Reference]:
         except (struct.error, ValueError, IndexError) as error:
             raise UnreadableFileError(f"not a USD crate: {error}") from error
         if _CLIPS in texts:
-            raise UnreadableFileError("it has value clips, which are not supported")
+            raise UnsupportedContentError("it has value clips, which are not supported")
         named = {name for name in map(_decoded, texts) if _may_be_path(name)}
         found = {_reference(name, certain=_is_certain(name)) for name in named}
     elif data.lstrip().startswith((b"#usda", b"#sdf")):
         if _CLIPS in data:
-            raise UnreadableFileError("it has value clips, which are not supported")
+            raise UnsupportedContentError("it has value clips, which are not supported")
         named = {_decoded(m["long"] or m["short"] or b"") for m in _TEXT.finditer(data)} - {""}
         found = {_reference(name) for name in named}
     else:
         raise UnreadableFileError("neither a USD text, nor a USD crate, nor a package")
     for reference in found:
         if reference.name.startswith("`"):
-            raise UnreadableFileError("it computes the name of a file, which is not supported")
+            raise UnsupportedContentError("it computes the name of a file, which is not supported")
         if reference.name.lower().endswith(".mtlx"):
-            raise UnreadableFileError(f"it refers to {reference.name!r}; MaterialX is not supported")
+            raise UnsupportedContentError(f"it refers to {reference.name!r}; MaterialX is not supported")
     return found
 
 
