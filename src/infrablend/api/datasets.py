@@ -23,6 +23,7 @@ from infrablend.world.dataset import WorldRequest
 if TYPE_CHECKING:
     from infrablend.pipeline.frames import FlightFacts, FrameChoice, FramesReport
     from infrablend.pipeline.profile import ProfileReport
+    from infrablend.pipeline.temperatures import CountScale, TemperaturesReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -139,6 +140,22 @@ def extract_frames(
 
     paths = [Path(v) for v in videos]
     return frames.extract_frames(paths, Path(out), choice, flight, overwrite=overwrite, on_progress=on_progress)
+
+
+def extract_temperatures(
+    data: str | Path, out: str | Path, scale: CountScale | None = None, *, reading: Reading = READ_ALL,
+    overwrite: bool = False, on_progress: OnProgress | None = None,
+) -> TemperaturesReport:  # fmt: skip
+    """Write the radiometric layers of DJI and FLIR pictures as 16-bit PNG, in a COCO dataset that states their scale.
+
+    FLIR's become apparent temperatures in centikelvin. DJI's stay counts; `scale` says what these mean, if known.
+    """
+    from infrablend.pipeline import temperatures
+
+    dataset = read_dataset(data, reading)
+    return temperatures.extract_temperatures(
+        dataset, Path(out), scale or temperatures.NO_SCALE, overwrite=overwrite, on_progress=on_progress
+    )
 
 
 def profile(

@@ -28,6 +28,7 @@ from infrablend.cli import (
     recipes,
     rerender,
     split,
+    temperatures,
     train,
     world,
 )
@@ -114,6 +115,7 @@ def build_app() -> typer.Typer:
     app.command("evaluate")(evaluate.evaluate)
     app.command("experiment")(experiment.experiment)
     app.command("frames")(frames.frames)
+    app.command("temperatures")(temperatures.temperatures)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
     app.command("doctor")(doctor.doctor)

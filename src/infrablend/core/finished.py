@@ -18,6 +18,7 @@ from infrablend.errors import DatasetError, Problem
 CONVERT_FILE = "convert.json"
 SPLIT_FILE = "split.json"
 FRAMES_FILE = "frames.json"
+TEMPERATURES_FILE = "temperatures.json"
 COMPLETE = "complete"
 UNFINISHED = "folder-unfinished"
 
@@ -39,6 +40,9 @@ _MARKERS = (
     _Marker(CONVERT_FILE, "conversion", "infrablend convert {source} {root} --to {format} ... --overwrite"),
     _Marker(SPLIT_FILE, "split dataset", "infrablend split {source} {root} --by {by} ... --overwrite"),
     _Marker(FRAMES_FILE, "extraction of frames", "infrablend frames {source} --every {every} --out {root} --overwrite"),
+    _Marker(
+        TEMPERATURES_FILE, "extraction of temperatures", "infrablend temperatures {source} --out {root} --overwrite"
+    ),
 )
 
 

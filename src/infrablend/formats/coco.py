@@ -49,6 +49,11 @@ MEASURED = ("changed_grey", "contrast_grey", "scr")
 # Boxes of partly hidden objects, as x, y, width and height.
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
+# What the camera was told about the scene, beside the scale of a picture.
+_SETTINGS = "camera_settings"
+SETTINGS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
+# Facts from the header of a picture that decide how far its height and lens can be trusted; see `formats.flight`.
+FLIGHT_FIELDS = ("camera", "altitude_from")
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 
 
@@ -122,6 +127,8 @@ def coco_files(
             record = _image_record(image, image_id, ids == "new")
             if common is None and image.radiometry is not None and image.radiometry.scale is not None:
                 record[_SCALE] = image.radiometry.scale.to_json()
+            record |= _camera_settings(image)
+            record |= {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
             records.append(record)
             for instance, number in zip(image.instances, numbers, strict=True):
                 a = annotation_record(instance, require_size(image), ids == "new", without_mask, losses)
@@ -139,6 +146,11 @@ def coco_files(
             json.dumps(finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
         )
     return texts, {k: v for k, v in sorted(losses.items()) if v}
+
+
+def _camera_settings(image: ImageRecord) -> dict[str, Any]:
+    found = {} if image.radiometry is None else _known(**{k: getattr(image.radiometry, k) for k in SETTINGS})
+    return {_SETTINGS: found} if found else {}
 
 
 def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
@@ -440,6 +452,7 @@ def _image(
     )
     capture = captures.of(name, where, own, _text(r.get("sequence")))
     extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+    extra |= {k: v for k in FLIGHT_FIELDS if isinstance(v := r.get(k), str)}
     return ImageRecord(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
         number, extra, name, _text(r.get("sequence")), _text(r.get("date_captured")), hfov_deg=capture.hfov_deg,
@@ -453,10 +466,18 @@ def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, proble
     if value is None:
         return None
     try:
-        return Radiometry(TemperatureScale.from_json(value if isinstance(value, dict) else {}), NAME)
+        scale = TemperatureScale.from_json(value if isinstance(value, dict) else {})
+        return replace(Radiometry(scale, NAME), **_settings(r.get(_SETTINGS)))
     except ValueError as error:
         problems.append(Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning"))
         return None
+
+
+def _settings(value: object) -> dict[str, Any]:
+    """Return what a camera was told about the air and the objects; values that cannot be are left out."""
+    given = value if isinstance(value, dict) else {}
+    known = {name: to_floats([given.get(name)], 1) for name in SETTINGS}
+    return {name: v[0] for name, v in known.items() if v and 0 <= v[0] <= 1e5}
 
 
 def _text(value: object) -> str | None:

@@ -242,7 +242,9 @@ def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[P
         return []
     which = " and ".join(sorted(set(makers)))
     found = f"{len(makers)} of {len(known)} pictures are radiometric ({which}), but read as plain pictures"
-    todo = "go on if the grey levels suffice: the temperatures in these files are not used"
+    todo = (
+        "go on if the grey levels suffice: the temperatures are not used, unless infrablend temperatures extracts them"
+    )
     expected = "pictures whose grey levels are all that is needed"
     return [_warning(dataset, "image-radiometric", found, expected, todo)]
 

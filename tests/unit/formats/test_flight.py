@@ -113,7 +113,10 @@ def test_a_damaged_header_is_named_and_the_others_are_read(tmp_path: Path) -> No
 def test_a_folder_of_radiometric_pictures_gets_a_hint(maker: Maker, tmp_path: Path) -> None:
     (found,) = api.inspect(flight(tmp_path, 3, maker)).problems
     assert (found.code, found.severity) == ("image-radiometric", "warning")
-    assert f"3 of 3 pictures are radiometric ({maker.upper()})" in found.found and "are not used" in found.todo
+    assert (
+        f"3 of 3 pictures are radiometric ({maker.upper()})" in found.found
+        and "the temperatures are not used" in found.todo
+    )
 
 
 def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

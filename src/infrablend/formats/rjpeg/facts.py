@@ -55,6 +55,7 @@ class CameraFacts:
         facts: Known facts by name, see `FIELDS`.
         clocks: Times of capture without time zone by their tag.
         problems: Faults of the file, as warnings.
+        zoom: Digital zoom of the picture; the radiometric layer has none.
     """
 
     path: Path
@@ -66,6 +67,7 @@ class CameraFacts:
     facts: Mapping[str, Fact]
     clocks: Mapping[str, datetime]
     problems: tuple[Problem, ...]
+    zoom: float = 1.0
 
     @property
     def from_a_drone_camera(self) -> bool:
@@ -114,6 +116,7 @@ def read_facts(path: Path) -> CameraFacts:
         facts,
         clocks,
         tuple(problems),
+        max(1.0, exif.zoom or 1.0),
     )
 
 

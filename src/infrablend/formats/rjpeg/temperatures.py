@@ -1,0 +1,120 @@
+"""Temperatures of one radiometric JPEG: raw counts, and kelvin where the camera's own conversion is published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.formats.rjpeg import dji
+from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
+from infrablend.formats.rjpeg.segments import APP1, JpegHeader, bad_file, read_header
+from infrablend.thermal.flir import apparent_kelvin, object_kelvin
+
+CONVERTED_UNITS: dict[str, tuple[float, float]] = {
+    "celsius": (1.0, 273.15), "kelvin": (1.0, 0.0), "decikelvin": (0.1, 0.0), "centikelvin": (0.01, 0.0),
+}  # fmt: skip
+"""Units of other programs' files: kelvin per unit, and kelvin of 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawTemperatures:
+    """Raw layer of one picture.
+
+    Attributes:
+        maker: `DJI` or `FLIR`.
+        counts: (h, w) raw counts of the detector.
+        camera: Constants and settings of a FLIR camera; None for DJI, or where the file lacks them.
+    """
+
+    maker: str
+    counts: NDArray[np.uint16]
+    camera: CameraRecord | None = None
+
+    @property
+    def apparent_k(self) -> NDArray[np.float64] | None:
+        """(h, w) apparent temperatures at the sensor, kelvin; None where only counts are known."""
+        if self.camera is None or self.camera.planck is None:
+            return None
+        return apparent_kelvin(self.counts, self.camera.planck)
+
+    @property
+    def object_k(self) -> NDArray[np.float64] | None:
+        """(h, w) temperatures of the objects with the camera's own settings, kelvin; None where they are unknown."""
+        c = self.camera
+        if c is None or c.planck is None:
+            return None
+        return object_kelvin(self.counts, c.planck, c.settings, c.atmosphere)
+
+    def facts(self, scale: TemperatureScale | None, source: str) -> Radiometry:
+        """Return a scale together with what the file states about the air and the objects."""
+        if self.camera is None:
+            return Radiometry(scale, source)
+        s = self.camera.settings
+        return Radiometry(scale, source, s.air_k, s.humidity, s.reflected_k, s.emissivity, s.distance_m)
+
+
+def read_temperatures(path: Path) -> RawTemperatures:
+    """Return the raw layer of a radiometric JPEG.
+
+    FLIR's counts come with the constants of their conversion. DJI's conversion is not published: its counts have no
+    scale of their own.
+
+    Raises:
+        DatasetError: With one problem: the file has no raw layer (`raw-missing`), or a damaged one.
+    """
+    return raw_of(read_header(path))
+
+
+def raw_of(header: JpegHeader) -> RawTemperatures:
+    """Return the raw layer of a file whose header is read already; see `read_temperatures`."""
+    if header.find(APP1, SIGNATURE):
+        block = FlirBlock(header)
+        return RawTemperatures("FLIR", block.counts(), block.camera())
+    if dji.has_raw_layer(header):
+        return RawTemperatures("DJI", dji.counts(header))
+    raise bad_file(header.path, "raw-missing", "no radiometric layer", "a radiometric JPEG of DJI or FLIR")
+
+
+def fit_scale(pairs: list[tuple[float, float]]) -> TemperatureScale:
+    """Return the scale through (count, kelvin) pairs, by least squares.
+
+    Raises:
+        ValueError: There are fewer than two different counts, or temperature does not rise with the counts.
+    """
+    if len({c for c, _ in pairs}) < 2:
+        raise ValueError(f"{len(pairs)} temperature(s) at {len({c for c, _ in pairs})} count(s); expected two counts")
+    counts, kelvin = np.array(pairs, np.float64).T
+    slope, offset = np.polyfit(counts, kelvin, 1)
+    if slope <= 0:
+        raise ValueError(f"{slope:.4g} K per count; expected temperatures that rise with the counts")
+    return TemperatureScale(float(slope), float(offset))
+
+
+def read_converted(path: Path, unit: str) -> NDArray[np.float64]:
+    """Return the temperatures, kelvin, of a TIFF file that another program wrote.
+
+    Args:
+        path: A TIFF with one channel of floats or whole numbers.
+        unit: `celsius`, `kelvin`, `decikelvin` or `centikelvin`.
+
+    Raises:
+        DatasetError: The file cannot be read, or its values are no temperatures in that unit.
+    """
+    try:
+        with Image.open(path, formats=("TIFF",)) as picture:
+            values = np.asarray(picture, np.float64)
+    except Exception as error:  # Pillow raises what it likes on broken pictures
+        found = f"no TIFF that can be read ({type(error).__name__})"
+        raise bad_file(path, "image-unreadable", found, "a TIFF with one temperature per pixel") from error
+    slope, offset = CONVERTED_UNITS[unit]
+    kelvin = values * slope + offset
+    finite = kelvin[np.isfinite(kelvin)] if kelvin.ndim == 2 else kelvin[:0]
+    if not finite.size or not 150 <= float(np.median(finite)) <= 1500:
+        middle = f"a median of {np.median(finite):.1f} K" if finite.size else f"an array of shape {values.shape}"
+        raise bad_file(path, "scale-malformed", f"{middle} in the unit {unit}", "temperatures of a scene in that unit")
+    return np.asarray(kelvin)
