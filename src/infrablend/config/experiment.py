@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from infrablend.core.dataset import SPLITS, Split
+from infrablend.core.file_names import real_path
 from infrablend.core.shipped import shipped_names
 from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import did_you_mean, field_problems
@@ -436,7 +437,7 @@ def load_experiment(experiment: str | Path) -> Experiment:
     path = Path(experiment)
     folder: Path | None = None
     if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
-        folder = path.resolve().parent
+        folder = real_path(path).parent
         try:
             text = path.read_text("utf-8")
         except (OSError, ValueError) as error:
@@ -493,4 +494,4 @@ def _resolve_recipes(data: dict[str, Any], folder: Path) -> None:
     for item in items.values() if isinstance(items, Mapping) else ():
         recipe = item.get("recipe") if isinstance(item, dict) else None
         if isinstance(recipe, str) and re.search(r"\.ya?ml$", recipe, re.IGNORECASE):
-            item["recipe"] = str((folder / recipe).resolve())
+            item["recipe"] = str(real_path(folder / recipe))

@@ -23,6 +23,7 @@ from infrablend.config.modes import (
 )
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
+from infrablend.core.file_names import real_path
 from infrablend.core.shipped import shipped_names
 from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
@@ -106,7 +107,7 @@ def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
     path = Path(recipe)
     folder: Path | None = None
     if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
-        folder = path.resolve().parent
+        folder = real_path(path).parent
         try:
             text = path.read_text("utf-8")
         except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a NUL in it
@@ -148,7 +149,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     if folder is not None and isinstance(data.get("objects"), list):
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
-                item["model"] = str((folder / item["model"]).resolve())
+                item["model"] = str(real_path(folder / item["model"]))
     _read_profile(data, folder)
     problems += wrong_modes(data)
     modes = modes_of(data)

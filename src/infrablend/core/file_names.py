@@ -78,6 +78,14 @@ def leaves(name: str) -> bool:
     return climbs or "\0" in name or posix.is_absolute() or bool(windows.drive or windows.root)
 
 
+def real_path(path: Path) -> Path:
+    """Return the absolute path with all links followed, as far as they lead somewhere.
+
+    `Path.resolve` raises RuntimeError for links in a circle, which nobody expects from a path.
+    """
+    return Path(os.path.realpath(path))
+
+
 def is_inside(path: Path, folder: Path) -> bool:
     """Return whether a path is in or below `folder` once all links are followed."""
     inside = os.path.realpath(folder)

@@ -9,7 +9,7 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -113,6 +113,19 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         if isinstance(error, OSError) and not isinstance(error, OutputError):
             raise output_error(path, error) from error
         raise
+
+
+def require_still_there(paths: Iterable[Path], todo: str = "repeat the command") -> None:
+    """Check that files which a command wrote have not been removed before its end.
+
+    Raises:
+        OutputError: One was; the message names it.
+    """
+    gone = [str(p) for p in paths if not p.is_file()]
+    if gone:
+        expected = "the file that was written before"
+        problems = [Problem(p, "output-removed", "no file", expected, todo) for p in gone]
+        raise OutputError("output was removed while the command was running", problems)
 
 
 def flush(path: Path) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.run_layout import RUN_FILE, SCENES
 from infrablend.errors import DatasetError, Problem
@@ -52,7 +53,7 @@ def require_finished(folder: Path) -> None:
     Raises:
         DatasetError: One did; the message names the command that finishes it.
     """
-    inside = folder.resolve()
+    inside = real_path(folder)
     for root in (inside, *inside.parents[:_LEVELS_UP]):
         for marker in _MARKERS:
             path = root / marker.file

@@ -86,6 +86,10 @@ class Manifest:
         found = ((path, self._content(self.root / path)) for path in self.paths if self.is_own(path))
         return {path: list(content) for path, content in found if content is not None}
 
+    def missing(self) -> list[Path]:
+        """Return the files that this process wrote and that are no longer there, sorted."""
+        return [self.root / name for name in sorted(self._written) if not (self.root / name).is_file()]
+
     def _add(self, entry: Mapping[str, Any]) -> None:
         path = entry["path"]
         if not isinstance(path, str) or not _is_inside(path):

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, read_object
 from infrablend.errors import OutputError
 
@@ -222,7 +223,7 @@ def require_apart(data: Path, out: Path) -> None:
     Raises:
         OutputError: `out` is the data folder, contains it, or is inside it.
     """
-    a, b = data.resolve(), out.resolve()
+    a, b = real_path(data), real_path(out)
     if a == b or b in a.parents:
         raise OutputError(f"--out {out}: is or contains the data folder {data}; choose a separate folder")
     if a in b.parents:

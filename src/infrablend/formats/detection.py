@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import real_path
 from infrablend.core.finished import require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
@@ -89,7 +90,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     if problems:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:
-        given["metadata"] = table.resolve()  # the user's own file: it may be a link to anywhere
+        given["metadata"] = real_path(table)  # the user's own file: it may be a link to anywhere
     dataset = with_fitting_fields(_without_links(module.read(root, splits=reading.splits, **given)))
     if stated:
         dataset = temperatures.with_scale(dataset, scale)
@@ -100,12 +101,19 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
 
 
 def _without_links(dataset: Dataset) -> Dataset:
-    """Return the dataset without pictures that are links out of their folders, since these would copy foreign files."""
+    """Return the dataset without pictures that are links out of their folders or to nowhere.
+
+    The former would copy foreign files.
+    """
     problems, kept = list(dataset.problems), []
     for image in dataset.images:
         problem = None
         if image.path.is_symlink():
-            problem = check_link(image.path, image.path.parent, f"{image.split}/{image.name}")
+            where = f"{image.split}/{image.name}"
+            problem = check_link(image.path, image.path.parent, where)
+            if problem is None and not image.path.is_file():
+                found = "a link that leads to no file"
+                problem = Problem(where, "image-missing", found, "a picture file", "restore the file")
         if problem is None:
             kept.append(image)
         else:
@@ -113,7 +121,9 @@ def _without_links(dataset: Dataset) -> Dataset:
     if len(kept) == len(dataset.images):
         return dataset
     if not kept:
-        raise DatasetError(f"{dataset.root}: every picture is a link out of its folder", shorten(problems))
+        raise DatasetError(
+            f"{dataset.root}: every picture is a link out of its folder or to no file", shorten(problems)
+        )
     return replace(dataset, images=tuple(kept), problems=tuple(problems))
 
 

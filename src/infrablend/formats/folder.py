@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from infrablend.core.dataset import Dataset, Split
+from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.annotation_files import read_text
@@ -71,7 +72,7 @@ def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
 
 def _belongs_to(root: Path) -> Path | None:
     """Return the annotation file of a larger dataset of which this folder is only one split's pictures, or None."""
-    here = root.resolve()
+    here = real_path(root)
     for name in (f"{here.name}.json", f"instances_{here.name}.json"):
         file = here.parent / "annotations" / name
         if file.is_file():

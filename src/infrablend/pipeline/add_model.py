@@ -13,6 +13,7 @@ import numpy as np
 
 from infrablend.assets.part_roles import ROLES, Guess, guess_roles, patterns
 from infrablend.assets.user_model import SUFFIXES, GroupFacts, geometry_file, read_geometry
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.errors import ModelError, Problem
 from infrablend.pipeline.models import import_geometry, ready_model
@@ -133,7 +134,7 @@ def add_model(file: Path, out: Path | None, answers: ModelAnswers) -> Path:
             f"model description {target}: exists already; expected a new file. Remove it, or choose another --out"
         )
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_text(target, description(survey, name, os.path.relpath(file.resolve(), target.parent.resolve())))
+    write_text(target, description(survey, name, os.path.relpath(real_path(file), real_path(target.parent))))
     ready_model(str(target))
     return target
 

@@ -21,7 +21,7 @@ from infrablend.annotation.classes import rename_classes
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.file_names import distinct_names, file_name
+from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.finished import require_finished
 from infrablend.core.output import OutputFolder, require_replaceable
@@ -389,7 +389,7 @@ def compare(
     if "Car" in by_name and "Person" in by_name:
         facts["car_to_person_contrast"] = contrast_ratio(by_name["Car"], by_name["Person"])
     manifest = RunFolder(run).manifest().read()
-    inside = manifest.exists and out.resolve().is_relative_to(run.resolve())
+    inside = manifest.exists and real_path(out).is_relative_to(real_path(run))
     with manifest.recording() if inside else nullcontext():  # `--overwrite` of the run then deletes its comparison
         write_json(out / "realism.json", facts)
         names = distinct_names([file_name(v.category.lower()) for v in comparisons])
@@ -409,9 +409,9 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
         "seed": about["seed"],
         "recipe": about["recipe"]["name"],
         "frames": len(RunLayout(run).records()),
-        "backgrounds": dataset.root.resolve().name,
+        "backgrounds": real_path(dataset.root).name,
         "splits": splits,
-        "real": real.root.resolve().name,
+        "real": real_path(real.root).name,
         "real_splits": splits if request.real is None else [s for s in SPLITS if s in {i.split for i in real.images}],
     }
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
-from infrablend.core.files import part_path, write_json
+from infrablend.core.files import part_path, require_still_there, write_json
 from infrablend.core.finished import COMPLETE
 from infrablend.core.manifest import REPLACED, Manifest, files_below
 from infrablend.core.output import OutputFolder
@@ -68,7 +68,12 @@ class DatasetFolder:
                     raise
 
     def finish(self, header: Mapping[str, Any], rest: Mapping[str, Any]) -> None:
-        """Write the final record, which marks the dataset as finished. Call it within `writing`."""
+        """Write the final record, which marks the dataset as finished. Call it within `writing`.
+
+        Raises:
+            OutputError: Files have been removed since they were written, or the record cannot be written.
+        """
+        require_still_there(self._manifest.missing(), "repeat the command with --overwrite")
         head = {"infrablend": __version__, **header, **rest}
         self._write_record({**head, "status": COMPLETE, "written": self._manifest.to_json()})
         self._manifest.delete()
@@ -107,6 +112,7 @@ class DatasetFolder:
             raise self._output.refuse_not_ours(f"{self._record} does not list the files that were written")
         earlier.read().add_all(record.get("written"))
         own = {path.split("/")[0] for path in earlier.paths}
+        own |= {part_path(Path(name)).name for name in own}  # what a kill left of a file
         self._output.require_only({*own, self._record, _JOURNAL, REPLACED, CARD_FILE}, entries)
         return earlier
 

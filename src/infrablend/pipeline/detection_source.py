@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.files import read_object
+from infrablend.core.finished import is_finished
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.detections import TASKS, Predictions, Task, read_predictions
@@ -86,20 +88,21 @@ def _file_of(path: Path) -> Path:
     """Return the file to use from a folder: detections of an evaluation, or weights of a finished training.
 
     Raises:
-        ModelError: The folder is neither.
+        ModelError: The folder is neither, or its training is not finished.
     """
-    if not path.is_dir():
-        return path
     from infrablend.pipeline.training.folder import RECORD as TRAINING
     from infrablend.training.trainer import WEIGHTS
 
-    for file in (PREDICTIONS, WEIGHTS):
-        if (path / file).is_file():
-            return path / file
+    of_folder = (path / file for file in (PREDICTIONS, WEIGHTS) if (path / file).is_file())
+    file = next(of_folder, None) if path.is_dir() else path
+    record = read_object(file.with_name(TRAINING)) if file is not None and file.name == WEIGHTS else None
+    if file is not None and (record is None or is_finished(record)):
+        return file
     found, expected = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
     todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
-    if (path / TRAINING).exists():
-        found, expected = f"an unfinished training, without {WEIGHTS}", "a finished one"
+    if record is not None or (path / TRAINING).exists():
+        without = "" if file is not None else f", without {WEIGHTS}"
+        found, expected = f"an unfinished training{without}", "a finished one"
         todo = "finish it: repeat the `infrablend train` command with --resume"
     raise ModelError(f"{path}: nothing to evaluate", [Problem(str(path), "weights", found, expected, todo)])
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import part_path, write_bytes, write_json, write_text
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
@@ -43,6 +43,8 @@ log = logging.getLogger(__name__)
 
 PAGE, PLOTS = "evaluation.html", "plots"
 _OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
+# What a killed call leaves of a file that it was writing.
+_PARTS = frozenset(part_path(Path(name)).name for name in _OWN)
 _SHOWN = 5
 _LEAST_AP = 0.001
 
@@ -283,10 +285,10 @@ def _check_out(out: Path, overwrite: bool) -> list[str]:
     """Return the results already in the folder; refuse a folder whose content must not be replaced."""
     folder = _output(out)
     entries = folder.entries()
-    folder.require_only(_OWN, entries)
+    folder.require_only({*_OWN, *_PARTS}, entries)
     return folder.require_empty(existing="overwrite" if overwrite else "refuse")
 
 
 def _clear(out: Path, entries: Sequence[str]) -> None:
     """Delete an earlier evaluation; its detections stay until the new ones replace them."""
-    _output(out).remove(name for name in (RECORD, PAGE, MATCHES, PLOTS) if name in entries)
+    _output(out).remove(name for name in (*sorted(_PARTS), RECORD, PAGE, MATCHES, PLOTS) if name in entries)

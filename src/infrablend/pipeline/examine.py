@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from infrablend.core.files import write_json
+from infrablend.core.files import require_still_there, write_json
 from infrablend.core.finished import UNFINISHED
 from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
@@ -16,6 +16,7 @@ from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.unread import unread_label_files
 from infrablend.report.checking import CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
+from infrablend.report.picture_mark import CHARTS, software_of
 
 # Codes of problems caused by the command, not by the data.
 _USAGE = {UNFINISHED, "folder-missing", "option-unknown", "option-value", "table-unused"}
@@ -36,14 +37,16 @@ def inspect_folder(
         require_apart(root, out)
         record = OutputFolder(out, "report", "inspect.json").read_record()
         ours = record is not None and record.keys() >= _RECORDED
-        for name in ("inspect.json", "inspect.png"):
-            require_replaceable(out / name, "report", ours=ours)
+        charts = out / "inspect.png"
+        require_replaceable(out / "inspect.json", "report", ours=ours)
+        require_replaceable(charts, "report", ours=ours or software_of(charts) == CHARTS)
     dataset = detection.read(root, reading)
     reason = "as asked for" if reading.format else detection.detect(root).reasons[dataset.format]
     facts = inspect_dataset(dataset, reason, decode=decode)
     if out is not None:
         write_json(out / "inspect.json", facts.to_json())
-        write_charts(facts, out / "inspect.png")
+        write_charts(facts, charts)
+        require_still_there([out / "inspect.json", charts])
     return facts
 
 

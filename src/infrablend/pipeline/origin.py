@@ -15,6 +15,7 @@ from infrablend.assets.user_model import is_description
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import OutputError
 from infrablend.pipeline.folder import RunFolder
@@ -76,7 +77,7 @@ def _recipe_yaml(recipe: Recipe) -> str:
 
 def _recorded_inserts(root: Path) -> tuple[Inserts, ...]:
     """Return the inserts of a run by its record: the `SOURCE.json` of earlier versions does not list them."""
-    for folder in (root.resolve(), root.resolve().parent):  # the dataset may be RUN/coco
+    for folder in (real_path(root), real_path(root).parent):  # the dataset may be RUN/coco
         if (folder / RUN_FILE).is_file():
             try:
                 record = RunFolder(folder).read_run()

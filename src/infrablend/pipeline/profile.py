@@ -20,6 +20,7 @@ from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Survey, SurveyS
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, Progress
@@ -118,7 +119,7 @@ def profile_dataset(
         read_objects(dataset, annotated, levels, on_picture=tick),
         None if rendered is None else read_objects(rendered, inserted, levels, inserted=True, on_picture=tick),
     )
-    name = name or dataset.root.resolve().name or "pictures"
+    name = name or real_path(dataset.root).name or "pictures"
     edges = len(survey.edges)
     if edges < MIN_EDGES:
         raise DatasetError(

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from infrablend import __version__
 from infrablend.compositing.mapping import measure_levels
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
@@ -482,7 +483,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
         "seed": plan.seed,
         "key": dict(plan.key),
         "data": {
-            "root": str(plan.dataset.root.resolve()),
+            "root": str(real_path(plan.dataset.root)),
             "format": plan.dataset.format,
             "backgrounds": len(plan.dataset.images),
             "notes": dict(plan.dataset.notes),

@@ -10,12 +10,19 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.pipeline.training.data import data_digest, select_training_data, write_training_data
-from infrablend.pipeline.training.folder import RECORD, begin_training, output_folder, require_same
+from infrablend.pipeline.training.folder import (
+    RECORD,
+    begin_training,
+    output_folder,
+    remove_working_files,
+    require_same,
+)
 from infrablend.pipeline.training.plan import plan_of
 from infrablend.pipeline.training.process import run_trainer
 from infrablend.pipeline.training.requirements import choose_device, require_arguments, require_space
@@ -76,12 +83,13 @@ def train_dataset(
         record = begin_training(out, existing)
         asked = {
             "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
-            "classes": [c.name for c in wanted.categories], "data": str(dataset.root.resolve()),
+            "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
             "start_asked": request.weights, "content": data_digest(wanted, task),
         }  # fmt: skip
         if record is not None:
             require_same(out, record, asked)
             if record["status"] == "complete" and (out / trainer.WEIGHTS).is_file():
+                remove_working_files(out)  # of a call that was killed between its record and this
                 return TrainReport(out, out / trainer.WEIGHTS, record)
         if record is None or record.get("prepared") is None:
             require_space(out, plan_of(wanted, preset, device, request.seed).disk_bytes)

@@ -17,6 +17,7 @@ import yaml
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
@@ -218,7 +219,7 @@ def find_provenance(dataset: Dataset) -> Provenance:
 
 def _licence_file(root: Path) -> tuple[str, bytes] | None:
     for name in (*_LICENCE_NAMES, LICENCE_COPY, f"../{LICENCE_COPY}"):
-        path = root.resolve() / name
+        path = real_path(root) / name
         try:
             if path.is_file() and path.stat().st_size <= _LICENCE_BYTES:
                 return name, path.read_bytes()
@@ -228,7 +229,7 @@ def _licence_file(root: Path) -> tuple[str, bytes] | None:
 
 
 def _stated_provenance(dataset: Dataset) -> Provenance:
-    root = dataset.root.resolve()
+    root = real_path(dataset.root)
     for folder in (root, root.parent):  # the data may be a folder of a download or of a run, such as RUN/native
         if (found := read_source(folder / SOURCE_FILE)) is not None:
             return found

@@ -28,6 +28,7 @@ from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
+from infrablend.report.picture_mark import CONTACT_SHEET, software_of
 
 Draw = Literal["boxes", "obb", "masks"]
 ALL_DRAWN: tuple[Draw, ...] = ("boxes", "obb", "masks")
@@ -53,7 +54,6 @@ MAX_INSETS = 3  # pairs per frame
 MAX_ZOOM, MIN_ZOOM = 4, 2
 
 _SUBPIXEL_BITS = 4
-_SOFTWARE = "InfraBlend contact sheet"
 
 log = logging.getLogger(__name__)
 
@@ -116,20 +116,12 @@ def write_sheet(path: Path, sheet: Rgb) -> Path:
     Raises:
         OutputError: The file exists and is not such a sheet, or cannot be written.
     """
-    require_replaceable(path, "contact sheet", ours=_is_sheet(path))
+    require_replaceable(path, "contact sheet", ours=software_of(path) == CONTACT_SHEET)
     buffer = io.BytesIO()
     mark = PngInfo()
-    mark.add_text("Software", _SOFTWARE)
+    mark.add_text("Software", CONTACT_SHEET)
     Image.fromarray(sheet).save(buffer, "PNG", compress_level=6, pnginfo=mark)
     return write_bytes(path, buffer.getvalue())
-
-
-def _is_sheet(path: Path) -> bool:
-    try:
-        with Image.open(path) as picture:
-            return bool(picture.info.get("Software") == _SOFTWARE)
-    except (OSError, ValueError, SyntaxError, ImportError):  # Ultralytics, once imported, tries a library it may lack
-        return False
 
 
 def draw_labels(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_bytes
 from infrablend.core.user_folders import weights_folder
 from infrablend.errors import FetchError, MissingDependencyError
@@ -62,7 +63,7 @@ def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None
         return StartWeights(f"{own}.yaml", "scratch", "requested")
     path = Path(wanted)
     if wanted != AUTO and _is_file(path):
-        return StartWeights(str(path.resolve()), "file")
+        return StartWeights(str(real_path(path)), "file")
     name = f"{own}.pt" if wanted == AUTO else wanted
     require_known(wanted)
     if not _NAME.fullmatch(name):

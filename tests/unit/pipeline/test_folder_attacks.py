@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
 from infrablend.pipeline import request
+from tests.attack.scenarios import write_detections
 from tests.samples import SAMPLES
 
 
@@ -340,3 +341,108 @@ def test_rerender_does_not_overwrite_another_file(made: Path, tmp_path: Path) ->
     assert run("preview", made, "--out", mine).exit_code == 2 and mine.read_text() == "mine"
     done("rerender", made, frame, "--out", tmp_path / "new.png")
     done("rerender", made, frame, "--out", tmp_path / "new.png")
+
+
+# -- found by scripts/attack.py
+
+
+def test_evaluation_killed_at_its_record_is_repeated_with_overwrite(tmp_path: Path) -> None:
+    write_detections(tmp_path)
+    words = ["evaluate", tmp_path / "in" / "predictions.json", tmp_path / "in" / "data", "--bootstrap", "0"]
+    done(*words, "--out", tmp_path / "fresh")
+    made = tmp_path / "out"
+    shutil.copytree(tmp_path / "fresh", made)
+    (made / "evaluation.json").rename(made / ".evaluation.part.json")
+    ended = run(*words, "--out", made)
+    assert ended.exit_code == 2 and "--overwrite" in ended.stderr, ended.output
+    done(*words, "--out", made, "--overwrite")
+    assert tree(made) == tree(tmp_path / "fresh")
+
+
+def test_weights_of_an_unfinished_training_are_refused(tmp_path: Path) -> None:
+    write_detections(tmp_path)
+    training = tmp_path / "training"
+    training.mkdir()
+    (training / "weights.pt").write_bytes(b"")
+    (training / "train.json").write_text(json.dumps({"infrablend": "1", "status": "running"}))
+    for weights in (training, training / "weights.pt"):
+        ended = run("evaluate", weights, tmp_path / "in" / "data", "--out", tmp_path / "out")
+        assert ended.exit_code == 2 and "unfinished training" in ended.stderr and "--resume" in ended.stderr
+
+
+def test_report_removed_while_it_is_written_is_an_error_and_can_be_repeated(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, real = tmp_path / "report", Path.replace
+
+    def replace(path: Path, target: Path) -> Path:
+        if target.name == "inspect.png":
+            (out / "inspect.json").unlink()
+        return real(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", replace)
+        ended = run("inspect", data, "--out", out)
+    assert ended.exit_code == 2 and "inspect.json" in ended.stderr and "repeat the command" in ended.stderr.lower()
+    done("inspect", data, "--out", out)
+    (out / "inspect.json").unlink()
+    (out / "inspect.png").write_bytes(b"mine")
+    assert run("inspect", data, "--out", out).exit_code == 2 and (out / "inspect.png").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", [".README.part.md", ".SOURCE.part.json"])
+def test_conversion_killed_while_it_writes_beside_its_record_is_repeated(
+    name: str, data: Path, converted: Path
+) -> None:
+    before = tree(converted)
+    set_status(converted / "convert.json", "running")
+    (converted / name).write_text("half")
+    written = {"path": name.replace(".part", "")[1:]}
+    (converted / ".files.jsonl").write_text(json.dumps(written) + "\n")
+    done("convert", data, converted, "--to", "voc", "--overwrite")
+    assert tree(converted) == before
+
+
+def test_conversion_whose_files_are_removed_meanwhile_is_not_finished(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, real = tmp_path / "voc", Path.replace
+
+    def replace(path: Path, target: Path) -> Path:
+        if target.name == "README.md":
+            shutil.rmtree(out / "JPEGImages")
+        return real(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", replace)
+        ended = run("convert", data, out, "--to", "voc")
+    assert ended.exit_code == 2 and "was removed" in ended.stderr and "--overwrite" in ended.stderr, ended.output
+    assert run("check", out).exit_code == 2
+    done("convert", data, out, "--to", "voc", "--overwrite")
+    assert run("check", out).exit_code == 0
+
+
+def test_picture_that_is_a_link_to_itself_is_missing(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    picture = sorted(data.rglob("*.jpg"))[0]
+    picture.unlink()
+    picture.symlink_to(picture)
+    ended = run("convert", data, tmp_path / "out", "--to", "coco")
+    assert "image-missing" in ended.stdout + ended.stderr or "leads to no file" in ended.stdout + ended.stderr
+    assert json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]["images"] == 3
+
+
+def test_links_in_a_circle_are_an_error_with_a_name(data: Path, tmp_path: Path) -> None:
+    circle = tmp_path / "circle.csv"
+    circle.symlink_to(circle)
+    for words in (
+        ["inspect", data, "--metadata", circle],
+        ["check", circle],
+        ["convert", data, circle, "--to", "voc"],
+        [*GENERATE[:2], "--data", circle, "--out", tmp_path / "out"],
+        [*GENERATE[:2], "--data", data, "--out", circle],
+        ["generate", circle, "--data", data, "--out", tmp_path / "out"],
+        ["evaluate", circle, data, "--out", tmp_path / "out"],
+    ):
+        ended = run(*words)
+        assert ended.exit_code in (2, 3), (words, ended.output)

@@ -7,6 +7,7 @@ import re
 from fnmatch import fnmatch
 from pathlib import Path
 
+from infrablend.core.file_names import real_path
 from infrablend.formats.annotation_files import leaves_folder
 from infrablend.formats.base import Match
 from infrablend.formats.monet.options import PITCH_KEYS
@@ -59,7 +60,7 @@ def detect(root: Path) -> Match:
         depth = len(Path(base).relative_to(root).parts)
         # Our writers of COCO and others keep sequence folders below `images`.
         folders[:] = sorted(d for d in folders if not is_hidden(d) and d != "images" and depth < _JSON_DEPTH)
-        named = next((d for d in (Path(base).resolve().name, *folders) if SEQUENCE.fullmatch(d)), None)
+        named = next((d for d in (real_path(Path(base)).name, *folders) if SEQUENCE.fullmatch(d)), None)
         if named is not None:
             return Match(NAME, True, f"JSON files and a sequence folder {named}")
     return Match(NAME, False, f"no JSON file contains {' or '.join(PITCH_KEYS)}, no folder runway_NN or dirtroad_NN")

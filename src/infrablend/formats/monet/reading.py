@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
+from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.annotation_files import read_json
@@ -137,7 +138,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
     root, listing, problems = dataset.root, dataset.listing, dataset.problems
     path = PurePosixPath(where)
     of_file = dataset.options.split or split_in_stem(path.stem) or split_in(path.parent.parts)
-    of_root = split_in([root.resolve().name])
+    of_root = split_in([real_path(root).name])
     joined = join_lists(top)
     images: list[Any] = []
     fields: dict[int, dict[str, Any]] = {}
@@ -184,7 +185,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
         number = record.source_id if isinstance(record.source_id, int) else -1
         own = fields.get(number, {})
         in_split = of_file or split_in(PurePosixPath(record.name).parent.parts) or of_root or "train"
-        sequence = sequence_of(record.name, path.stem, root.resolve().name)
+        sequence = sequence_of(record.name, path.stem, real_path(root).name)
         record = replace(record, split=in_split, sequence=sequence or record.sequence)
         frames.append(frame_of(record, where, own, dataset.options, tally))
     expected = {

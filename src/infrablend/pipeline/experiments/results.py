@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.experiment import METRICS, FactsRow, Row, Training
+from infrablend.core.file_names import real_path
 from infrablend.pipeline.experiments.conclusions import check_claim, find_class
 from infrablend.pipeline.experiments.graph import OTHER_SCALES, StageGraph
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
@@ -104,7 +105,7 @@ def _command(prepared: PreparedExperiment) -> str:
     formats = Counter(s.format for s in prepared.experiment.sources.values())
     for name, path in prepared.graph.given.items():
         of_several = formats[prepared.experiment.sources[name].format] > 1
-        words += ["--data", f"{name}={path.resolve().name}" if of_several else path.resolve().name]
+        words += ["--data", f"{name}={real_path(path).name}" if of_several else real_path(path).name]
     return " ".join([*words, *(["--seed", str(request.seed)] if request.seed else [])])
 
 

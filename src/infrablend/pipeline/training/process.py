@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
@@ -30,7 +31,7 @@ def run_trainer(
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
-        data=str((out / DATA / "data.yaml").resolve()), out=str(out.resolve()), task=task,
+        data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=task,
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=seed, images=prepared["images"],
         labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),

@@ -1,0 +1,272 @@
+"""The commands that are attacked, each with tiny inputs, what finishes it, and what reads its output.
+
+Every attack has a folder of its own, the lab: inputs in `in`, the output in `out`, and `canary` beside them. Nothing
+but `out` may change.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.attack.child import Outcome, fork_command
+from tests.fuzzing import make_outside
+from tests.samples import SAMPLES, picture
+
+Words = list[object]
+
+_CAMERA = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One command.
+
+    Attributes:
+        name: Name in the table.
+        prepare: Writes the inputs to the lab.
+        words: Arguments of the command.
+        finishes: Options that finish or replace what an interrupted command left; empty words if the same command does.
+        readers: Commands that must refuse unfinished output; they write to a given folder.
+        flat: Whether frames are computed with the flat renderer in the process of the command.
+        left_out: Beginnings of paths in the output that may differ between equal calls.
+        trained: Whether the output depends on weights that the command trains.
+        share: Share of the kills.
+    """
+
+    name: str
+    prepare: Callable[[Path], None]
+    words: Callable[[Path], Words]
+    finishes: tuple[tuple[str, ...], ...]
+    readers: tuple[Callable[[Path, Path], Words], ...] = ()
+    flat: bool = True
+    left_out: tuple[str, ...] = ("log/", "train.log", ".files.jsonl")
+    trained: bool = False
+    share: float = 0.1
+
+
+def new_lab(root: Path, prepare: Callable[[Path], object]) -> Path:
+    """Empty a folder and write inputs to it."""
+    shutil.rmtree(root, ignore_errors=True)
+    (root / "canary" / "inner").mkdir(parents=True)
+    make_outside(root / "canary")
+    for name in ("mine.txt", "run.json", "inner/a.jpg"):
+        (root / "canary" / name).write_text("mine")
+    prepare(root)
+    return root
+
+
+def done(lab: Path, *words: object, flat: bool = True) -> Outcome:
+    """Run a command that prepares an input; it must succeed."""
+    ended = fork_command(words, lab, lab / "in", flat=flat)
+    if ended.code:
+        raise RuntimeError(f"{words}: exit {ended.code}\n{ended.output}")
+    return ended
+
+
+# -- inputs
+
+
+def _coco(lab: Path) -> None:
+    SAMPLES["coco"](lab / "in" / "data")
+
+
+def write_clips(lab: Path) -> None:
+    """Write twelve labelled pictures of two classes in three splits, large enough to train on."""
+    for k in range(12):
+        split = ("train", "train", "train", "val", "test")[k % 5]
+        path = picture(lab / "in" / "data" / "images" / split / f"clip{k // 4}_{2 * k:05}.png", k)
+        label = lab / "in" / "data" / "labels" / split / f"{path.stem}.txt"
+        label.parent.mkdir(parents=True, exist_ok=True)
+        label.write_text(f"{k % 2} 0.5 0.5 0.2 0.25\n0 0.2 0.3 0.1 0.125\n")
+    (lab / "in" / "data" / "data.yaml").write_text(
+        "path: .\ntrain: images/train\nval: images/val\ntest: images/test\nnames: {0: fox, 1: hare}\n"
+    )
+
+
+def _run(lab: Path) -> None:
+    _coco(lab)
+    done(lab, *generate_words(lab, lab / "in" / "run"))
+
+
+def write_detections(lab: Path) -> None:
+    write_clips(lab)
+    from infrablend.evaluation.detections import Predictions, detections, write_predictions
+
+    found = {}
+    for path in sorted((lab / "in" / "data" / "images" / "test").iterdir()):
+        found[f"test/{path.name}"] = detections([np.array([25.0, 18, 38, 30])], [0.9], [0])
+    predictions = Predictions("detect", ("fox", "hare"), found, dict.fromkeys(found, (64, 48)), {"weights": "a.pt"})
+    write_predictions(lab / "in" / "predictions.json", predictions)
+
+
+def _pictures(lab: Path) -> None:
+    """Write pictures that are large enough to measure a camera in."""
+    for k in range(4):
+        picture(lab / "in" / "data" / f"a{k}.png", k, (160, 128))
+
+
+def _archive(lab: Path) -> None:
+    """Write an archive in the layout of HIT-UAV's."""
+    SAMPLES["hit-uav:json"](lab / "in" / "made")
+    with zipfile.ZipFile(lab / "in" / "data.zip", "w") as archive:
+        for path in sorted((lab / "in" / "made").rglob("*")):
+            archive.write(path, path.relative_to(lab / "in" / "made"))
+
+
+def _hit_uav(lab: Path) -> None:
+    SAMPLES["hit-uav:json"](lab / "in" / "data")
+
+
+def _experiment(lab: Path) -> None:
+    write_clips(lab)
+    (lab / "in" / "small.yaml").write_text(EXPERIMENT)
+
+
+EXPERIMENT = """\
+name: small
+title: Small
+description: Does one training end as it should?
+sources:
+  clips: {format: yolo, title: Clips}
+trainings:
+  one: {data: clips, paper_images: 8}
+evaluations:
+  one: {training: one, data: clips}
+tables:
+  - title: One
+    evaluation: one
+    rows:
+      - {title: All, category: all}
+"""
+
+
+# -- commands
+
+
+def generate_words(lab: Path, out: Path, *options: object) -> Words:
+    """Return the command that inserts drones into the sample with labels."""
+    data = ["--data", lab / "in" / "data", "--out", out, "--to", "yolo,coco,voc"]
+    return ["-q", "generate", "hit-uav-drone", *data, *_CAMERA, "--workers", "2", *options]
+
+
+def _check(out: Path, other: Path) -> Words:
+    return ["-q", "check", out]
+
+
+def _inspect(out: Path, other: Path) -> Words:
+    return ["-q", "inspect", out]
+
+
+def _convert(out: Path, other: Path) -> Words:
+    return ["-q", "convert", out, other, "--to", "coco"]
+
+
+def _train(out: Path, other: Path) -> Words:
+    return ["-q", "train", out, "--plan", "--preset", "smoke", "--out", other]
+
+
+def _of(part: str, reader: Callable[[Path, Path], Words]) -> Callable[[Path, Path], Words]:
+    return lambda out, other: reader(out / part, other)
+
+
+def _evaluate(out: Path, other: Path) -> Words:
+    return ["-q", "evaluate", out, out.parent / "in" / "data", "--out", other, "--bootstrap", "0"]
+
+
+READ_DATASET = (_check, _convert, _inspect, _train)
+READ_RUN = (_of("yolo", _check), _of("coco", _convert), _of("voc", _train), _of("images", _inspect))
+RESUME, OVERWRITE, SAME = ("--resume",), ("--overwrite",), ()
+
+SCENARIOS: dict[str, Scenario] = {
+    s.name: s
+    for s in (
+        Scenario("generate", _coco, lambda lab: generate_words(lab, lab / "out"), (RESUME, OVERWRITE), READ_RUN),
+        Scenario(
+            "generate, workers",
+            _coco,
+            lambda lab: generate_words(lab, lab / "out", "--set", "configurations=3"),
+            (RESUME, OVERWRITE),
+            READ_RUN,
+            flat=False,
+            share=0.03,
+        ),
+        Scenario(
+            "convert",
+            _coco,
+            lambda lab: ["-q", "convert", lab / "in" / "data", lab / "out", "--to", "voc"],
+            (OVERWRITE,),
+            READ_DATASET,
+        ),
+        Scenario(
+            "split",
+            write_clips,
+            lambda lab: ["-q", "split", lab / "in" / "data", lab / "out", "--by", "gap", "--gap", "3"],
+            (OVERWRITE,),
+            READ_DATASET,
+        ),
+        Scenario(
+            "inspect --out", _coco, lambda lab: ["-q", "inspect", lab / "in" / "data", "--out", lab / "out"], (SAME,)
+        ),
+        Scenario(
+            "preview",
+            _run,
+            lambda lab: ["-q", "preview", lab / "in" / "run", "--out", lab / "out" / "sheet.png"],
+            (SAME,),
+        ),
+        Scenario(
+            "evaluate",
+            write_detections,
+            lambda lab: [
+                "-q", "evaluate", lab / "in" / "predictions.json", lab / "in" / "data", "--out", lab / "out",
+                "--bootstrap", "20",
+            ],
+            (OVERWRITE,),
+        ),
+        Scenario(
+            "profile", _pictures, lambda lab: ["-q", "profile", lab / "in" / "data", "--out", lab / "out"], (SAME,)
+        ),
+        Scenario(
+            "fetch --archive",
+            _archive,
+            lambda lab: ["-q", "fetch", "hit-uav", lab / "out", "--archive", lab / "in" / "data.zip"],
+            (SAME,),
+            READ_DATASET,
+        ),
+        Scenario(
+            "experiment",
+            _hit_uav,
+            lambda lab: [
+                "-q", "experiment", "datasets", "--scale", "smoke", "--data", lab / "in" / "data",
+                "--work", lab / "out" / "work", "--results", lab / "out" / "results",
+            ],
+            (SAME,),
+        ),
+        Scenario(
+            "experiment with training",
+            _experiment,
+            lambda lab: [
+                "-q", "experiment", lab / "in" / "small.yaml", "--scale", "smoke", "--data", lab / "in" / "data",
+                "--work", lab / "out" / "work", "--results", lab / "out" / "results",
+            ],
+            (SAME,),
+            share=0.02, trained=True,
+        ),
+        Scenario(
+            "train",
+            write_clips,
+            lambda lab: [
+                "-q", "train", lab / "in" / "data", "--out", lab / "out", "--preset", "smoke", "--weights", "scratch",
+            ],
+            (RESUME, OVERWRITE),
+            (_evaluate,),
+            share=0.03,
+            trained=True,
+        ),
+    )
+}  # fmt: skip
