@@ -37,6 +37,12 @@ def frames(
         typer.Option(metavar="SECONDS", help="Second of a flight log at which the video starts [default: found]."),
     ] = None,
     time: Annotated[Time | None, typer.Option(help="Time of day of the flight, for the table.")] = None,
+    hfov: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1, max=170, metavar="DEGREES", help="Field of view across the width of the video, for the table."
+        ),
+    ] = None,
     sequence: Annotated[
         str | None, typer.Option(metavar="LIST", help="Names of the sequences [default: names of the videos].")
     ] = None,
@@ -57,7 +63,7 @@ def frames(
     from infrablend.pipeline.frames import FlightFacts, FrameChoice
 
     flight = FlightFacts(
-        log, not no_log, Clock(offset, log_start), None if time is None else time.value,
+        log, not no_log, Clock(offset, log_start), None if time is None else time.value, hfov,
         comma_list(sequence, "--sequence") or (),
     )  # fmt: skip
     with shown_progress(ctx.obj, "extracting") as on_progress:

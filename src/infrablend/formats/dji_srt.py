@@ -142,12 +142,11 @@ def _log(
         if back:
             text = f"{back} sample(s) with a gimbal that looks back under the aircraft"
             problems.append(Problem(path.name, "log-pitch", text, "-90 to 90 degrees", severity="warning"))
-    counter = next((c for c in _COUNTERS if names[c] >= len(found)), None)
-    frames = None if counter is None else np.array([int(given[counter]) - 1 for _, given, _ in found], np.int64)
-    if frames is not None and (np.diff(frames) <= 0).any():
-        frames = None
+    counter = next((c for c in _COUNTERS if names[c]), "")
+    frames = np.array([given.get(counter, math.nan) - 1 for _, given, _ in found], np.float64)
     clock = np.array([when for _, _, when in found], np.float64)
+    dated = clock if np.isfinite(clock).any() else None
     return FlightLog(
         path.name, "DJI subtitles", np.array([s for s, _, _ in found], np.float64), values,
-        chosen["altitude_m"] or "", frames, clock if np.isfinite(clock).any() else None, problems=tuple(problems),
+        chosen["altitude_m"] or "", frames if counter else None, dated, problems=tuple(problems),
     )  # fmt: skip

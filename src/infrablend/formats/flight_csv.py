@@ -22,7 +22,7 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog, Values
+from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order
 from infrablend.formats.log_text import read_log_text
 
 _HEADER_LINES = 5
@@ -33,8 +33,6 @@ _FLY_TIME = re.compile(r"(?:(\d+)\s*h)?\s*(?:(\d+)\s*m)?\s*(\d+(?:\.\d+)?)\s*s",
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d{1,6})?)\s*([AaPp][Mm])?", re.ASCII)
 _DAY = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})", re.ASCII)
 _RECORDING = {"1", "true", "yes", "starting", "recording", "started"}
-# A log that goes back in time more often than this is not one flight.
-_BACKWARDS = 0.1
 
 
 @dataclass(frozen=True)
@@ -90,16 +88,15 @@ def read_flight_csv(path: Path) -> FlightLog:
     """
     dialect, columns, rows = _table(path)
     elapsed, clock_s, in_utc = _times(path, dialect, columns, rows)
-    kept = np.isfinite(elapsed)
-    kept[kept] &= np.concatenate([[True], np.diff(np.maximum.accumulate(elapsed[kept])) > 0])[: int(kept.sum())]
+    kept = in_order(elapsed)
     lost = len(rows) - int(kept.sum())
     problems = []
-    if lost > _BACKWARDS * len(rows) or kept.sum() < 2:
-        found = f"{lost} of {len(rows)} row(s) without a time, or not later than the row before"
+    if lost > MAX_DAMAGED * len(rows) or kept.sum() < 2:
+        found = f"{lost} of {len(rows)} row(s) without a time, or out of order"
         problem = Problem(path.name, "log-times", found, "times that increase", "export the log again")
         raise DatasetError(f"{path}: no usable times", [problem])
     if lost:
-        found = f"{lost} of {len(rows)} row(s) without a time, or not later than the row before, left out"
+        found = f"{lost} of {len(rows)} row(s) without a time, or out of order, left out"
         problems.append(Problem(path.name, "log-times", found, "times that increase", severity="warning"))
     values, height, more = _values(path, dialect, columns, rows, kept)
     start = float(elapsed[kept][0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -20,6 +21,8 @@ ROUND = ("roll_deg", "yaw_deg")
 FIELDS = (*LINEAR, *ROUND)
 MAX_GAP_S = 2.0
 """Longest time between two samples over which values are interpolated."""
+MAX_DAMAGED = 0.1
+"""Share of a log's samples that may be out of order; a log with more is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +32,11 @@ class FlightLog:
     Attributes:
         name: Name of the file.
         dialect: What wrote it, for people.
-        times_s: (n,) seconds, increasing: since the start of the video for subtitles, else since the log's own start.
+        times_s: (n,) seconds since the start of the video for subtitles, else since the log's own start. Subtitles may
+            be out of order; see `log_alignment`.
         values: (n,) values per field of `FIELDS` that the log has; NaN where a sample has none.
         height: Name of the source's field behind `altitude_m`; empty if it has none.
-        frames: (n,) frame number of each sample, from 0, increasing; None if the log counts no frames.
+        frames: (n,) frame number of each sample, from 0; NaN where it has none, None if the log counts no frames.
         clock_s: (n,) seconds since 1970 by the log's clock; NaN where unknown.
         in_utc: Whether that clock shows UTC; else it is local time of an unknown zone.
         recordings: Start and end of each video recording in the log, by `times_s`; empty for subtitles.
@@ -44,7 +48,7 @@ class FlightLog:
     times_s: Values
     values: Mapping[str, Values]
     height: str = ""
-    frames: NDArray[np.int64] | None = None
+    frames: Values | None = None
     clock_s: Values | None = None
     in_utc: bool = False
     recordings: tuple[tuple[float, float], ...] = ()
@@ -141,6 +145,29 @@ def sample(log: FlightLog, at: Sequence[float], positions: Values | None = None)
         int(known.sum()), int(before.sum()), int(after.sum()), int(in_gap.sum()), float(steps.max(initial=0.0))
     )
     return Sampled(values, captured, coverage)
+
+
+def in_order(values: Sequence[float] | Values) -> NDArray[np.bool_]:
+    """Return a mask of the longest series of values that increases; it leaves out single values that are damaged."""
+    ends: list[float] = []
+    last: list[int] = []
+    before = [-1] * len(values)
+    for k, value in enumerate(np.asarray(values, np.float64).tolist()):
+        if not math.isfinite(value):
+            continue
+        at = bisect_left(ends, value)
+        before[k] = last[at - 1] if at else -1
+        if at == len(ends):
+            ends.append(value)
+            last.append(k)
+        else:
+            ends[at], last[at] = value, k
+    mask = np.zeros(len(values), np.bool_)
+    k = last[-1] if last else -1
+    while k >= 0:
+        mask[k] = True
+        k = before[k]
+    return mask
 
 
 def _between(a: Values, b: Values, weight: Values, *, round_: bool) -> Values:

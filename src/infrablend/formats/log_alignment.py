@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog
+from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order
 from infrablend.formats.video import Timeline
+
+Mask = NDArray[np.bool_]
 
 # A recording in a log is that of a video if they differ in length by at most this much, or this share.
 _SAME_S, _SAME_SHARE = 2.5, 0.02
@@ -72,34 +75,51 @@ def align(log: FlightLog, timeline: Timeline, created: datetime | None, clock: C
 def _subtitles(log: FlightLog, timeline: Timeline, offset_s: float) -> Aligned:
     """Return subtitles by frame number if they count the video's frames, else by time."""
     count = len(timeline.times_s)
-    per_frame = abs(len(log.times_s) - count) <= max(2, 0.02 * count)
-    in_order = bool((np.diff(log.times_s) > 0).all())
-    frames = log.frames
-    if frames is None and per_frame and not in_order:
-        frames = np.arange(len(log.times_s))
-    if frames is not None and abs(int(frames[-1]) + 1 - count) <= max(2, 0.02 * count):
-        kept = (frames >= 0) & (frames < count)
-        times = timeline.times_s[frames[kept]]
-        off = float(np.abs(times - log.times_s[kept]).max(initial=0.0))
-        problems = []
-        if off > _WRONG_S:
-            found = f"times up to {off:.1f} s away from those of the frames that they count; the frames' times are used"
-            problems.append(Problem(log.name, "log-times", found, "the video's times", severity="warning"))
-        return Aligned(_select(log, kept, times - offset_s), "frame numbers", tuple(problems))
-    if not in_order:
+    least = (1 - MAX_DAMAGED) * len(log.times_s)
+    by_time = in_order(log.times_s)
+    numbers = log.frames
+    if numbers is None and by_time.sum() < least and _is_about(len(log.times_s), count):
+        numbers = np.arange(len(log.times_s), dtype=np.float64)
+    if numbers is not None:
+        kept = in_order(numbers)
+        frames = numbers[kept].astype(np.int64)
+        if kept.sum() >= least and _is_about(int(frames[-1]) + 1, count):
+            kept[kept] = (frames >= 0) & (frames < count)
+            times = timeline.times_s[frames[(frames >= 0) & (frames < count)]]
+            off = np.abs(times - log.times_s[kept])
+            problems = _left_out(log, kept)
+            if off.size and np.median(off) > _WRONG_S:
+                found = f"times up to {off.max():.1f} s away from those of the frames that they count"
+                todo = "the frames' times are used"
+                problems.append(Problem(log.name, "log-times", found, "the video's times", todo, "warning"))
+            return Aligned(_select(log, kept, times - offset_s), "frame numbers", tuple(problems))
+    if by_time.sum() < max(least, 1):
         found = "subtitles whose times do not increase, and that do not count the video's frames"
         problem = Problem(log.name, "log-times", found, "times that increase", "give a flight log with --log")
         raise DatasetError(f"{log.name}: no usable times", [problem])
+    times = log.times_s[by_time]
     longest = timeline.duration_s + max(_LONGER_S, _LONGER_SHARE * timeline.duration_s)
-    if log.times_s[-1] > longest:
-        found = f"subtitles up to {log.times_s[-1]:.1f} s, for a video of {timeline.duration_s:.1f} s"
-        raise _other_flight(
-            log, found, f"subtitles that end within {longest:.1f} s", "give the subtitles of this video"
-        )
-    return Aligned(replace(log, times_s=log.times_s - offset_s), "times")
+    if times[-1] > longest:
+        found = f"subtitles up to {times[-1]:.1f} s, for a video of {timeline.duration_s:.1f} s"
+        expected = f"subtitles that end within {longest:.1f} s"
+        raise _other_flight(log, found, expected, "give the subtitles of this video")
+    return Aligned(_select(log, by_time, times - offset_s), "times", tuple(_left_out(log, by_time)))
 
 
-def _select(log: FlightLog, kept: np.ndarray[tuple[int], np.dtype[np.bool_]], times: np.ndarray) -> FlightLog:  # type: ignore[type-arg]
+def _is_about(number: int, count: int) -> bool:
+    """Return whether a number of frames or subtitles is that of the video's frames, give or take its ends."""
+    return abs(number - count) <= max(2, 0.02 * count)
+
+
+def _left_out(log: FlightLog, kept: Mask) -> list[Problem]:
+    lost = int((~kept).sum())
+    if not lost:
+        return []
+    found = f"{lost} of {len(kept)} subtitle(s) out of order, or of no frame of the video, left out"
+    return [Problem(log.name, "log-times", found, "subtitles in order", severity="warning")]
+
+
+def _select(log: FlightLog, kept: Mask, times: Values) -> FlightLog:
     clock = None if log.clock_s is None else log.clock_s[kept]
     frames = None if log.frames is None else log.frames[kept]
     return replace(

@@ -32,7 +32,7 @@ from infrablend.pipeline.dataset_folder import DatasetFolder
 
 TABLE = "metadata.csv"
 COLUMNS = (
-    "file", "sequence", "captured", "pitch_deg", "altitude_m", "time_of_day", "frame", "time_s",
+    "file", "sequence", "captured", "pitch_deg", "altitude_m", "hfov_deg", "time_of_day", "frame", "time_s",
     "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg",
 )  # fmt: skip
 _DECIMALS = {"latitude_deg": 7, "longitude_deg": 7}
@@ -41,6 +41,7 @@ _TIME = re.compile(r"(?:(?:(\d+):)?(\d{1,3}):)?(\d+(?:\.\d+)?)s?", re.ASCII)
 _NEEDED = {
     "pitch_deg": ("gimbal pitch", "camera.pitch='{fixed_deg: 90}'"),
     "altitude_m": ("height", "camera.altitude='{fixed_m: 60}'"),
+    "hfov_deg": ("field of view", "camera.focal_length_mm=40"),
 }
 
 
@@ -110,6 +111,7 @@ class FlightFacts:
         use_log: False to extract without telemetry.
         clock: What is known about the clocks.
         time_of_day: Day or night, for the table.
+        hfov_deg: Field of view across the width of the video, for the table; None if unknown.
         names: Names of the sequences, one per video; empty to use the videos' names.
     """
 
@@ -117,10 +119,13 @@ class FlightFacts:
     use_log: bool = True
     clock: Clock = NO_CLOCK
     time_of_day: TimeOfDay | None = None
+    hfov_deg: float | None = None
     names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         require_names("names", self.names)
+        if self.hfov_deg is not None and not 0.1 <= self.hfov_deg <= 170:
+            raise ArgumentError(f"hfov_deg: found {self.hfov_deg}, expected 0.1 to 170 degrees")
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +247,8 @@ def extract_frames(
                 if report_done is not None:
                     report_done(done, total)
             sampled = _sampled(plan, written)
-            rows += _rows(plan, written, sampled, flight.time_of_day)
-            clips.append(_clip(plan, written, sampled))
+            rows += _rows(plan, written, sampled, flight)
+            clips.append(_clip(plan, written, sampled, flight.hfov_deg))
             problems += _problems(plan, written, sampled)
         problems += _missing(clips)
         write_text(out / TABLE, _table(rows))
@@ -332,13 +337,14 @@ def _text(field_name: str, value: float) -> str:
 
 
 def _rows(
-    plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Sampled | None, time_of_day: TimeOfDay | None
+    plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Sampled | None, flight: FlightFacts
 ) -> list[dict[str, str]]:
     rows = []
     for k, (frame, path, _) in enumerate(written):
         row = {
-            "file": path, "sequence": plan.sequence, "time_of_day": time_of_day or "", "frame": str(frame.number),
-            "time_s": f"{frame.time_s:.3f}",
+            "file": path, "sequence": plan.sequence, "time_of_day": flight.time_of_day or "",
+            "frame": str(frame.number), "time_s": f"{frame.time_s:.3f}",
+            "hfov_deg": "" if flight.hfov_deg is None else f"{flight.hfov_deg:g}",
         }  # fmt: skip
         if sampled is not None:
             row["captured"] = sampled.captured[k] or ""
@@ -355,7 +361,9 @@ def _table(rows: Sequence[Mapping[str, str]]) -> str:
     return text.getvalue()
 
 
-def _clip(plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Sampled | None) -> Clip:
+def _clip(
+    plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Sampled | None, hfov_deg: float | None
+) -> Clip:
     video, timeline = plan.video, plan.video.timeline
     shortest, longest = timeline.steps_s
     facts = {
@@ -364,7 +372,7 @@ def _clip(plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Samp
         "shortest_step_s": round(shortest, 4), "longest_step_s": round(longest, 4),
     }  # fmt: skip
     log: dict[str, str] = {}
-    known: dict[str, int] = {}
+    known: dict[str, int] = {} if hfov_deg is None else {"hfov_deg": len(written)}
     if plan.aligned is not None and sampled is not None:
         log = {
             "name": plan.aligned.log.name, "kind": plan.aligned.log.dialect, "matched_by": plan.aligned.by,
@@ -419,6 +427,10 @@ def _problems(
     return problems
 
 
+def _joined(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
 def _missing(clips: Sequence[Clip]) -> list[Problem]:
     """Return one warning per video that names all values that recipes need and the table lacks."""
     problems = []
@@ -426,9 +438,12 @@ def _missing(clips: Sequence[Clip]) -> list[Problem]:
         lacking = [name for name in _NEEDED if not clip.known.get(name)]
         if not lacking:
             continue
-        names = " and ".join(_NEEDED[name][0] for name in lacking)
+        names = _joined([_NEEDED[name][0] for name in lacking])
         source = f"no {names} in {clip.log['name']}" if clip.log else f"no log beside the video: no {names}"
+        options = ["--hfov DEGREES"] * ("hfov_deg" in lacking) + ["a log that has it (--log)"] * (
+            lacking != ["hfov_deg"]
+        )
         settings = " ".join(f"--set {_NEEDED[name][1]}" for name in lacking)
-        todo = f"give a log that has it with --log, add it to {TABLE}, or set it in the recipe: {settings}"
+        todo = f"give {' and '.join(options)}, or set it in the recipe: {settings}"
         problems.append(Problem(clip.video.name, "telemetry-missing", source, names, todo, "warning"))
     return problems

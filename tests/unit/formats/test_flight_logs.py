@@ -11,7 +11,7 @@ import pytest
 from infrablend.errors import DatasetError
 from infrablend.formats.dji_srt import read_srt
 from infrablend.formats.flight_csv import read_flight_csv
-from infrablend.formats.flight_log import FlightLog, sample
+from infrablend.formats.flight_log import FlightLog, in_order, sample
 
 GIMBAL = "[gb_yaw: 45.0 gb_pitch: -30.5 gb_roll: 0.5]"
 DIALECTS = {
@@ -54,7 +54,7 @@ def test_every_dialect_gives_pitch_and_height(tmp_path: Path, name: str) -> None
 def test_frame_counts_dates_and_places_are_read(tmp_path: Path) -> None:
     text = '<font size="28">FrameCnt: {}, DiffTime: 33ms\n2024-05-01 12:00:0{},250,100\n[latitude: 45.5] [rel_alt: 2]'
     log = read_srt(srt(tmp_path / "a.SRT", text.format(1, 1), text.format(2, 2)))
-    assert log.frames is not None and log.frames.tolist() == [0, 1]
+    assert log.frames.tolist() == [0, 1]
     assert sample(log, [0.5]).captured == ("2024-05-01T12:00:01.750",)
     assert log.values["latitude_deg"].tolist() == [45.5, 45.5]
 
@@ -145,6 +145,11 @@ def test_csv_files_that_are_no_logs_are_refused(tmp_path: Path, text: str, match
 
 def log_of(times: list[float], **values: list[float]) -> FlightLog:
     return FlightLog("a", "test", np.array(times), {k: np.array(v, np.float64) for k, v in values.items()})
+
+
+def test_single_damaged_values_are_out_of_order() -> None:
+    assert in_order([0, 1, 99, 2, 3, -5, 4, math.nan, 5]).tolist() == [1, 1, 0, 1, 1, 0, 1, 0, 1]
+    assert in_order([]).tolist() == [] and in_order([math.nan]).tolist() == [False]
 
 
 def test_values_between_samples_are_linear() -> None:

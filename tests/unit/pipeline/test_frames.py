@@ -40,12 +40,13 @@ def flight(folder: Path, name: str = "DJI_0001") -> Path:
 
 def test_frames_and_telemetry_agree(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    text = done(flight(tmp_path), "--every", "1.5s", "--out", out, "--time", "day")
-    assert "matched by frame numbers" in text
+    text = done(flight(tmp_path), "--every", "1.5s", "--out", out, "--time", "day", "--hfov", "48.5")
+    assert "matched by frame numbers" in text and "missing" not in text and "no " not in text
     table = rows(out)
     assert [int(r["frame"]) for r in table] == [0, 15, 30, 45]
     assert [float(r["altitude_m"]) for r in table] == [10.0, 11.5, 13.0, 14.5]
     assert {r["pitch_deg"] for r in table} == {"60.000"} and {r["time_of_day"] for r in table} == {"day"}
+    assert {r["hfov_deg"] for r in table} == {"48.5"}
     assert table[1]["captured"] == "2024-05-01T12:00:01.500"
     for row in table:
         with Image.open(out / row["file"]) as picture:
@@ -146,13 +147,22 @@ def test_subtitles_of_each_second_are_interpolated(tmp_path: Path) -> None:
     write_srt(tmp_path / "a.srt", lambda _, s: line.format(20 + 3 * s), blocks=5, step_s=1.0)
     text = done(video, "--every", "5f", "--out", out)
     assert "matched by times" in text
-    assert "no gimbal pitch in a.srt" in text and "camera.pitch" in text and "camera.altitude" not in text
+    assert (
+        "no gimbal pitch and field of view in a.srt" in text
+        and "camera.pitch" in text
+        and "camera.altitude" not in text
+    )
     assert [float(r["altitude_m"]) for r in rows(out)][:4] == [20.0, 21.5, 23.0, 24.5]
 
 
 def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
     text = done(write_video(tmp_path / "a.mp4"), "--out", tmp_path / "out")
-    assert "no gimbal pitch and height" in text and "camera.pitch" in text and "camera.altitude" in text
+    assert (
+        "no gimbal pitch, height and field of view" in text
+        and "--hfov" in text
+        and "camera.pitch" in text
+        and "camera.altitude" in text
+    )
 
 
 def airdata(path: Path, day: str = "2024-05-01", video: range = range(100, 150), rows: int = 300) -> Path:
@@ -204,8 +214,18 @@ def test_subtitles_with_lying_times_are_matched_by_frame(tmp_path: Path) -> None
         text = text.replace(f"\n\n{k + 1}\n00:", f"\n\n{k + 1}\n99:")
     path.write_text(text, "utf-8")
     text = done(video, "--every", "2s", "--out", out)
-    assert "the frames' times are used" in text
+    assert "The frames' times are used" in text
     assert [float(r["altitude_m"]) for r in rows(out)] == [10.0, 12.0, 14.0]
+
+
+def test_damaged_blocks_cost_only_themselves(tmp_path: Path) -> None:
+    video, out = write_video(tmp_path / "a.mp4"), tmp_path / "out"
+    path = write_srt(tmp_path / "a.SRT", bracketed)
+    text = path.read_text("utf-8").replace("FrameCnt: 11,", "FrameCnt: 99999,").replace("FrameCnt: 31,", "Frame: 31,")
+    path.write_text(text.replace("00:00:04,000 -->", "77:00:04,000 -->"), "utf-8")
+    told = done(video, "--every", "1s", "--out", out)
+    assert "matched by frame numbers" in told and "2 of 50 subtitle(s) out of order" in told
+    assert [float(r["altitude_m"]) for r in rows(out)] == [10.0, 11.0, 12.0, 13.0, 14.0]
 
 
 def test_times_that_do_not_increase_are_refused(tmp_path: Path) -> None:
