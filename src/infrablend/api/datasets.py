@@ -187,13 +187,13 @@ def profile(
 
 
 def make_world(
-    out: str | Path, count: int, seed: int = 0, *, layout: Literal["hit-uav", "monet"] = "hit-uav",
+    out: str | Path, count: int, seed: int = 0, *, layout: Literal["hit-uav", "monet", "radiometric"] = "hit-uav",
     workers: int | None = None, on_progress: OnProgress | None = None,
 ) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
     The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
-    some of it lost). It always renders on the CPU.
+    some of it lost); `radiometric` is the town in 16-bit centikelvin. It always renders on the CPU.
     """
     world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
     return Path(out)

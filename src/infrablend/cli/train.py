@@ -22,6 +22,7 @@ from infrablend.cli.options import (
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
+    from infrablend.config.agc import Agc
 
 
 class PresetName(StrEnum):
@@ -67,6 +68,13 @@ def train(
             help="Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.",
         ),
     ] = None,
+    agc: Annotated[
+        str,
+        typer.Option(
+            metavar="linear|plateau|{...}",
+            help="Automatic gain control for 16-bit pictures, e.g. {mode: fixed, low_c: 0, high_c: 40}.",
+        ),
+    ] = "linear",
     format: FormatOption = None,
     options: ReadingOption = None,
     plan: Annotated[bool, typer.Option("--plan", help="Show images, epochs, time and disk without training.")] = False,
@@ -90,6 +98,7 @@ def train(
         device=device,
         seed=seed,
         classes=comma_list(classes, "--classes"),
+        agc=_agc(agc),
     )
     reading = make_reading(format=format, options=options)
     existing = earlier_output(resume, overwrite)
@@ -136,6 +145,15 @@ def _used(prepared: dict[str, Any]) -> dict[str, str]:
         return {"images, labels": both}
     pieces = tiles["labels_left_out"]
     return {"tiles, labels in them": both + (f"; {pieces} small pieces at edges are unlabelled" if pieces else "")}
+
+
+def _agc(text: str) -> Agc:
+    from infrablend.config.agc import parse_agc
+
+    try:
+        return parse_agc(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--agc") from error
 
 
 def _value(key: str, text: str) -> Any:

@@ -16,13 +16,16 @@ class Layout(StrEnum):
 
     HIT_UAV = "hit-uav"
     MONET = "monet"
+    RADIOMETRIC = "radiometric"
 
 
 def world(
     ctx: typer.Context,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset folder to write.")],
     count: Annotated[int, typer.Option(min=1, help="Number of images.")] = 12,
-    layout: Annotated[Layout, typer.Option(help="Dataset whose layout and metadata to copy.")] = Layout.HIT_UAV,
+    layout: Annotated[
+        Layout, typer.Option(help="Dataset whose layout and metadata to copy; radiometric: 16-bit centikelvin.")
+    ] = Layout.HIT_UAV,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
 ) -> None:

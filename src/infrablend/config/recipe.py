@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from infrablend.config.agc import Agc
 from infrablend.config.sensor_profile import PROFILES, SensorProfile
 from infrablend.core.format_table import WrittenName
 from infrablend.core.strict_model import Strict, range_of
@@ -612,6 +613,9 @@ class Output(Strict):
     """Also copy the unchanged backgrounds with their labels into the dataset."""
     group_by: Annotated[tuple[GroupKey, ...], AfterValidator(_distinct)] = ()
     """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
+    agc: Agc | None = None
+    """16-bit pictures only: also write the dataset with 8-bit PNG pictures to `8bit/`, by this automatic gain control,
+    the same for originals and inserts: `{mode: linear}`, `{mode: plateau}` or `{mode: fixed, low_c: 0, high_c: 40}`."""
 
 
 # ---- Recipe

@@ -11,6 +11,7 @@ RUN_FILE = "run.json"
 IMAGES = "images"
 SCENES = "scenes"
 LOGS = "log"
+EIGHT_BIT = "8bit"
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,11 @@ class RunLayout:
     def labels(self, format_name: str) -> Path:
         """Return the folder with the labels of one format."""
         return self.root / format_name
+
+    @property
+    def eight_bit(self) -> Path:
+        """Folder of the dataset with 8-bit pictures: `images/`, and a folder per label format."""
+        return self.root / EIGHT_BIT
 
     def coco_file(self, split: str) -> Path:
         """Return the COCO file of a split."""

@@ -130,3 +130,13 @@ class Radiometry:
     reflected_k: float | None = None
     emissivity: float | None = None
     distance_m: float | None = None
+
+    @property
+    def plausible_air_k(self) -> float | None:
+        """Temperature of the air if it is one that people fly in; cameras report others where nobody set it."""
+        return self.air_k if self.air_k is not None and 213 <= self.air_k <= 333 else None
+
+    @property
+    def plausible_humidity(self) -> float | None:
+        """Relative humidity if it is one; None otherwise."""
+        return self.humidity if self.humidity is not None and 0.01 <= self.humidity <= 1 else None

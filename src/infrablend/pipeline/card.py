@@ -8,8 +8,11 @@ from typing import Any
 
 from infrablend.annotation.looseness import loosened_text
 from infrablend.annotation.merge import RemovalReason
+from infrablend.config.agc import describe_agc
+from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
+from infrablend.core.run_layout import EIGHT_BIT, IMAGES, RUN_FILE, SCENES
+from infrablend.formats.temperatures import describe_scales
 from infrablend.pipeline.origin import origin_of, run_inserts
 from infrablend.pipeline.plan import RunPlan
 from infrablend.report.card import Card
@@ -77,6 +80,15 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
             "Pictures with objects were decoded and encoded again in the source's own file type; JPEG with the "
             "source's own tables, which may change grey levels slightly everywhere."
         )
+    for scale, n in describe_scales(plan.dataset).items():
+        texts.append(f"Levels of 16-bit pictures of {n} backgrounds are temperatures, or counts: {scale}.")
+    if isinstance(plan.recipe.matching, RadiometricMatching):
+        texts.append(
+            "Objects were inserted by their apparent temperatures at the sensor, in the backgrounds' own unit, without "
+            "gain or clipping."
+        )
+    if output.agc is not None:
+        texts.append(f"`{EIGHT_BIT}/` has the same dataset in 8-bit pictures: {describe_agc(output.agc)}.")
     texts += [f"{n} {REMOVAL_TEXTS.get(reason, reason)}." for reason, n in counts["labels_removed"].items()]
     if covered := counts.get("labels_partly_covered"):
         texts.append(f"{covered} original labels are partly covered by inserted objects and kept.")
@@ -100,6 +112,8 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
     groups = "".join(f"<{g}>/" for g in plan.recipe.output.group_by)
     rows = [(f"{IMAGES}/<split>/{groups}", "pictures")]
     rows += [(f"{name}/", "labels") for name in plan.recipe.output.formats]
+    if plan.recipe.output.agc is not None:
+        rows.append((f"{EIGHT_BIT}/", "the same dataset with 8-bit pictures: `images/`, and labels per format"))
     return (
         *rows,
         (f"{SCENES}/<split>/", "scene and labels, one JSON file per picture"),

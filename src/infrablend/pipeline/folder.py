@@ -14,12 +14,12 @@ from infrablend.core.files import part_path, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
+from infrablend.core.run_layout import EIGHT_BIT, IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError
 from infrablend.pipeline.record import RecordError, load_record
 
 # Folders that contain nothing but what the run writes.
-DATASET_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES)
+DATASET_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES, EIGHT_BIT)
 LOG_FILES = ("run.log", "workers.log")
 MANIFEST = "files.jsonl"
 

@@ -7,16 +7,20 @@ import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.looseness import loosen_inserted
 from infrablend.compositing.gain import Doubt
+from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.run_layout import EIGHT_BIT, IMAGES
 from infrablend.errors import Problem
 from infrablend.formats import writing
 from infrablend.formats.losses import Written
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.card import run_card
+from infrablend.pipeline.eight_bit import eight_bit_copies
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
@@ -57,9 +61,11 @@ def write_formats(
     losses: Counter[str] = Counter()
     problems: list[Problem] = []
     for name in plan.recipe.output.formats if images else ():
-        written = _write_format(name, plan, folder, images)
+        written = _write_format(name, plan, folder.root, images)
         losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
         problems += written.problems
+    if plan.recipe.output.agc is not None and images:
+        problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
     problems += frame_warnings([r for _, r in records])
     finished = summarize(plan, records, images)
     if loosened:
@@ -76,7 +82,19 @@ def write_formats(
     return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
 
 
-def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> Written:
+def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord], agc: Agc) -> list[Problem]:
+    """Write the dataset again with 8-bit pictures by an automatic gain control; return its problems."""
+    shown, as_they_are = eight_bit_copies(images, folder.eight_bit / IMAGES, agc)
+    problems: list[Problem] = []
+    for name in plan.recipe.output.formats:
+        problems += _write_format(name, plan, folder.eight_bit, shown).problems
+    if as_they_are:
+        found = f"{as_they_are} pictures have 8 bits already, and are in {EIGHT_BIT}/ as they are"
+        problems.append(Problem("output.agc", "agc-unused", found, "16-bit pictures", "leave it out", "warning"))
+    return problems
+
+
+def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRecord]) -> Written:
     labels = plan.recipe.labels
     settings = WriteSettings(
         ids=plan.recipe.output.ids,
@@ -85,7 +103,7 @@ def _write_format(name: str, plan: RunPlan, folder: RunFolder, images: Sequence[
         without_mask=labels.seg_originals,
         pictures=name != "coco",  # they are in `images/` already
     )
-    return writing.write(name, folder.root / name, images, plan.categories, settings=settings, source=plan.dataset)
+    return writing.write(name, out / name, images, plan.categories, settings=settings, source=plan.dataset)
 
 
 def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:

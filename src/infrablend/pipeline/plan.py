@@ -15,6 +15,7 @@ from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
+from infrablend.config.agc import FixedAgc
 from infrablend.config.recipe import MetricSections, RadiometricMatching, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
@@ -194,10 +195,10 @@ def make_plan(
             )
         elif unknown := _telemetry_missing(recipe, image) or (_above_horizon(recipe, image) if stands else None):
             problems.append(unknown)
-        elif isinstance(recipe.matching, RadiometricMatching) and (
+        elif (isinstance(recipe.matching, RadiometricMatching) or isinstance(recipe.output.agc, FixedAgc)) and (
             image.radiometry is None or not image.radiometry.scale
         ):
-            problems.append(_scale_missing(image))
+            problems.append(_scale_missing(image, recipe))
         else:
             usable.append(image)
     if not usable:
@@ -319,12 +320,13 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
     )
 
 
-def _scale_missing(image: ImageRecord) -> Problem:
+def _scale_missing(image: ImageRecord, recipe: Recipe) -> Problem:
     """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
+    needed = "matching.mode radiometric" if isinstance(recipe.matching, RadiometricMatching) else "output.agc fixed"
     return Problem(
         image.name,
         "no-temperature-scale",
-        "no temperature scale, which matching.mode radiometric needs",
+        f"no temperature scale, which {needed} needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
         "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
     )

@@ -23,7 +23,7 @@ from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
-from infrablend.core.run_layout import IMAGES, SCENES
+from infrablend.core.run_layout import EIGHT_BIT, IMAGES, SCENES
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import (
     DatasetError,
@@ -189,7 +189,7 @@ def run_plan(
                 records = _finished_frames(plan, folder, state)
                 finished = write_formats(plan, folder, records)
                 if records:  # labels of frames that are gone
-                    manifest.remove_unwritten(plan.recipe.output.formats)
+                    manifest.remove_unwritten([*plan.recipe.output.formats, EIGHT_BIT])
                 notes = _file_notes(folder, manifest, records)
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": "interrupted"})

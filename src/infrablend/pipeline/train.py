@@ -15,7 +15,12 @@ from infrablend.core.files import write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
-from infrablend.pipeline.training.data import data_digest, select_training_data, write_training_data
+from infrablend.pipeline.training.data import (
+    data_digest,
+    has_deep_pictures,
+    select_training_data,
+    write_training_data,
+)
 from infrablend.pipeline.training.folder import (
     RECORD,
     begin_training,
@@ -78,7 +83,7 @@ def train_dataset(
     weights.require_ultralytics()
     device = choose_device(request.device)
     require_arguments(preset)
-    wanted, left_out = select_training_data(dataset, preset, task, request.classes)
+    wanted, left_out = select_training_data(dataset, preset, task, request.classes, request.agc)
     with output_folder(out).claimed():
         record = begin_training(out, existing)
         asked = {
@@ -86,6 +91,8 @@ def train_dataset(
             "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
             "start_asked": request.weights, "content": data_digest(wanted, task),
         }  # fmt: skip
+        if has_deep_pictures(wanted):
+            asked["agc"] = request.agc.model_dump()
         if record is not None:
             require_same(out, record, asked)
             if record["status"] == "complete" and (out / trainer.WEIGHTS).is_file():
@@ -99,7 +106,7 @@ def train_dataset(
                 "machine": _machine_facts(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
             write_json(out / RECORD, record, durable=True)
-            record["prepared"] = write_training_data(wanted, out, preset, task, request.seed)
+            record["prepared"] = write_training_data(wanted, out, preset, task, request)
             write_json(out / RECORD, record, durable=True)
         record = run_trainer(out, record, preset, task, device, request.seed, on_progress)
         return TrainReport(out, out / trainer.WEIGHTS, record)

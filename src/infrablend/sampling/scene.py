@@ -103,7 +103,7 @@ def sample_scene(
     unfit = "no_horizon" if pitch is None else unfit
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
     if isinstance(recipe, RadiometricSections) and frame.radiometry is not None:
-        air_k = air_k if frame.radiometry.air_k is None else frame.radiometry.air_k
+        air_k = frame.radiometry.plausible_air_k or air_k
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
     weather = None
@@ -189,7 +189,7 @@ def sample_scene(
 
 def air_source(frame: FrameKey, recipe: Recipe) -> Literal["metadata", "stated", "drawn"]:
     """Return where the temperature of the air comes from: the picture's file, the recipe, or a draw from its range."""
-    if frame.radiometry is not None and frame.radiometry.air_k is not None:
+    if frame.radiometry is not None and frame.radiometry.plausible_air_k is not None:
         return "metadata"
     low, high = recipe.environment.air_temperature_c
     return "stated" if low == high else "drawn"
@@ -210,8 +210,8 @@ def _weather(frame: FrameKey, recipe: PhysicalRecipe, air_k: float, seed: int) -
         ground_k = air_k + float(rng.uniform(*(e.ground_above_air_day_k if day else e.ground_above_air_night_k)))
     else:
         ground_k = air_k
-        if frame.radiometry is not None and frame.radiometry.humidity is not None:
-            below = air_k - dew_point(air_k, frame.radiometry.humidity)
+        if frame.radiometry is not None and (humidity := frame.radiometry.plausible_humidity) is not None:
+            below = air_k - dew_point(air_k, humidity)
     sun = None
     if day:
         # The sun and the clouds are those of the whole sequence.

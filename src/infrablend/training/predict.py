@@ -20,15 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from infrablend.compositing.agc import apply_agc
+from infrablend.config.agc import Agc
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
+from infrablend.formats.images import load_background
 from infrablend.formats.pictures import PICTURE_FORMATS, read_size
+from infrablend.formats.temperatures import is_deep
 from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
-from infrablend.training.scale import Scale, training_scale
+from infrablend.training.scale import Scale, training_agc, training_scale
 from infrablend.training.weights import require_ultralytics
 
 CONFIDENCE = 0.001
@@ -53,6 +57,7 @@ class Detector:
         stride: Sides of its input are multiples of this, px.
         scale: Scale of its training.
         facts: Name and SHA-256 of the file, device, versions.
+        agc: Automatic gain control for 16-bit pictures, as in its training; None takes their high byte.
     """
 
     network: Any
@@ -62,6 +67,7 @@ class Detector:
     stride: int
     scale: Scale
     facts: dict[str, Any]
+    agc: Agc | None = None
 
     def __call__(self, x: Any) -> Any:
         """Return the network's output for (b, c, h, w) pictures in [0, 1]."""
@@ -148,13 +154,15 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
     if task is None:
         raise refuse(f"a network for {model.task}", "one that detects boxes, oriented boxes or masks")
     names = network.names
+    checkpoint = model.ckpt if isinstance(model.ckpt, Mapping) else {}
+    agc = training_agc(weights, checkpoint)
     return Detector(
         network,
         task,
         tuple(str(names[k]) for k in sorted(names)),
         int(getattr(network, "yaml", {}).get("channels", 3)),
         max(int(network.stride.max()), 32),
-        training_scale(weights, model.ckpt if isinstance(model.ckpt, Mapping) else {}),
+        training_scale(weights, checkpoint),
         {
             "weights": weights.name,
             "weights_sha256": hashlib.sha256(data).hexdigest(),
@@ -162,7 +170,9 @@ def load_detector(weights: Path, device: str = "auto", precision: Precision = "a
             "precision": precision,
             "torch": str(torch.__version__),
             "ultralytics": str(ultralytics.__version__),
+            **({} if agc is None else {"agc": agc.model_dump()}),
         },
+        agc,
     )
 
 
@@ -203,7 +213,8 @@ def predict(
 
     Args:
         detector: Detector from `load_detector`.
-        images: Records of the pictures. 16-bit pictures are read by their high byte, as Ultralytics does for training.
+        images: Records of the pictures. 16-bit pictures go through the automatic gain control of the detector's
+            training; without one they are read by their high byte, as Ultralytics does.
         image_size: Longer side of the pictures for the network, px; 0 keeps their own size; by default the scale of the
             detector's training.
         confidence: Least score.
@@ -311,7 +322,12 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
     from ultralytics.utils.patches import imread
 
     flags = cv2.IMREAD_GRAYSCALE if detector.channels == 1 else cv2.IMREAD_COLOR
-    pixels = imread(str(image.path), flags)
+    try:
+        pixels = _by_agc(image, detector) if is_deep(image) else None
+    except (DatasetError, ValueError) as error:
+        problems.append(Problem(image_key(image), "image-agc", str(error), "a picture that the AGC can map"))
+        return None
+    pixels = imread(str(image.path), flags) if pixels is None else pixels
     if pixels is None:
         problems.append(Problem(image_key(image), "image-unreadable", "unreadable picture", "a complete picture"))
         return None
@@ -325,6 +341,15 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
         problems.append(_size_mismatch(image, (width, height)))
         return None
     return fit_picture(pixels, image_size, detector.stride)
+
+
+def _by_agc(image: ImageRecord, detector: Detector) -> NDArray[np.uint8] | None:
+    """Return a 16-bit picture after the detector's automatic gain control; None for a detector without one."""
+    if detector.agc is None:
+        return None
+    scale = None if image.radiometry is None else image.radiometry.scale
+    levels = apply_agc(np.asarray(load_background(image.path).pixels, np.uint16), detector.agc, scale)
+    return levels if detector.channels == 1 else np.repeat(levels[..., None], 3, axis=2)
 
 
 def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Picture:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.arguments import require_names
 from infrablend.errors import OutputError, Problem
 from infrablend.training import weights
@@ -28,6 +29,7 @@ class TrainRequest:
         device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
         seed: Seed of weights, order, augmentation and tiles.
         classes: Classes to train on; None for all. The labels of other classes are left out and counted.
+        agc: Automatic gain control that turns 16-bit pictures into 8-bit ones.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -40,6 +42,7 @@ class TrainRequest:
     device: str = "auto"
     seed: int = 0
     classes: Sequence[str] | None = None
+    agc: Agc = DEFAULT_AGC
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)

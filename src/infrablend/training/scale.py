@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from infrablend.config.agc import Agc, agc_from_json
 from infrablend.errors import Problem
 
 # Default of Ultralytics, and the size in the paper.
@@ -70,6 +71,21 @@ def training_scale(weights: Path, checkpoint: Mapping[str, object]) -> Scale:
         # Weights without the mark, separated from their record. `small` and `smoke` cut tiles.
         return Scale(0, "the record of the training is not beside the weights", known=False)
     return Scale(size, f"imgsz of the weights' training with Ultralytics: {size} px")
+
+
+def training_agc(weights: Path, checkpoint: Mapping[str, object]) -> Agc | None:
+    """Return the automatic gain control that a detector's 16-bit pictures went through; None for other detectors."""
+    mark = checkpoint.get(MARK)
+    found = mark.get("agc") if isinstance(mark, Mapping) else None
+    if found is None and weights.name == "weights.pt":
+        try:
+            found = json.loads(weights.with_name(RECORD).read_text("utf-8")).get("agc")
+        except (OSError, ValueError, AttributeError):
+            return None
+    try:
+        return agc_from_json(found) if isinstance(found, Mapping) else None
+    except ValueError:
+        return None
 
 
 def _of_settings(settings: Mapping[str, object]) -> Scale:

@@ -56,6 +56,7 @@ class Job:
         val_images: Number of images the val split must have; 0 if nothing depends on it.
         val_labels: Number of labels the val split must have.
         tile: Side of the tiles, px; 0 if the images are whole pictures.
+        agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
     """
 
     data: str
@@ -75,6 +76,7 @@ class Job:
     val_images: int = 0
     val_labels: int = 0
     tile: int = 0
+    agc: dict[str, Any] | None = None
 
     def write(self, path: Path) -> None:
         """Write the file that `main` reads."""
@@ -267,7 +269,9 @@ def _train(job: Job, say: Any) -> None:
     torch_utils.strip_optimizer(
         best if job.patience and best.is_file() else checkpoint,
         weights,
-        updates={MARK: {"tile": job.tile, "image_size": job.image_size}},
+        updates={
+            MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc})
+        },
     )
     loader = getattr(trainer, "train_loader", None)  # None if all epochs were done before
     say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,

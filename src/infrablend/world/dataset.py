@@ -1,11 +1,11 @@
-"""Writes the virtual world as a background dataset: HIT-UAV's JSON forms or MONET's sequences, and `world.json`."""
+"""Writes the virtual world as a background dataset: HIT-UAV's JSON, MONET's sequences or temperatures, `world.json`."""
 
 from __future__ import annotations
 
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -13,7 +13,7 @@ from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import Split
 from infrablend.core.files import write_json
 from infrablend.core.output import OutputFolder
-from infrablend.formats import hit_uav, monet
+from infrablend.formats import coco, hit_uav, monet
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import (
     ALTITUDES_M,
@@ -26,11 +26,12 @@ from infrablend.world.frames import (
     plan_sequences,
 )
 
-Layout = Literal["hit-uav", "monet"]
+Layout = Literal["hit-uav", "monet", "radiometric"]
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
 FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
 
 _TOP = {"info": {"description": "InfraBlend virtual thermal world in HIT-UAV layout"}, "licenses": []}
+_RADIOMETRIC_INFO = {"description": "InfraBlend virtual thermal world, temperatures"}
 _MONET_TOP = {"info": {"description": "InfraBlend virtual thermal world in MONET layout"}, "licenses": []}
 
 
@@ -43,6 +44,8 @@ class WorldRequest:
         seed: Seed of everything random.
         layout: `hit-uav`: 640x512 JPEG of a town. `monet`: 800x600 PNG of airfields and dirt roads, persons and
             vehicles with axis-aligned boxes, telemetry in the JSON; two sequences and single frames have lost theirs.
+            `radiometric`: the frames of `hit-uav` as 16-bit TIFF in centikelvin, with COCO labels that state the scale,
+            the air and the camera.
         splits: Share of the frames in each split; MONET's sequences have splits of their own.
         pitches_deg: Camera depression angles to cover; 90 looks straight down.
         altitudes_m: Camera heights to cover; the defaults of the layout if None.
@@ -71,7 +74,8 @@ class WorldRequest:
             altitudes = self.altitudes_m or MONET_ALTITUDES_M
             return plan_sequences(self.count, self.seed, self.pitches_deg, altitudes)
         altitudes = self.altitudes_m or ALTITUDES_M
-        return plan_frames(self.count, self.seed, self.splits or SPLIT_SHARES, self.pitches_deg, altitudes)
+        frames = plan_frames(self.count, self.seed, self.splits or SPLIT_SHARES, self.pitches_deg, altitudes)
+        return tuple(replace(f, radiometric=True) for f in frames) if self.layout == "radiometric" else frames
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,8 @@ def write_world(
         images = [one.image for one in ordered]
         if request.layout == "monet":
             written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+        elif request.layout == "radiometric":
+            written = coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
         else:
             written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
         write_json(out / "world.json", {"seed": request.seed, "frames": [one.facts for one in ordered]})

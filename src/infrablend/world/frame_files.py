@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.rng import stream
+from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.formats import monet
 from infrablend.world.frames import FrameFacts, telemetry_of
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
 from infrablend.world.sampling import sample_world
-from infrablend.world.thermal_image import jpeg_bytes, png_bytes, thermal_frame
+from infrablend.world.thermal_image import jpeg_bytes, png_bytes, radiometric_frame, thermal_frame, tiff_bytes
+
+CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 
 
 class PlanRenderer(Protocol):
@@ -53,9 +56,12 @@ def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Pat
     plan = sample_world(rng, frame.pitch_deg, frame.altitude_m, frame.time_of_day, frame.kind, frame.size_wh)
     kelvin, labels = renderer.render(plan)
     look = stream(seed, "world", frame.number, "look")
-    grey = thermal_frame(kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, look)
     path = folder / frame.split / frame.name
-    write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
+    if frame.radiometric:
+        write_bytes(path, tiff_bytes(radiometric_frame(kelvin, look)))
+    else:
+        grey = thermal_frame(kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, look)
+        write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
     record = _hit_uav_record if frame.sequence is None else _monet_record
     dropped = Counter(label.dropped for label in labels if label.dropped)
     image = record(frame, plan, labels, path, seed)
@@ -86,6 +92,7 @@ def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label],
         time_of_day=frame.time_of_day,
         instances=instances,
         extra={"weather": "0"},
+        radiometry=Radiometry(CENTIKELVIN, "virtual world", air_k=plan.air_k) if frame.radiometric else None,
     )
 
 

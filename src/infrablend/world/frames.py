@@ -51,6 +51,7 @@ class FrameFacts:
         sequence: Name of the MONET sequence; None in HIT-UAV's layout.
         index: Number of the frame in its sequence, from 0.
         telemetry: Whether the annotation contains telemetry.
+        radiometric: Whether the image stores temperatures.
     """
 
     number: int
@@ -63,14 +64,15 @@ class FrameFacts:
     sequence: str | None = None
     index: int = 0
     telemetry: bool = True
+    radiometric: bool = False
 
     @property
     def name(self) -> str:
-        """File name: `T_HHH_AA_W_NNNNN.jpg`, or `<sequence>/lwir/imageNNNNN.png`."""
+        """File name: `T_HHH_AA_W_NNNNN.jpg` (radiometric: `.tiff`), or `<sequence>/lwir/imageNNNNN.png`."""
         if self.sequence is not None:
             return f"{self.sequence}/lwir/image{self.index:05d}.png"
         night = int(self.time_of_day == "night")
-        return f"{night}_{self.altitude_m}_{self.pitch_deg}_0_{self.number:05d}.jpg"
+        return f"{night}_{self.altitude_m}_{self.pitch_deg}_0_{self.number:05d}.{'tiff' if self.radiometric else 'jpg'}"
 
 
 def plan_frames(

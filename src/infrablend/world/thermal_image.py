@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from infrablend.core.temperature import TemperatureScale
+
 Field = NDArray[np.float32]
 # HIT-UAV keeps the limited range of video; the camera holds the mean near mid-grey.
 LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
 HEADROOM_GREY = 95.0
+# Noise equivalent temperature difference of uncooled cameras at f/1.0, by their data sheets.
+NETD_K = 0.05
 
 
 def optics(kelvin: Field, sigma_px: float) -> Field:
@@ -79,6 +83,20 @@ def thermal_frame(
     grey = grey + noise(rng, (h, w), float(rng.uniform(1.3, 2.1))) + vignette((h, w), float(rng.uniform(2, 8)))
     levels = np.round(np.clip(grey, LOW_GREY + 1, HIGH_GREY)).astype(np.uint8)
     return np.clip(codec(levels, int(rng.integers(58, 80))), int(LOW_GREY), int(HIGH_GREY)).astype(np.uint8)
+
+
+def radiometric_frame(kelvin: Field, rng: np.random.Generator) -> NDArray[np.uint16]:
+    """Return the (h, w) centikelvin that a radiometric camera stores: optics and noise, neither gain nor codec."""
+    seen = optics(kelvin, float(rng.uniform(0.45, 0.6)))
+    seen = seen + (rng.standard_normal(kelvin.shape) * NETD_K).astype(np.float32)
+    return TemperatureScale(0.01, 0.0, "centikelvin").counts(seen)
+
+
+def tiff_bytes(counts: NDArray[np.uint16]) -> bytes:
+    """Encode a radiometric frame: 16-bit grey TIFF."""
+    buffer = io.BytesIO()
+    Image.fromarray(counts).save(buffer, "TIFF")
+    return buffer.getvalue()
 
 
 def jpeg_bytes(grey: NDArray[np.uint8]) -> bytes:

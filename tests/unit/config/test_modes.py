@@ -111,7 +111,7 @@ def test_setting_a_mode_drops_the_fields_of_the_old_mode_and_lists_them(caplog):
     assert [p.where for p in loaded.dropped] == ["objects.0.group", "camera.altitude", "placement.max_relief_grey"]
     assert {(p.code, p.severity) for p in loaded.dropped} == {("recipe-dropped", "warning")}
     assert str(loaded.dropped[2]) == (
-        "placement.max_relief_grey: 18 is not used: this field has a meaning only with placement.mode metric; "
+        "placement.max_relief_grey: 25 is not used: this field has a meaning only with placement.mode metric; "
         "this recipe has paper"
     )
     assert loaded.recipe.camera.distance_m == (30, 300)

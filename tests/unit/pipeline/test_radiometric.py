@@ -214,3 +214,33 @@ def test_reading_options_state_a_scale_too(tmp_path: Path) -> None:
     reading = Reading(options={"unit": "centikelvin"})
     planned = api.plan("hit-uav-car", data, settings=fields, reading=reading, execution=api.Execution(renderer="flat"))
     assert planned.to_json()["frames"] == 2
+
+
+def test_the_8_bit_dataset_shows_originals_and_inserts_by_the_same_agc(tmp_path: Path) -> None:
+    data = write_flight(tmp_path / "data")
+    agc = {"mode": "fixed", "low_c": -10, "high_c": 70}
+    formats = ["coco", "yolo", "voc"]
+    fields = settings(60.0, **{"output.agc": agc, "output.formats": formats, "output.originals": True})
+    (r, *_) = [r for r in generate(data, tmp_path / "run", fields) if r.scene is not None]
+    made = tmp_path / "run" / "8bit"
+    shown = {p.stem: pixels_of(p) for p in (made / "images" / "train").glob("*.png")}
+    assert set(shown) == {"0", "0_c0", "1", "1_c0"}
+    deep = pixels_of(tmp_path / "run/images" / r.image)
+    expected = np.clip((deep / 100 - 273.15 + 10) / 80 * 255, 0, 255)
+    assert np.abs(shown["0_c0"] - expected).max() <= 0.5 + 1e-6
+    unchanged = deep == pixels_of(data / "0.tiff")
+    assert (shown["0_c0"][unchanged] == shown["0"][unchanged]).all() and not unchanged.all()
+    for name in formats:
+        again = detection.read(made / name)
+        assert len(again.images) == 4 and sum(len(i.instances) for i in again.images) == 2
+        assert all(i.path.suffix == ".png" and i.radiometry is None for i in again.images)
+    assert "8bit/" in (tmp_path / "run" / "README.md").read_text()
+
+
+def test_a_fixed_agc_without_a_scale_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    data = write_flight(tmp_path / "data")
+    fields = {"output.agc": {"mode": "fixed", "low_c": 0, "high_c": 40}}
+    with pytest.raises(DatasetError, match="no usable background") as caught:
+        api.generate("hit-uav-car", data, tmp_path / "run", settings=fields, execution=api.Execution(renderer="flat"))
+    assert {p.code for p in caught.value.problems if p.severity == "error"} == {"no-temperature-scale"}
+    assert not (tmp_path / "run").exists()

@@ -12,18 +12,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from infrablend.annotation.classes import drop_classes
+from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.format_table import writer_for_task
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
+from infrablend.formats.temperatures import is_deep
 from infrablend.pipeline.content import content_digest
-from infrablend.pipeline.training.folder import DATA, TILES, output_folder
+from infrablend.pipeline.eight_bit import eight_bit_copies
+from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES, output_folder
 from infrablend.training import presets, tiles
 from infrablend.training.presets import Preset
+from infrablend.training.request import TrainRequest
 
 # Losses of the written format that would hide labels from the trainer.
 _FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
@@ -34,7 +36,7 @@ log = logging.getLogger(__name__)
 
 
 def select_training_data(
-    dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None
+    dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None, agc: Agc = DEFAULT_AGC
 ) -> tuple[Dataset, dict[str, int]]:
     """Return the dataset to train on and the labels left out by class; report all faults at once."""
     problems: list[Problem] = []
@@ -94,7 +96,7 @@ def select_training_data(
         raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
     for p in problems:
         log.warning("%s", p)
-    return _checked(wanted), dict(sorted(left_out.items()))
+    return _checked(wanted, agc), dict(sorted(left_out.items()))
 
 
 def _classes_line(names: Sequence[str]) -> str:
@@ -102,13 +104,14 @@ def _classes_line(names: Sequence[str]) -> str:
     return f"add --classes {shlex.quote(','.join(names))}" if names else ""
 
 
-def _checked(dataset: Dataset) -> Dataset:
+def _checked(dataset: Dataset, agc: Agc) -> Dataset:
     """Return train and val with the sizes in the pictures' headers.
 
     Raises:
-        DatasetError: Pictures that cannot be read, have 16 bits, or have another size than annotated: all of them.
+        DatasetError: Pictures that cannot be read, or have another size than annotated; pictures of 8 and of 16 bits;
+            16-bit pictures without the temperature scale that the AGC needs: all of them.
     """
-    images, problems = [], []
+    images, problems, deep = [], [], []
     for image in dataset.images:
         if image.split == "test":
             continue
@@ -119,14 +122,28 @@ def _checked(dataset: Dataset) -> Dataset:
         if image.size_wh not in (None, size_wh):
             expected = f"{image.size_wh} as annotated"
             problems.append(Problem(image.id, "image-size", f"{size_wh} px", expected, "correct the annotation"))
-        with Image.open(image.path) as picture:
-            if picture.mode.startswith(("I", "F")):
-                todo = "map it to 8 bits first; the trainer would keep the high byte only"
-                problems.append(Problem(image.id, "image-depth", f"mode {picture.mode}", "8-bit pictures", todo))
+        deep += [image] if is_deep(image) else []
         images.append(replace(image, size_wh=size_wh))
+    if deep and len(deep) < len(images):
+        todo = "put them in two folders; an AGC would show the same scene differently in the two"
+        problems += [
+            Problem(i.id, "image-depth", "16 bits per pixel", "8-bit pictures, as the others have", todo) for i in deep
+        ]
+    elif isinstance(agc, FixedAgc):
+        for i in deep:
+            if i.radiometry is None or i.radiometry.scale is None:
+                expected = "a temperature scale, which a fixed AGC needs"
+                problems.append(
+                    Problem(i.id, "no-temperature-scale", "none", expected, "state it: --read unit=centikelvin")
+                )
     if problems:
         raise DatasetError(f"{dataset.root}: cannot be trained on", problems)
     return replace(dataset, images=tuple(images))
+
+
+def has_deep_pictures(dataset: Dataset) -> bool:
+    """Return whether the pictures of data to train on have 16 bits; then all of them do."""
+    return any(is_deep(i) for i in dataset.images[:1])
 
 
 def data_digest(wanted: Dataset, task: str) -> str:
@@ -143,11 +160,15 @@ def most_tiles(preset: Preset, split: str) -> int:
     return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
 
 
-def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, seed: int) -> dict[str, Any]:
+def write_training_data(
+    dataset: Dataset, out: Path, preset: Preset, task: str, request: TrainRequest
+) -> dict[str, Any]:
     """Write the data for the trainer to `out/data`, and return their counts."""
-    folder = output_folder(out)
-    folder.remove([DATA, TILES])  # of a call that was killed here
+    folder, seed = output_folder(out), request.seed
+    folder.remove([DATA, TILES, EIGHT_BIT])  # of a call that was killed here
     images = [i for i in dataset.images if i.split in ("train", "val")]
+    if has_deep_pictures(dataset):
+        images, _ = eight_bit_copies(images, out / EIGHT_BIT, request.agc)
     counts: dict[str, Any] = {
         "pictures": dict(Counter(i.split for i in images)),
         "objects": {s: dict(sorted(Counter(o.category for i in images if i.split == s for o in i.instances).items()))
@@ -169,7 +190,7 @@ def write_training_data(dataset: Dataset, out: Path, preset: Preset, task: str, 
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
     name = writer_for_task(task).name
     written = writing.write(name, out / DATA, images, categories)
-    folder.remove([TILES])
+    folder.remove([TILES, EIGHT_BIT])
     fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
     if fatal:
         problems = [Problem(name, k, f"{n} labels would be lost", "none",

@@ -18,9 +18,10 @@ LOG = "train.log"
 JOB = "job.json"
 DATA = "data"
 TILES = "tiles"
+EIGHT_BIT = "8bit"
 # What only an unfinished training needs, in the order to delete it.
 WORKING_FILES = (
-    DATA, TILES, "run", "ultralytics", trainer.CHECKPOINT, Path(trainer.CHECKPOINT).with_suffix(".new").name,
+    DATA, TILES, EIGHT_BIT, "run", "ultralytics", trainer.CHECKPOINT, Path(trainer.CHECKPOINT).with_suffix(".new").name,
 )  # fmt: skip
 
 log = logging.getLogger(__name__)

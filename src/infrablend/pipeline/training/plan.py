@@ -55,7 +55,7 @@ def plan_training(
     weights.require_known(request.weights)
     if out is not None and out.is_dir():
         earlier_training(out, existing)
-    wanted, _ = select_training_data(dataset, preset, request.task, request.classes)
+    wanted, _ = select_training_data(dataset, preset, request.task, request.classes, request.agc)
     return plan_of(wanted, preset, device, request.seed)
 
 

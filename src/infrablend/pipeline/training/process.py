@@ -36,7 +36,7 @@ def run_trainer(
         image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=seed, images=prepared["images"],
         labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
-        val_labels=prepared.get("labels_val", 0) if preset.patience else 0,
+        val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
     job.write(out / JOB)
     record |= {"status": "running", "epochs": epochs, "device": device}

@@ -1,0 +1,45 @@
+"""Copies of 16-bit pictures in 8 bits, by an automatic gain control: for datasets and for trainers."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from PIL import Image
+
+from infrablend.compositing.agc import apply_agc
+from infrablend.config.agc import Agc
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.file_names import join_inside
+from infrablend.core.files import write_bytes
+from infrablend.formats.images import load_background
+
+
+def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> tuple[list[ImageRecord], int]:
+    """Write an 8-bit PNG per picture to `folder`/<split>/; equal pictures give equal bytes.
+
+    Returns:
+        The images with these pictures, and the number of pictures that had 8 bits already and keep their levels.
+
+    Raises:
+        DatasetError: A picture cannot be read.
+        OutputError: A file cannot be written.
+        ValueError: A fixed range of temperatures, and a picture without a scale.
+    """
+    copies, as_they_are = [], 0
+    for image in images:
+        pixels = load_background(image.path, image.size_wh).pixels
+        if pixels.dtype == np.uint16:
+            scale = None if image.radiometry is None else image.radiometry.scale
+            levels = apply_agc(np.asarray(pixels, np.uint16), agc, scale)
+        else:
+            levels, as_they_are = np.asarray(pixels, np.uint8), as_they_are + 1
+        name = str(PurePosixPath(image.name).with_suffix(".png"))
+        data = io.BytesIO()
+        Image.fromarray(levels).save(data, "PNG", compress_level=6)
+        path = write_bytes(join_inside(folder / image.split, name), data.getvalue())
+        copies.append(replace(image, path=path, file_name=name, radiometry=None))
+    return copies, as_they_are
