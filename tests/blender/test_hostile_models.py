@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from infrablend.assets import model_files
 from infrablend.assets.model_files.blend import read_blend
 from infrablend.cli import main
+from infrablend.execution.confinement import landlock_version
 from infrablend.pipeline import models, request
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
@@ -87,7 +89,7 @@ def show(file):
     return main(["models", "show", str(path), "--out", str(path.with_suffix(".png"))])
 
 
-def write_gltf(folder, size):
+def write_gltf(folder, size, uri="thing.bin"):
     """Write a tetrahedron whose size is in the buffer beside the .gltf alone."""
     corners = size * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], np.float32)
     triangles = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.uint16)
@@ -98,7 +100,7 @@ def write_gltf(folder, size):
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "Body", "mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "buffers": [{"uri": "thing.bin", "byteLength": corners.nbytes + triangles.nbytes}],
+        "buffers": [{"uri": uri, "byteLength": corners.nbytes + triangles.nbytes}],
         "bufferViews": [
             {"buffer": 0, "byteLength": corners.nbytes},
             {"buffer": 0, "byteOffset": corners.nbytes, "byteLength": triangles.nbytes},
@@ -170,3 +172,15 @@ def test_linked_libraries_are_read_from_the_folder_alone(files, tmp_path, monkey
     models.import_geometry(files / "linked.blend")
     assert len(list((tmp_path / "cache" / "models").iterdir())) == 2
     assert first.is_file()
+
+
+def test_blender_cannot_read_what_the_check_of_references_misses(tmp_path, monkeypatch, capsys):
+    """The confined process is the second line of defence: here without the first one."""
+    if not landlock_version():
+        pytest.skip("NEEDS LANDLOCK: Linux 5.13 or newer")
+    monkeypatch.setattr(model_files, "_references", lambda _name, _data: [])
+    folder = tmp_path / "model"
+    folder.mkdir()
+    write_gltf(folder, 1.0, str(folder / "thing.bin"))
+    assert show(folder / "thing.gltf") == 2
+    assert "Missing resource" in " ".join(capsys.readouterr().err.split())

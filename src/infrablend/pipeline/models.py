@@ -21,7 +21,7 @@ from infrablend.assets.user_model import (
 from infrablend.core.files import read_object, replace_atomically
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import ModelError, Problem, RenderError
-from infrablend.execution.confined import ConfinedLimits, run_confined
+from infrablend.execution.confined import ConfinedLimits, ConfinedOutcome, run_confined
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.scratch import scratch_folder
 
@@ -50,7 +50,7 @@ def ready_model(name: str) -> ObjectModel:
 def import_geometry(file: Path) -> None:
     """Read a 3D file with Blender and cache its geometry, unless that was done before.
 
-    Blender runs in a confined process on copies of the file and of those beside it that it refers to.
+    Blender runs in a confined process on copies of the file and of those that it refers to.
 
     Raises:
         ModelError: The file refers to others that it may not use, is too large, takes too long, or cannot be read.
@@ -60,43 +60,46 @@ def import_geometry(file: Path) -> None:
     target = geometry_path(files)
     if target.is_file():
         return
-    shown = str(file)
     with scratch_folder(in_memory=False) as scratch:
         folder = Path(scratch)
         copy = files.copy_to(folder / "model")
-        request = {"file": str(copy.relative_to(folder)), "shown": shown}
+        request = {"file": str(copy.relative_to(folder)), "shown": str(file)}
         (folder / REQUEST).write_text(json.dumps(request), "utf-8")
         outcome = run_confined(IMPORTER, folder, IMPORT_LIMITS)
-        log.info(
-            "import of %s: %s, at most %d MiB\n%s", shown, outcome.ending, outcome.peak_bytes >> 20, outcome.output
-        )
-        if outcome.ending == "memory":
-            raise too_large(files.main, outcome.detail)
-        if outcome.ending == "time":
-            raise _too_slow(files.main, outcome.detail)
-        if outcome.ending == "no-start":
-            raise RenderError(
-                f"Blender could not start, to import {file}: {outcome.last_line}. Run `infrablend doctor`."
-            )
-        if outcome.ending == "crash":
-            raise ModelError(
-                f"model file {file}: Blender crashed on it ({outcome.detail}; {outcome.last_line}); "
-                f"expected a valid {file.suffix} file. Open it in Blender, save it again, and use the new file."
-            )
+        log.info("import of %s: %s, %d MiB\n%s", file, outcome.ending, outcome.peak_bytes >> 20, outcome.output)
+        _require_done(file, outcome)
         if refusal := read_object(folder / REFUSAL):
             if refusal.get("too_large"):
-                raise too_large(files.main, str(refusal["too_large"]))
+                raise too_large(file, str(refusal["too_large"]))
             raise ModelError(str(refusal.get("message")))
+        try:
+            groups, arrays = read_geometry(folder / GEOMETRY, str(file))
+        except ModelError as error:
+            raise _damaged(file, f"its surfaces are damaged ({error.__cause__})") from error
         with replace_atomically(target, beside=target.with_name(f".{target.stem}.{os.getpid()}.part")) as temporary:
-            write_geometry(temporary, *read_geometry(folder / GEOMETRY, shown))
+            write_geometry(temporary, groups, arrays)
 
 
-def _too_slow(file: Path, found: str) -> ModelError:
-    problem = Problem(
-        str(file), TOO_SLOW, f"its import took {found}", f"an import in at most {IMPORT_LIMITS.seconds:g} s",
-        "apply its modifiers in Blender, remove what is not visible, and save it again",
-    )  # fmt: skip
-    return ModelError(f"model file {file}: its import took {found}", [problem])
+def _require_done(file: Path, outcome: ConfinedOutcome) -> None:
+    """Raise the error of an import that did not come to its end."""
+    if outcome.ending == "memory":
+        raise too_large(file, outcome.detail)
+    if outcome.ending == "time":
+        expected = f"an import in at most {IMPORT_LIMITS.seconds:g} s"
+        todo = "apply its modifiers in Blender, remove what is not visible, and save it again"
+        problem = Problem(str(file), TOO_SLOW, f"its import took {outcome.detail}", expected, todo)
+        raise ModelError(f"model file {file}: its import took {outcome.detail}", [problem])
+    if outcome.ending == "no-start":
+        raise RenderError(f"Blender could not start to import {file}: {outcome.last_line}. Run `infrablend doctor`.")
+    if outcome.ending == "crash":
+        raise _damaged(file, f"Blender crashed on it ({outcome.detail}; {outcome.last_line})")
+
+
+def _damaged(file: Path, found: str) -> ModelError:
+    return ModelError(
+        f"model file {file}: {found}; expected a valid {file.suffix} file. Open it in Blender, save it again, and use "
+        "the new file."
+    )
 
 
 def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = JOB_TIMEOUT_S) -> Any:
