@@ -36,7 +36,9 @@ def frames(
         float | None,
         typer.Option(metavar="SECONDS", help="Second of a flight log at which the video starts [default: found]."),
     ] = None,
-    time: Annotated[Time | None, typer.Option(help="Time of day of the flight, for the table.")] = None,
+    time: Annotated[
+        Time | None, typer.Option(help="Time of day of the flight [default: by the sun, where known].")
+    ] = None,
     hfov: Annotated[
         float | None,
         typer.Option(

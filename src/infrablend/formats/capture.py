@@ -21,7 +21,9 @@ TABLE_NAMES = ("metadata.csv", "metadata.json")
 _FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg")
 _KEYS = ("file", "stem", "sequence")
 # Further columns that `infrablend frames` writes: read for single pictures, or there for people and other programs.
-FURTHER = ("captured", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
+FURTHER = ("captured", "altitude_from", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
+ALTITUDE_ORIGINS = ("take-off", "laser")
+"""Heights that the aircraft measured, which need no correction for the errors of published tables."""
 _RANGES = (
     ("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres"), ("hfov_deg", 0.1, 170.0, "degrees"),
 )  # fmt: skip
@@ -40,6 +42,7 @@ class Capture:
         sequence: Flight or clip of the picture.
         captured: Date or time of capture, ISO 8601.
         hfov_deg: Field of view across the width of the picture.
+        altitude_from: Origin of the height if it was measured in flight: `take-off` or `laser`.
     """
 
     pitch_deg: float | None = None
@@ -48,6 +51,7 @@ class Capture:
     sequence: str | None = None
     captured: str | None = None
     hfov_deg: float | None = None
+    altitude_from: str | None = None
 
     def over(self, other: Capture) -> Capture:
         """Return these values, completed by `other`'s."""
@@ -247,7 +251,10 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
         return Capture(), ("table-value", f"captured {captured!r}", "a date or time such as 2024-05-01T06:30:00+02:00")
     sequence = str(row.get("sequence") or "").strip()
     known = values["pitch_deg"], values["altitude_m"], of_day
-    return Capture(*known, sequence or None, captured or None, values["hfov_deg"]), None
+    origin = str(row.get("altitude_from") or "").strip()
+    if origin not in ("", *ALTITUDE_ORIGINS):
+        return Capture(), ("table-value", f"altitude_from {origin!r}", f"{' or '.join(ALTITUDE_ORIGINS)}, or nothing")
+    return Capture(*known, sequence or None, captured or None, values["hfov_deg"], origin or None), None
 
 
 def _is_time(text: str) -> bool:

@@ -169,12 +169,19 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
         captured=image.captured or (None if captured is None else str(captured.value)),
         extra={**image.extra, **extra},
     )
-    return image if image.time_of_day else replace(image, time_of_day=_time_of_day(image.captured, f))
+    if image.time_of_day:
+        return image
+    return replace(image, time_of_day=time_of_day(image.captured, f.value("latitude_deg"), f.value("longitude_deg")))
 
 
-def _time_of_day(captured: str | None, f: CameraFacts) -> TimeOfDay | None:
-    """Return day or night from the sun's elevation; None if time or place are unknown or the clock leaves both open."""
-    latitude, longitude = f.value("latitude_deg"), f.value("longitude_deg")
+def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> TimeOfDay | None:
+    """Return day or night from the sun's elevation; None if time or place are unknown or the clock leaves both open.
+
+    Args:
+        captured: Time, ISO 8601; without a zone it is local time.
+        latitude: Degrees north.
+        longitude: Degrees east.
+    """
     if captured is None or len(captured) <= 10 or latitude is None or longitude is None:
         return None
     exact = time_of(captured)

@@ -24,6 +24,7 @@ from infrablend.core.finished import FRAMES_FILE
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.dji_srt import read_srt
+from infrablend.formats.flight import time_of_day
 from infrablend.formats.flight_csv import read_flight_csv
 from infrablend.formats.flight_log import FIELDS, Coverage, FlightLog, Sampled, sample
 from infrablend.formats.log_alignment import NO_CLOCK, Aligned, Clock, align
@@ -32,7 +33,8 @@ from infrablend.pipeline.dataset_folder import DatasetFolder
 
 TABLE = "metadata.csv"
 COLUMNS = (
-    "file", "sequence", "captured", "pitch_deg", "altitude_m", "hfov_deg", "time_of_day", "frame", "time_s",
+    "file", "sequence", "captured", "pitch_deg", "altitude_m", "altitude_from", "hfov_deg",
+    "time_of_day", "frame", "time_s",
     "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg",
 )  # fmt: skip
 _DECIMALS = {"latitude_deg": 7, "longitude_deg": 7}
@@ -110,7 +112,7 @@ class FlightFacts:
         log: Log for all videos; None takes the subtitles beside each video, if there are any.
         use_log: False to extract without telemetry.
         clock: What is known about the clocks.
-        time_of_day: Day or night, for the table.
+        time_of_day: Day or night, for the table; None takes it from the sun where time and place are known.
         hfov_deg: Field of view across the width of the video, for the table; None if unknown.
         names: Names of the sequences, one per video; empty to use the videos' names.
     """
@@ -349,8 +351,16 @@ def _rows(
         if sampled is not None:
             row["captured"] = sampled.captured[k] or ""
             row |= {name: _text(name, float(values[k])) for name, values in sampled.values.items()}
+            row["altitude_from"] = "take-off" if row.get("altitude_m") else ""
+            row["time_of_day"] = row["time_of_day"] or _time_of_day(row)
         rows.append(row)
     return rows
+
+
+def _time_of_day(row: Mapping[str, str]) -> str:
+    """Return day or night by the sun, if time and place of a frame are known and leave no doubt; else nothing."""
+    latitude, longitude = (float(row[k]) if row.get(k) else None for k in ("latitude_deg", "longitude_deg"))
+    return time_of_day(row["captured"], latitude, longitude) or ""
 
 
 def _table(rows: Sequence[Mapping[str, str]]) -> str:

@@ -14,6 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
+from infrablend.formats import detection
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
 
 APP = build_app()
@@ -132,6 +133,25 @@ def test_steps_and_ends(tmp_path: Path, options: list[str], numbers: list[int]) 
 def test_wrong_options_write_nothing(tmp_path: Path, options: list[str], message: str) -> None:
     assert message in done(flight(tmp_path), "--out", tmp_path / "out", *options, code=2)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_sun_tells_day_from_night(tmp_path: Path) -> None:
+    video = flight(tmp_path)
+    done(video, "--every", "2s", "--out", tmp_path / "day")
+    assert {r["time_of_day"] for r in rows(tmp_path / "day")} == {"day"}
+    log = tmp_path / "DJI_0001.SRT"
+    log.write_text(log.read_text("utf-8").replace("2024-05-01 12:", "2024-05-01 00:"), "utf-8")
+    done(video, "--every", "2s", "--out", tmp_path / "night")
+    assert {r["time_of_day"] for r in rows(tmp_path / "night")} == {"night"}
+
+
+def test_heights_of_a_log_are_measured_ones(tmp_path: Path) -> None:
+    done(flight(tmp_path), "--every", "2s", "--out", tmp_path / "out")
+    images = detection.read(tmp_path / "out").images
+    assert {i.extra["altitude_from"] for i in images} == {"take-off"}
+    table = tmp_path / "out" / "metadata.csv"
+    table.write_text(table.read_text("utf-8").replace("take-off", "guess", 1), "utf-8")
+    assert "table-value" in {p.code for p in detection.read(tmp_path / "out").problems}
 
 
 def test_an_offset_moves_the_log(tmp_path: Path) -> None:
