@@ -264,3 +264,55 @@ def test_names_do_not_command_the_terminal(tmp_path, capsys):
         main(words)
     shown = capsys.readouterr()
     assert not {"\x1b", "\x07"} & {*shown.out, *shown.err}
+
+
+def test_sequences_that_differ_in_case_alone_do_not_share_a_file_in_monets_layout(tmp_path):
+    for k, flight in enumerate(("Run", "run", "RUN")):
+        draw(tmp_path / "data" / "images" / "train" / flight / f"a_{k}.png", k)
+    labels = {"names": ["car"], "path": ".", "train": "images/train"}
+    (tmp_path / "data" / "data.yaml").write_text(json.dumps(labels))
+    source = tmp_path / "source"
+    assert main(["convert", str(tmp_path / "data"), str(source), "--to", "coco"]) == 0
+    for path in source.rglob("*.json"):
+        top = json.loads(path.read_text())
+        for k, image in enumerate(top.get("images", ())):
+            image["sequence"] = ("Run", "run", "RUN")[k]
+        path.write_text(json.dumps(top))
+    (source / "convert.json").unlink()
+    assert main(["convert", str(source), str(tmp_path / "monet"), "--to", "monet"]) == 0
+    files = folded(p.relative_to(tmp_path / "monet") for p in (tmp_path / "monet").rglob("*") if p.is_file())
+    assert len(files) == len(set(files)), files
+    assert len([f for f in files if f.endswith(".json") and f.startswith("train/")]) == 3, files
+
+
+def test_control_characters_in_errors_do_not_reach_the_terminal(tmp_path, capsys):
+    name = "a\x1b]0;evil\x07\x1b[2J"
+    draw(tmp_path / "data" / f"{name}.png")
+    bad = tmp_path / "data" / f"{name}.json"
+    bad.write_text("{")
+    evil = str(tmp_path / name)
+    assert main(["convert", evil, str(tmp_path / "a"), "--to", "coco"]) == 2
+    assert main(["split", str(tmp_path / "data"), str(tmp_path / "b"), "--by", "gap", "--gap", "1"]) in (0, 1, 2)
+    assert main(["check", str(tmp_path / "data")]) == 1
+    assert main(["generate", evil, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "c")]) == 2
+    assert main(["experiment", evil]) == 2
+    out = capsys.readouterr()
+    assert "\x1b" not in out.out + out.err and "\x07" not in out.out + out.err
+    assert "\\x1b" in out.err
+
+
+def test_numbers_that_json_cannot_hold_in_predictions_are_left_out(tmp_path):
+    draw(tmp_path / "data" / "images" / "test" / "a.png")
+    (tmp_path / "data" / "labels" / "test").mkdir(parents=True)
+    (tmp_path / "data" / "labels" / "test" / "a.txt").write_text("0 0.5 0.5 0.2 0.25\n")
+    (tmp_path / "data" / "data.yaml").write_text("path: .\ntest: images/test\nnames: [car]\n")
+    found = tmp_path / "predictions.json"
+    found.write_text(
+        """{"task": "detect", "categories": [{"id": 1, "name": "car"}], "annotations": [],
+        "images": [{"id": 1, "file_name": "test/a.png", "width": 64, "height": 48}],
+        "facts": {"a": NaN, "b": [Infinity, {"c": -1e999}]}}"""
+    )
+    out = tmp_path / "out"
+    assert main(["evaluate", str(found), str(tmp_path / "data"), "--out", str(out), "--bootstrap", "0"]) == 0
+    facts = json.loads((out / "predictions.json").read_text())["facts"]
+    assert facts["a"] is None and facts["b"] == [None, {"c": None}]

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import typer
 
+from infrablend.core.file_names import escape_unfit
 from infrablend.errors import (
     FetchError,
     InfraBlendError,
@@ -62,11 +63,16 @@ def exit_code(error: BaseException) -> int:
             return BUG
 
 
+def printable(text: str) -> str:
+    """Return the text with control characters, which could command the terminal, written as escapes."""
+    return escape_unfit(text, keep="\n\t")
+
+
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
     """Return the first 20 lines of `format_problems`, and a line on how many follow and where they are listed."""
     found = list(problems)
     every = format_problems(found)
-    lines = [f"  - {line}" for line in every[:SHOWN_PROBLEMS]]
+    lines = [f"  - {printable(line)}" for line in every[:SHOWN_PROBLEMS]]
     more = len(every) - SHOWN_PROBLEMS
     if more > 0:
         lines.append(f"  ... and {more} more" + (f"; all of them in {log_path}" if log_path else ""))
@@ -85,10 +91,12 @@ def report_error(error: BaseException, log_path: Path | None) -> int:
         for p in error.problems:  # one by one: the message groups similar ones
             logger.info("%s", p)
         head = "" if isinstance(error, Interrupted) else typer.style("Error: ", fg="red", bold=True)
-        typer.echo("\n".join([head + error.message, *problem_lines(error.problems, log_path)]), err=True)
+        typer.echo("\n".join([head + printable(error.message), *problem_lines(error.problems, log_path)]), err=True)
     else:
         logger.info("unexpected", exc_info=error)
         where = f" Details are in {log_path}" if log_path else ""
         bug = typer.style("Unexpected error: ", fg="red", bold=True)
-        typer.echo(f"{bug}{type(error).__name__}: {error}\nThis is a bug in InfraBlend.{where}", err=True)
+        typer.echo(
+            f"{bug}{type(error).__name__}: {printable(str(error))}\nThis is a bug in InfraBlend.{where}", err=True
+        )
     return code

@@ -125,6 +125,7 @@ def experiment(
 
 def _run(session: Session, request: ExperimentRequest) -> None:
     from infrablend import api
+    from infrablend.cli.exits import printable
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_json, print_result
 
@@ -136,7 +137,7 @@ def _run(session: Session, request: ExperimentRequest) -> None:
     with shown_progress(session, "working") as on_progress:
         report = api.experiment(request, on_stage=show_stage, on_progress=on_progress)
     for problem in report.problems:
-        typer.echo(f"{problem.severity}: {problem}", err=True)
+        typer.echo(printable(f"{problem.severity}: {problem}"), err=True)
     if session.json:
         print_json(report.to_json())
         return

@@ -10,8 +10,7 @@ from typing import Any
 
 import typer
 
-from infrablend.cli.exits import problem_lines
-from infrablend.core.file_names import escape_unfit
+from infrablend.cli.exits import printable, problem_lines
 from infrablend.errors import Problem, format_problems
 
 SHOWN_WARNINGS = 5
@@ -21,12 +20,7 @@ log = logging.getLogger(__name__)
 
 def print_result(text: str) -> None:
     """Print lines of the result on stdout, with control characters from names escaped."""
-    typer.echo(_printable(text))
-
-
-def _printable(text: str) -> str:
-    """Return the text with control characters, which could command the terminal, written as escapes."""
-    return escape_unfit(text, keep="\n\t")
+    typer.echo(printable(text))
 
 
 def print_json(data: Any) -> None:
@@ -43,12 +37,12 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
     warnings = format_problems(sorted({p for p in found if p.severity != "error"}))
     if errors:
         lines = problem_lines(errors, log_path)
-        typer.echo(_printable("\n".join([f"{len(errors)} problem(s):", *lines])), err=True)
+        typer.echo("\n".join([f"{len(errors)} problem(s):", *lines]), err=True)
     if warnings:
         lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
         if len(warnings) > SHOWN_WARNINGS:
             lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {record}")
-        typer.echo(_printable("\n".join([f"{len(warnings)} warning(s):", *lines])), err=True)
+        typer.echo(printable("\n".join([f"{len(warnings)} warning(s):", *lines])), err=True)
 
 
 def table(rows: Mapping[str, str]) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from infrablend.cli.exits import printable
 from infrablend.core.user_folders import state_folder
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class _ConsoleHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            self._console.print(self.format(record), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(printable(self.format(record)), markup=False, highlight=False, soft_wrap=True)
         except Exception:
             self.handleError(record)
 

@@ -67,6 +67,7 @@ def split(
     wanted = _parsed_shares(shares)
 
     from infrablend import api
+    from infrablend.cli.exits import printable
     from infrablend.cli.results import print_json, print_result
     from infrablend.pipeline.split import SplitRule
 
@@ -81,7 +82,7 @@ def split(
         overwrite=overwrite,
     )
     for problem in report.problems:
-        typer.echo(f"{problem.severity}: {problem}", err=True)
+        typer.echo(printable(f"{problem.severity}: {problem}"), err=True)
     if as_json:
         print_json({"out": str(report.out)} | report.to_json())
     else:

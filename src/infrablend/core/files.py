@@ -7,8 +7,10 @@ import errno
 import hashlib
 import json
 import logging
+import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
@@ -159,6 +161,18 @@ def read_object(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return data if isinstance(data, dict) else None
+
+
+def finite(value: Any, losses: Counter[str]) -> Any:
+    """Return the value with non-finite numbers, which JSON cannot hold, replaced by null and counted."""
+    if isinstance(value, dict):
+        return {k: finite(v, losses) for k, v in value.items()}
+    if isinstance(value, list):
+        return [finite(v, losses) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        losses["not_finite_dropped"] += 1
+        return None
+    return value
 
 
 def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool = False) -> Path:

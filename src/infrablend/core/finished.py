@@ -18,6 +18,11 @@ from infrablend.errors import DatasetError, Problem
 
 CONVERT_FILE = "convert.json"
 SPLIT_FILE = "split.json"
+WORLD_FILE = "world.json"
+DOWNLOAD_FOLDER = ".fetch"
+"""Folder of an unfinished download."""
+PLACED = ".ready.json"
+"""End of the names of files in it that are there while the parts of a dataset are moved to their places."""
 FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
 COMPLETE = "complete"
@@ -39,6 +44,7 @@ class _Marker:
 _MARKERS = (
     _Marker(RUN_FILE, "run", "infrablend generate ... --out {root} --resume"),
     _Marker(CONVERT_FILE, "conversion", "infrablend convert {source} {root} --to {format} ... --overwrite"),
+    _Marker(WORLD_FILE, "virtual world", "infrablend world --out {root} ..."),
     _Marker(SPLIT_FILE, "split dataset", "infrablend split {source} {root} --by {by} ... --overwrite"),
     _Marker(FRAMES_FILE, "extraction of frames", "infrablend frames {source} --every {every} --out {root} --overwrite"),
     _Marker(
@@ -63,11 +69,24 @@ def require_finished(folder: Path) -> None:
             damaged = record is None and (root / SCENES).is_dir()
             if damaged or (record is not None and not is_finished(record)):
                 raise _unfinished(folder, path, marker, record)
+        if any((root / DOWNLOAD_FOLDER).glob(f"*{PLACED}")):
+            raise _half_placed(folder, root)
 
 
 def is_finished(record: Mapping[str, Any]) -> bool:
     """Return whether a record says that its folder is finished; other programs and earlier versions wrote no status."""
     return "infrablend" not in record or record.get("status", COMPLETE) == COMPLETE
+
+
+def _half_placed(folder: Path, root: Path) -> DatasetError:
+    problem = Problem(
+        str(root),
+        UNFINISHED,
+        "a download whose files are being moved to their places",
+        "a finished download",
+        f"wait for it, or finish it by repeating its command: infrablend fetch ... {root}",
+    )
+    return DatasetError(f"{folder}: belongs to an unfinished download; files may be missing", [problem])
 
 
 def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, Any] | None) -> DatasetError:

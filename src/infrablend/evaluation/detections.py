@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points
-from infrablend.core.files import write_json
+from infrablend.core.files import finite, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 
@@ -211,7 +212,7 @@ def read_predictions(path: Path) -> Predictions:
         tuple(names.values()),
         {key: _collect_detections(of, task) for key, of in gathered.items()},
         sizes,
-        facts if isinstance(facts, dict) else {},
+        finite(facts, Counter()) if isinstance(facts, dict) else {},
     )
 
 

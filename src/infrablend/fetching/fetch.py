@@ -19,6 +19,7 @@ from typing import Any, Literal
 from infrablend import __version__
 from infrablend.core.arguments import require_names
 from infrablend.core.files import output_error, sha256_of, write_json
+from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import RetryPolicy, download, require_url
@@ -26,7 +27,6 @@ from infrablend.fetching.unpack import Limits, require_room, unpack, without_wra
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
-WORK_FOLDER = ".fetch"
 SOURCE_FILE = "SOURCE.json"
 
 
@@ -92,7 +92,7 @@ class _Order:
 
     @property
     def work(self) -> Path:
-        return self.out / WORK_FOLDER
+        return self.out / DOWNLOAD_FOLDER
 
     @property
     def own_file(self) -> bool:
@@ -250,11 +250,11 @@ def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
                 f"{order.source.name}; give another folder"
             )
         known = data["archives"]
-    elif names - {WORK_FOLDER} and WORK_FOLDER not in names:
+    elif names - {DOWNLOAD_FOLDER} and DOWNLOAD_FOLDER not in names:
         _output(order.out).require_empty()
     for a in wanted:
         ready = _ready(order, a).exists()
-        taken = (order.out / a.into).exists() if a.into else bool(names - {WORK_FOLDER, SOURCE_FILE})
+        taken = (order.out / a.into).exists() if a.into else bool(names - {DOWNLOAD_FOLDER, SOURCE_FILE})
         if a.part not in known and taken and not ready:
             where = order.out / a.into
             raise OutputError(f"{where}: exists and was not written by `fetch`; move it away or give another folder")
@@ -267,7 +267,7 @@ def _output(out: Path) -> OutputFolder:
 
 def _ready(order: _Order, a: Archive) -> Path:
     """Return the file that exists while a checked and unpacked part is being moved to its place."""
-    return order.work / f"{a.part}.ready.json"
+    return order.work / f"{a.part}{PLACED}"
 
 
 def _record(path: Path) -> dict[str, Any]:
@@ -405,7 +405,7 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
         DatasetError: The content differs from numbers that we verified ourselves; lists all differences.
     """
     problems = []
-    for reserved in (WORK_FOLDER, SOURCE_FILE):
+    for reserved in (DOWNLOAD_FOLDER, SOURCE_FILE):
         if not a.into and (content / reserved).exists():
             raise DatasetError(f"{a.file}: contains {reserved}, a name that `fetch` needs; unpack it by hand")
     if commit is not None and a.commit is not None and commit != a.commit:

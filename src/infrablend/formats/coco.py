@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, TIGHT_BOX, TIGHT_OBB, Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.files import finite, link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
@@ -35,7 +35,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import finite, to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 NAME = "coco"
 

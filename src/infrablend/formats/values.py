@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from typing import Any
 
 from infrablend.formats.pictures import MAX_PIXELS
 
@@ -51,15 +49,3 @@ def number_text(value: float) -> str:
     """Return a coordinate as text, with up to eight decimals and none for whole numbers."""
     text = f"{value:.8f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
-
-
-def finite(value: Any, losses: Counter[str]) -> Any:
-    """Return the value with non-finite numbers, which JSON cannot hold, replaced by null and counted."""
-    if isinstance(value, dict):
-        return {k: finite(v, losses) for k, v in value.items()}
-    if isinstance(value, list):
-        return [finite(v, losses) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        losses["not_finite_dropped"] += 1
-        return None
-    return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,9 +10,9 @@ from typing import Literal, get_args
 
 from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import Split
-from infrablend.core.files import write_json
-from infrablend.core.output import OutputFolder
 from infrablend.formats import coco, hit_uav, monet
+from infrablend.formats.losses import Written
+from infrablend.world.folder import WorldFolder
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import (
     ALTITUDES_M,
@@ -108,7 +107,7 @@ def write_world(
     `world.json` lists the camera, the place and every object of each frame.
 
     Args:
-        out: Folder to write to; it must be empty or not exist.
+        out: Folder to write to; it must be empty, or hold what an interrupted call left.
         request: Frames of the dataset.
         source: Renders the frames.
         progress: Called with (finished frames, all frames) after each frame.
@@ -119,16 +118,36 @@ def write_world(
         RenderError: Blender failed.
     """
     frames = request.frames()
-    out = Path(out)
-    OutputFolder(out, "virtual world").require_empty()
     finished: dict[int, FinishedFrame] = {}
-    stage = out / ".frames"
-    try:
+
+    def rendered(stage: Path) -> list[FinishedFrame]:
         for one in source(frames, stage):
             finished[one.number] = one
             if progress is not None:
                 progress(len(finished), len(frames))
-        ordered = [finished[f.number] for f in frames]
+        return [finished[f.number] for f in frames]
+
+    ordered, written = _write(WorldFolder(Path(out)), request, rendered)
+    labels_of = Counter(i.category for one in ordered for i in one.image.instances)
+    dropped: Counter[str] = Counter()
+    for one in ordered:
+        dropped.update(one.dropped)
+    return WorldReport(
+        Path(out),
+        dict(Counter(one.image.split for one in ordered)),
+        dict(sorted(labels_of.items())),
+        dict(sorted(dropped.items())),
+        dict(written.losses),
+    )
+
+
+def _write(
+    folder: WorldFolder, request: WorldRequest, rendered: Callable[[Path], list[FinishedFrame]]
+) -> tuple[list[FinishedFrame], Written]:
+    """Write the dataset; return its frames and what the format lost."""
+    out = folder.root
+    with folder.writing() as stage:
+        ordered = rendered(stage)
         images = [one.image for one in ordered]
         if request.layout == "monet":
             written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
@@ -136,20 +155,5 @@ def write_world(
             written = coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
         else:
             written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
-        write_json(out / "world.json", {"seed": request.seed, "frames": [one.facts for one in ordered]})
-    finally:
-        # The dataset links the finished images by now; an interrupted run leaves nothing behind.
-        shutil.rmtree(stage, ignore_errors=True)
-        if out.is_dir() and not any(out.iterdir()):
-            out.rmdir()
-    labels_of = Counter(i.category for image in images for i in image.instances)
-    dropped: Counter[str] = Counter()
-    for one in ordered:
-        dropped.update(one.dropped)
-    return WorldReport(
-        out,
-        dict(Counter(i.split for i in images)),
-        dict(sorted(labels_of.items())),
-        dict(sorted(dropped.items())),
-        dict(written.losses),
-    )
+        folder.finish({"seed": request.seed, "frames": [one.facts for one in ordered]})
+    return ordered, written

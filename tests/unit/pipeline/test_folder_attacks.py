@@ -446,3 +446,12 @@ def test_links_in_a_circle_are_an_error_with_a_name(data: Path, tmp_path: Path) 
     ):
         ended = run(*words)
         assert ended.exit_code in (2, 3), (words, ended.output)
+
+
+def test_download_whose_files_are_being_placed_is_unfinished(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    (data / ".fetch").mkdir()
+    assert run("check", data).exit_code == 0
+    (data / ".fetch" / "all.ready.json").write_text("{}")
+    ended = run("check", data)
+    assert ended.exit_code == 2 and "infrablend fetch" in ended.stderr, ended.output

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.files import finite, link_or_copy, write_text
 from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
 from infrablend.formats.box_checks import obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.values import finite
 
 # Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
 _COORDINATE_DIGITS = 8

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, ImageRecord
-from infrablend.core.file_names import file_name
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.file_names import distinct_names, file_name
+from infrablend.core.files import finite, link_or_copy, write_text
 from infrablend.errors import Problem
 from infrablend.formats import coco
 from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
@@ -19,7 +19,6 @@ from infrablend.formats.losses import Written
 from infrablend.formats.monet.folders import split_in
 from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
 from infrablend.formats.monet.telemetry import NEST, Place
-from infrablend.formats.values import finite
 
 _INFO: Mapping[str, Any] = {"description": "MONET layout, written by InfraBlend"}
 
@@ -53,8 +52,9 @@ def write(
     ordered = sort_images(images)
     texts, losses = native_files(ordered, categories, ids=ids, extra=extra)
     files = [write_text(out / name, text) for name, text in texts.items()]
+    folders = _folder_names(ordered)
     for image in ordered if pictures else ():
-        files.append(link_or_copy(image.path, out / image.split / _picture_name(image)))
+        files.append(link_or_copy(image.path, out / image.split / _picture_name(image, folders)))
     return Written(tuple(files), losses, tuple(_pitch_remarks(ordered)))
 
 
@@ -80,13 +80,14 @@ def native_files(
     unknown = all(i.pitch_deg is None for i in ordered)
     tops: dict[str, dict[str, Any]] = {}
     taken: set[tuple[str, str]] = set()
+    folders = _folder_names(ordered)
     for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
-        name = _picture_name(image)
+        name = _picture_name(image, folders)
         if (image.split, name) in taken:
             raise ValueError(f"{image.id}: a second picture would be {image.split}/{name}")
         taken.add((image.split, name))
         top = tops.setdefault(
-            f"{image.split}/{_folder_name(image) or image.split}.json",
+            f"{image.split}/{folders[image.sequence] or image.split}.json",
             {
                 "info": (extra or {}).get("info", _INFO),
                 "licenses": (extra or {}).get("licenses", []),
@@ -114,8 +115,9 @@ def native_files(
 def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning for sequences without any pitch, which the reader leaves out unless asked to keep them."""
     known: dict[tuple[str, str], bool] = {}
+    folders = _folder_names(images)
     for i in images:
-        place = (i.split, _folder_name(i))
+        place = (i.split, folders[i.sequence])
         known[place] = known.get(place, False) or i.pitch_deg is not None
     empty = sum(not k for k in known.values())
     if not empty:
@@ -124,18 +126,28 @@ def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
     return [Problem("monet", "telemetry-absent", found, "a pitch in every sequence", todo, "warning")]
 
 
-def _folder_name(image: ImageRecord) -> str:
-    """Return the sequence as a folder name; empty if there is none."""
-    sequence = (image.sequence or "").strip()
-    name = file_name(sequence.replace("/", "__").replace("\\", "__")) if sequence.strip(".") else ""
+def _folder_names(images: Sequence[ImageRecord]) -> dict[str | None, str]:
+    """Return the name of the folder of each sequence; empty for images without a sequence.
+
+    Sequences whose names some disk takes for one have folders of their own.
+    """
+    wanted = {i.sequence: _folder_name(i.sequence) for i in images}
+    named = [sequence for sequence, name in wanted.items() if name]
+    return {**wanted, **dict(zip(named, distinct_names([wanted[s] for s in named]), strict=True))}
+
+
+def _folder_name(sequence: str | None) -> str:
+    """Return a sequence as a folder name; empty if there is none."""
+    text = (sequence or "").strip()
+    name = file_name(text.replace("/", "__").replace("\\", "__")) if text.strip(".") else ""
     return "" if split_in([name]) else name
 
 
-def _picture_name(image: ImageRecord) -> str:
+def _picture_name(image: ImageRecord, folders: Mapping[str | None, str]) -> str:
     """Return the path of a picture below its split's folder: `<sequence>/lwir/...`."""
-    folder = _folder_name(image)
+    folder = folders[image.sequence]
     parts = list(PurePosixPath(image.name).parts)
-    for known in (folder, "lwir"):
+    for known in (_folder_name(image.sequence), "lwir"):
         if len(parts) > 1 and parts[0] == known:
             parts.pop(0)
     return str(PurePosixPath(folder, "lwir", *parts))
