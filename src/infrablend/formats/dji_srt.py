@@ -29,7 +29,7 @@ from infrablend.formats.log_text import read_log_text
 _TIME = re.compile(r"\s*(\d{1,3}):(\d{1,2}):(\d{1,2})[,.](\d{1,3})\s*-->", re.ASCII)
 _NUMBER = r"([-+]?\d{1,12}(?:\.\d{1,12})?)"
 _TAG = re.compile(r"<[^<>\n]{0,100}>")
-_FIELD = re.compile(r"([A-Za-z_]+(?:\(degrees\))?)\s{0,3}:\s{0,3}" + _NUMBER, re.ASCII)
+_FIELD = re.compile(r"(?<![A-Za-z_])([A-Za-z_]{1,40}(?:\(degrees\))?)\s{0,3}:\s{0,3}" + _NUMBER, re.ASCII)
 _HEIGHT = re.compile(r"(?<![\w.])H\s{1,3}" + _NUMBER + r"\s?[mM]\b", re.ASCII)
 _GIMBAL = re.compile(rf"G\.PRY\s?\(\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?\)", re.ASCII)
 _DATE = re.compile(
@@ -45,6 +45,8 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
     "latitude_deg": ("latitude",),
     "longitude_deg": ("longitude", "longtitude"),  # DJI's own spelling
 }
+# Characters of a block that are searched; the longest known have 500.
+_MAX_BLOCK = 4000
 _COUNTERS = ("framecnt", "srtcnt")
 _LIMITS = {"altitude_m": 1e5, "latitude_deg": 90.0, "longitude_deg": 180.0, "roll_deg": 360.0, "yaw_deg": 360.0}
 
@@ -60,7 +62,7 @@ def read_srt(path: Path) -> FlightLog:
     names: Counter[str] = Counter()
     silent = 0
     for seconds, text in blocks:
-        plain = _TAG.sub(" ", text)
+        plain = _TAG.sub(" ", text[:_MAX_BLOCK])
         given = {name.lower(): float(value) for name, value in _FIELD.findall(plain)}
         if height := _HEIGHT.search(plain):
             given["h"] = float(height[1])

@@ -72,6 +72,12 @@ def test_subtitles_without_telemetry_are_refused(tmp_path: Path, text: str) -> N
         read_srt(tmp_path / "a.srt")
 
 
+def test_hostile_blocks_cost_no_time(tmp_path: Path) -> None:
+    long = "a" * 300_000 + "<" * 300_000 + "gb_pitch:" * 30_000 + "G.PRY (" * 30_000
+    with pytest.raises(DatasetError, match="no telemetry"):
+        read_srt(srt(tmp_path / "a.srt", long, long))
+
+
 def airdata(path: Path, unit: str = "feet", rows: int = 41, ground: str = "") -> Path:
     lines = [
         f"time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff({unit}),"
