@@ -5,6 +5,8 @@ import struct
 import zipfile
 from pathlib import Path
 
+import numpy as np
+
 
 def gltf(uri: str, where: str = "buffers") -> bytes:
     return json.dumps({"asset": {"version": "2.0"}, where: [{"uri": uri, "byteLength": 4}]}).encode()
@@ -72,3 +74,27 @@ def blend(*blocks: tuple[str, int, dict[str, str | int]]) -> bytes:
         data += struct.pack("<4sIQII", b"DATA", len(content), address, list(STRUCTS).index(name), 1) + content
     data += struct.pack("<4sIQII", b"DNA1", len(out), 0, 0, 1) + out
     return data + struct.pack("<4sIQII", b"ENDB", 0, 0, 0, 0)
+
+
+def write_gltf(folder: Path, size: float, uri: str = "thing.bin") -> None:
+    """Write a tetrahedron whose size is in the buffer beside the .gltf alone."""
+    corners = size * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], np.float32)
+    triangles = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.uint16)
+    (folder / "thing.bin").write_bytes(corners.tobytes() + triangles.tobytes())
+    content = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "Body", "mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"uri": uri, "byteLength": corners.nbytes + triangles.nbytes}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": corners.nbytes},
+            {"buffer": 0, "byteOffset": corners.nbytes, "byteLength": triangles.nbytes},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+    }
+    (folder / "thing.gltf").write_text(json.dumps(content))

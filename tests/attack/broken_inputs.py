@@ -24,6 +24,7 @@ from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.file_names import is_inside
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
+from tests.attack.models import choose_model, write_models
 from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab, write_clips, write_detections
 from tests.attack.trees import contents, differences, snapshot
 from tests.fuzzing import WEIRD_JSON, WEIRD_WORDS, mutate
@@ -332,6 +333,11 @@ def _break_experiment(lab: Path, choose: Choice) -> str:
     return f"{name}: {_break_yaml('in/chosen/small.yaml')(lab, choose)}"
 
 
+def _break_model(lab: Path, choose: Choice) -> str:
+    folder = choose_model(lab, choose)
+    return "; ".join([folder.name, *(mutate(folder, lab / "canary", choose) for _ in range(choose.randint(0, 2)))])
+
+
 def _recipe_words(lab: Path) -> list[Words]:
     found = sorted((lab / "in" / "chosen").rglob("*"))
     file = found[0] if found else lab / "in" / "chosen"
@@ -359,6 +365,13 @@ INPUTS: tuple[Input, ...] = (
             ["-q", "experiment", lab / "in" / "chosen" / "small.yaml", "--data", lab / "in" / "data", "--plan"],
         ],
         0.06,
+    ),
+    Input(
+        "model",
+        write_models,
+        _break_model,
+        lambda lab: [["-q", "models", "describe", lab / "in" / "chosen" / "thing.yaml"]],
+        0.05,
     ),
     Input(
         "metadata table",
@@ -427,7 +440,7 @@ def attack(kind: Input, intact: Path, lab: Path, before: dict[str, str], seed: s
         case += kind.breaks(lab, random.Random(seed))
     except (OSError, ValueError, IndexError, yaml.YAMLError, RecursionError) as error:
         case += f"broken no further ({error})"
-    if not kind.name.startswith("dataset"):
+    if not kind.name.startswith(("dataset", "model")):
         for path in sorted((lab / "in").rglob("*")):
             # A user who names a pipe waits for it, and one who names a link wants its target.
             if path.is_fifo() or (path.is_symlink() and not is_inside(path, lab / "in")):

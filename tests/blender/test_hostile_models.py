@@ -15,6 +15,7 @@ from infrablend.assets.model_files.blend import read_blend
 from infrablend.cli import main
 from infrablend.execution.confinement import landlock_version
 from infrablend.pipeline import models, request
+from tests.hostile_models import write_gltf
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 RECIPE = """
@@ -87,30 +88,6 @@ def show(file):
     path = file.with_suffix(".yaml")
     path.write_text(DESCRIPTION.replace("thing.gltf", file.name))
     return main(["models", "show", str(path), "--out", str(path.with_suffix(".png"))])
-
-
-def write_gltf(folder, size, uri="thing.bin"):
-    """Write a tetrahedron whose size is in the buffer beside the .gltf alone."""
-    corners = size * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], np.float32)
-    triangles = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.uint16)
-    (folder / "thing.bin").write_bytes(corners.tobytes() + triangles.tobytes())
-    content = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "Body", "mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "buffers": [{"uri": uri, "byteLength": corners.nbytes + triangles.nbytes}],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": corners.nbytes},
-            {"buffer": 0, "byteOffset": corners.nbytes, "byteLength": triangles.nbytes},
-        ],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
-        ],
-    }
-    (folder / "thing.gltf").write_text(json.dumps(content))
 
 
 def test_a_changed_buffer_changes_the_shape_and_ends_a_resume(tmp_path, capsys):

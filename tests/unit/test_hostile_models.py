@@ -141,3 +141,14 @@ def test_large_files_are_refused_before_they_are_read(tmp_path, capsys):
         stream.truncate(3 * 2**30)
     assert show(file) == 2
     assert "too large" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["loop.obj", "pipe.obj", "a\0b.obj", "a" * 5000 + ".obj", "none.obj", "folder.obj"])
+def test_a_3d_file_must_be_a_regular_file(tmp_path, capsys, name):
+    folder = tmp_path / "model"
+    (folder / "loop.obj").symlink_to("loop.obj")
+    (folder / "folder.obj").mkdir()
+    os.mkfifo(folder / "pipe.obj")
+    (folder / "thing.yaml").write_text(DESCRIPTION.format(json.dumps(name)))
+    assert main(["models", "show", str(folder / "thing.yaml"), "--out", str(tmp_path / "a.png")]) == 2
+    assert "does not exist" in " ".join(capsys.readouterr().err.split())

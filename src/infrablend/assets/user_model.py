@@ -22,6 +22,7 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -35,7 +36,7 @@ from pydantic_core import PydanticKnownError
 
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.model_files import ModelFiles, find_model_files
+from infrablend.assets.model_files import ModelFiles, find_model_files, is_regular_file
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
@@ -150,7 +151,7 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
     except ValidationError as error:
         problems = field_problems(error, data, UserModel, "model", "see docs/how_to/own_model.md for all fields")
         raise ModelError(f"model {path}: {len(problems)} field(s) are invalid", problems) from error
-    file = (path.parent / described.file).resolve()
+    file = path.parent / described.file
     if file.suffix.lower() not in SUFFIXES:
         raise ModelError(f"model {path}: file {described.file!r} has an unknown type; expected {' '.join(SUFFIXES)}")
     if described.up is not None and file.suffix.lower() not in UP_IS_OPEN:
@@ -158,9 +159,9 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
             f"model {path}: up is set, but a {file.suffix} file records its vertical axis; expected no up, which is "
             f"for {', '.join(UP_IS_OPEN)} files. Remove it"
         )
-    if "\0" in described.file or not file.is_file():
+    if not is_regular_file(file):
         raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
-    return described, file
+    return described, Path(os.path.realpath(file))
 
 
 def is_description(model: str) -> bool:

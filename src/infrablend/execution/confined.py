@@ -42,11 +42,13 @@ class ConfinedLimits:
     """Limits of a confined process.
 
     Attributes:
-        seconds: Time, by the clock.
+        cpu_seconds: Processor time, which does not depend on the load of the machine.
+        seconds: Time by the clock, for a process that waits for something.
         memory_bytes: Resident memory of the process.
     """
 
-    seconds: float = 120.0
+    cpu_seconds: float = 120.0
+    seconds: float = 600.0
     memory_bytes: int = 2 * 2**30
 
 
@@ -107,7 +109,7 @@ def run_confined(function: str, folder: Path, limits: ConfinedLimits) -> Confine
 
 def _watch(process: subprocess.Popen[bytes], limits: ConfinedLimits) -> tuple[Ending, str, int]:
     """Wait for the end of a process; return early when it passes a limit."""
-    watched, peak = psutil.Process(process.pid), 0
+    watched, peak, spent = psutil.Process(process.pid), 0, 0.0
     give_up_at = time.monotonic() + limits.seconds
     while True:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -116,7 +118,10 @@ def _watch(process: subprocess.Popen[bytes], limits: ConfinedLimits) -> tuple[En
             return ending, describe_exit(code), peak
         with contextlib.suppress(psutil.Error):
             peak = max(peak, watched.memory_info().rss)
+            spent = sum(watched.cpu_times()[:2])
         if peak > limits.memory_bytes:
             return "memory", f"more than {limits.memory_bytes / 2**30:.2g} GB of memory", peak
+        if spent > limits.cpu_seconds:
+            return "time", f"more than {limits.cpu_seconds:g} s of processor time", peak
         if time.monotonic() > give_up_at:
             return "time", f"more than {limits.seconds:g} s", peak

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 IMPORTER = "infrablend.blender.importer:import_staged"
 # Files that the importer reads and writes in its folder.
 REQUEST, GEOMETRY, REFUSAL = "request.json", "geometry.npz", "refusal.json"
-IMPORT_LIMITS = ConfinedLimits(seconds=120.0, memory_bytes=2 * 2**30)
+IMPORT_LIMITS = ConfinedLimits(cpu_seconds=120.0, seconds=600.0, memory_bytes=2 * 2**30)
 TOO_SLOW = "model-too-slow"
 # Time limit of a single job in a worker process.
 JOB_TIMEOUT_S = 300.0
@@ -85,7 +85,7 @@ def _require_done(file: Path, outcome: ConfinedOutcome) -> None:
     if outcome.ending == "memory":
         raise too_large(file, outcome.detail)
     if outcome.ending == "time":
-        expected = f"an import in at most {IMPORT_LIMITS.seconds:g} s"
+        expected = f"an import in at most {IMPORT_LIMITS.cpu_seconds:g} s"
         todo = "apply its modifiers in Blender, remove what is not visible, and save it again"
         problem = Problem(str(file), TOO_SLOW, f"its import took {outcome.detail}", expected, todo)
         raise ModelError(f"model file {file}: its import took {outcome.detail}", [problem])

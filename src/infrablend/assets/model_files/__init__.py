@@ -80,7 +80,7 @@ def find_model_files(main: Path) -> ModelFiles:
         ModelError: A file cannot be read, a reference leaves the folder of the 3D file or names no regular file, or the
             files are too large. The problems name every reference.
     """
-    main = main.resolve()
+    main = Path(os.path.realpath(main))
     digests: dict[str, str] = {}
     problems: list[Problem] = []
     waiting, size = [main.name], 0
@@ -108,6 +108,14 @@ def find_model_files(main: Path) -> ModelFiles:
     if problems:
         raise ModelError(f"model file {main}: cannot use {len(problems)} of the files it refers to", problems)
     return ModelFiles(main, {main.name: digests.pop(main.name), **dict(sorted(digests.items()))})
+
+
+def is_regular_file(path: Path) -> bool:
+    """Return whether a path names a regular file; False also for paths that cannot exist."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)  # noqa: PTH116 - Path.is_file raises for names that are too long
+    except (OSError, ValueError):
+        return False
 
 
 def too_large(main: Path, found: str) -> ModelError:
@@ -165,11 +173,11 @@ def _resolved(root: Path, folder: Path, reference: Reference) -> Iterator[str]:
         return
     for name in there:
         path = root / name
-        if not path.resolve().is_relative_to(root.resolve()):
+        if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
             raise _ReferenceError(OUTSIDE, "a link that leaves its folder")
         if reference.what in blend.folder_kinds():
             raise _ReferenceError(NO_FILE, "not in the file")
-        if not path.is_file():
+        if not is_regular_file(path):
             if not reference.certain and path.is_dir():
                 continue
             raise _ReferenceError(NO_FILE, "no regular file")
