@@ -142,7 +142,7 @@ class MetricCamera(Camera):
     calibrate: bool = True
     """With `altitude: metadata`: correct the height until the annotated people, cars and two-wheelers of the image have
     their real size. Heights in metadata count from take-off; in an image without such objects the height is multiplied
-    by 1.15, unless it comes from the header of the picture itself."""
+    by 1.15, unless it comes from the header of the picture itself or a flight log (`altitude_from` in the table)."""
 
 
 # ---- Objects
