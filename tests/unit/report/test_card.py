@@ -213,7 +213,7 @@ def test_known_sources(tmp_path, known):
     assert known.attribution in made
     for limit in known.limits:
         assert limit in made
-    assert ("Licence: unknown." in made) == (known.name == "wit-uas")
+    assert ("Licence: unknown." in made) == (known.name in ("wit-uas", "drone-vehicle"))
 
 
 def test_own_output_is_not_taken_for_the_original(tmp_path):
