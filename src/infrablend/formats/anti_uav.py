@@ -11,7 +11,6 @@ on the ground and look up.
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -77,9 +76,7 @@ def _sequences(root: Path) -> list[_Sequence]:
 
 
 def _subfolders(folder: Path) -> list[Path]:
-    with os.scandir(folder) as entries:
-        names = sorted(e.name for e in entries if not is_hidden(e.name) and e.is_dir(follow_symlinks=False))
-    return [folder / name for name in names]
+    return sorted(p for p in folder.iterdir() if not is_hidden(p.name) and p.is_dir() and not p.is_symlink())
 
 
 def _in_folder(folder: Path) -> list[_Sequence]:

@@ -59,8 +59,8 @@ def find_flight(root: Path) -> str:
 
 def _named(root: Path, suffix: str) -> list[Path]:
     """Return files of flights with this ending, in the folder or one below."""
-    found = [*root.glob(f"*{suffix}"), *root.glob(f"*/*{suffix}")]
-    return sorted(p for p in found if p.is_file() and not leaves_folder(p) and not p.name.startswith("."))
+    found = sorted([*root.glob(f"*{suffix}"), *root.glob(f"*/*{suffix}")])
+    return [p for p in found if p.is_file() and not leaves_folder(p) and not p.name.startswith(".")]
 
 
 def _start(path: Path) -> str:
