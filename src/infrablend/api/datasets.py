@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
@@ -18,7 +18,7 @@ from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertRepor
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.select import SELECT_ALL, Selection
 from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
-from infrablend.world.dataset import WorldRequest
+from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
     from infrablend.pipeline.frames import FlightFacts, FrameChoice, FramesReport
@@ -187,13 +187,14 @@ def profile(
 
 
 def make_world(
-    out: str | Path, count: int, seed: int = 0, *, layout: Literal["hit-uav", "monet", "radiometric"] = "hit-uav",
+    out: str | Path, count: int, seed: int = 0, *, layout: Layout = "hit-uav",
     workers: int | None = None, on_progress: OnProgress | None = None,
 ) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
     The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
-    some of it lost); `radiometric` is the town in 16-bit centikelvin. It always renders on the CPU.
+    some of it lost), the town in 16-bit centikelvin (`radiometric`), or a flight in radiometric JPEG files (`dji`,
+    `flir`). It always renders on the CPU.
     """
     world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
     return Path(out)

@@ -12,11 +12,13 @@ from infrablend.cli.options import SeedOption, WorkersOption
 
 
 class Layout(StrEnum):
-    """Dataset whose layout to copy."""
+    """Dataset whose layout to copy, or maker of the camera whose files to write."""
 
     HIT_UAV = "hit-uav"
     MONET = "monet"
     RADIOMETRIC = "radiometric"
+    DJI = "dji"
+    FLIR = "flir"
 
 
 def world(
@@ -24,12 +26,12 @@ def world(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset folder to write.")],
     count: Annotated[int, typer.Option(min=1, help="Number of images.")] = 12,
     layout: Annotated[
-        Layout, typer.Option(help="Dataset whose layout and metadata to copy; radiometric: 16-bit centikelvin.")
+        Layout, typer.Option(help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin.")
     ] = Layout.HIT_UAV,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
 ) -> None:
-    """Render a background dataset of a virtual thermal world, in the layout of HIT-UAV or MONET."""
+    """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET or a camera's own files."""
     from infrablend import api
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_result

@@ -99,7 +99,7 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             found = f"cannot be decoded: {error or type(error).__name__}"
             raise _refuse(path, "image-truncated", found, "a complete picture", "fetch it again") from error
         pixels, mode, problems = _grey(picture, path)
-        if picture.getexif().get(0x0112, 1) != 1:
+        if _orientation(picture) != 1:
             found = "EXIF says the picture is turned; pixels are taken as stored"
             problems.append(Problem(where, "image-exif-turned", found, "no EXIF orientation", severity="warning"))
         quantization: tuple[tuple[int, ...], ...] = ()
@@ -110,6 +110,16 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
         return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
+
+
+def _orientation(picture: Any) -> Any:
+    """Return EXIF's orientation, 1 for upright; also where EXIF is damaged, which does not concern the pixels."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return picture.getexif().get(0x0112, 1)
+    except Exception:  # Pillow raises what it likes on broken directories
+        return 1
 
 
 def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:

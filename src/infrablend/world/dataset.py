@@ -1,4 +1,4 @@
-"""Writes the virtual world as a background dataset: HIT-UAV's JSON, MONET's sequences or temperatures, `world.json`."""
+"""Writes the virtual world as a background dataset: HIT-UAV, MONET, temperatures or camera files, and `world.json`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Literal, get_args
 
 from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import Split
+from infrablend.core.files import link_or_copy
 from infrablend.formats import coco, hit_uav, monet
 from infrablend.formats.losses import Written
+from infrablend.formats.rjpeg.writing import MAKERS
 from infrablend.world.folder import WorldFolder
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import (
@@ -21,11 +23,12 @@ from infrablend.world.frames import (
     PITCHES_DEG,
     SPLIT_SHARES,
     FrameFacts,
+    plan_flight,
     plan_frames,
     plan_sequences,
 )
 
-Layout = Literal["hit-uav", "monet", "radiometric"]
+Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir"]
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
 FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
 
@@ -45,6 +48,7 @@ class WorldRequest:
             vehicles with axis-aligned boxes, telemetry in the JSON; two sequences and single frames have lost theirs.
             `radiometric`: the frames of `hit-uav` as 16-bit TIFF in centikelvin, with COCO labels that state the scale,
             the air and the camera.
+            `dji`, `flir`: the radiometric JPEG files of one flight as they come off the card, without labels.
         splits: Share of the frames in each split; MONET's sequences have splits of their own.
         pitches_deg: Camera depression angles to cover; 90 looks straight down.
         altitudes_m: Camera heights to cover; the defaults of the layout if None.
@@ -73,6 +77,8 @@ class WorldRequest:
             altitudes = self.altitudes_m or MONET_ALTITUDES_M
             return plan_sequences(self.count, self.seed, self.pitches_deg, altitudes)
         altitudes = self.altitudes_m or ALTITUDES_M
+        if self.layout in MAKERS:
+            return plan_flight(self.count, self.seed, self.layout, self.pitches_deg, altitudes)
         frames = plan_frames(self.count, self.seed, self.splits or SPLIT_SHARES, self.pitches_deg, altitudes)
         return tuple(replace(f, radiometric=True) for f in frames) if self.layout == "radiometric" else frames
 
@@ -151,6 +157,8 @@ def _write(
         images = [one.image for one in ordered]
         if request.layout == "monet":
             written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+        elif request.layout in MAKERS:
+            written = Written(tuple(link_or_copy(i.path, out / i.path.name) for i in images))
         elif request.layout == "radiometric":
             written = coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
         else:

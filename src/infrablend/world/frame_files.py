@@ -16,6 +16,7 @@ from infrablend.core.files import write_bytes
 from infrablend.core.rng import stream
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.formats import monet
+from infrablend.world.camera_files import camera_file
 from infrablend.world.frames import FrameFacts, telemetry_of
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
@@ -61,8 +62,12 @@ def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Pat
         write_bytes(path, tiff_bytes(radiometric_frame(kelvin, look)))
     else:
         grey = thermal_frame(kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, look)
-        write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
-    record = _hit_uav_record if frame.sequence is None else _monet_record
+        if frame.maker is not None:
+            counts = stream(seed, "world", frame.number, "counts")
+            write_bytes(path, camera_file(frame, plan.camera, kelvin, grey, counts))
+        else:
+            write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
+    record = _monet_record if frame.sequence is not None else _hit_uav_record if frame.maker is None else _bare_record
     dropped = Counter(label.dropped for label in labels if label.dropped)
     image = record(frame, plan, labels, path, seed)
     return FinishedFrame(frame.number, image, _facts(frame, plan, labels), dict(dropped))
@@ -94,6 +99,11 @@ def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label],
         extra={"weather": "0"},
         radiometry=Radiometry(CENTIKELVIN, "virtual world", air_k=plan.air_k) if frame.radiometric else None,
     )
+
+
+def _bare_record(frame: FrameFacts, plan: WorldPlan, _labels: Sequence[Label], path: Path, _seed: int) -> ImageRecord:
+    """Return the record of a camera's file: what it states is in its header, and it has no labels."""
+    return ImageRecord(path.stem, path, frame.split, plan.camera.size_wh, None, None, None, ())
 
 
 def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, seed: int) -> ImageRecord:

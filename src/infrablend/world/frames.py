@@ -1,17 +1,18 @@
-"""The frames of a virtual dataset: split, pitch, altitude and time of day, for the layouts of HIT-UAV and MONET."""
+"""The frames of a virtual dataset: split, pitch, altitude and time of day, for every layout."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from infrablend.core.dataset import SPLITS, Category, Split, TimeOfDay
 from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
+from infrablend.formats.rjpeg.writing import Maker
 from infrablend.world.plan import PlaceKind
 from infrablend.world.view import SIZE_WH
 
@@ -52,6 +53,7 @@ class FrameFacts:
         index: Number of the frame in its sequence, from 0.
         telemetry: Whether the annotation contains telemetry.
         radiometric: Whether the image stores temperatures.
+        maker: Maker of the camera whose radiometric JPEG files to write; None for the layouts of datasets.
     """
 
     number: int
@@ -65,10 +67,13 @@ class FrameFacts:
     index: int = 0
     telemetry: bool = True
     radiometric: bool = False
+    maker: Maker | None = None
 
     @property
     def name(self) -> str:
-        """File name: `T_HHH_AA_W_NNNNN.jpg` (radiometric: `.tiff`), or `<sequence>/lwir/imageNNNNN.png`."""
+        """File name: `T_HHH_AA_W_NNNNN.jpg` (radiometric: `.tiff`), `<sequence>/lwir/imageNNNNN.png`, or that of a camera."""
+        if self.maker is not None:
+            return f"DJI_{self.number + 1:04d}_T.JPG" if self.maker == "dji" else f"FLIR{self.number + 1:04d}.jpg"
         if self.sequence is not None:
             return f"{self.sequence}/lwir/image{self.index:05d}.png"
         night = int(self.time_of_day == "night")
@@ -127,6 +132,18 @@ def plan_frames(
             )
         )
     return tuple(frames)
+
+
+def plan_flight(
+    count: int, seed: int, maker: Maker, pitches_deg: Sequence[int], altitudes_m: Sequence[int]
+) -> tuple[FrameFacts, ...]:
+    """Return the facts of the frames of one flight at night, in the files of a camera.
+
+    Raises:
+        RecipeError: A value is out of range; the error lists all of them.
+    """
+    frames = plan_frames(count, seed, {"train": 1.0}, pitches_deg, altitudes_m)
+    return tuple(replace(f, time_of_day="night", maker=maker) for f in frames)
 
 
 def _check(good: bool, where: str, found: str, expected: str) -> list[Problem]:
