@@ -8,11 +8,11 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.camera import CameraSpec
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.rjpeg.writing import PLANCK, Shot, radiometric_jpeg
 from infrablend.thermal.flir import ObjectSettings
 from infrablend.world.frames import FrameFacts
+from infrablend.world.plan import WorldPlan
 from infrablend.world.thermal_image import optics
 
 # Scale of the made-up DJI counts. Real cameras do not state theirs.
@@ -28,7 +28,7 @@ _LASER_EVERY = 2
 
 def camera_file(
     frame: FrameFacts,
-    camera: CameraSpec,
+    plan: WorldPlan,
     kelvin: NDArray[np.float32],
     grey: NDArray[np.uint8],
     rng: np.random.Generator,
@@ -36,6 +36,7 @@ def camera_file(
     """Return the radiometric JPEG of a frame: its picture, its temperatures as raw counts, and how it was taken."""
     if frame.maker is None:
         raise ValueError(f"{frame.name}: no maker of a camera")
+    camera = plan.camera
     w, h = camera.size_wh
     captured = _START + timedelta(seconds=_STEP_S * frame.number)
     shot = Shot(
@@ -47,7 +48,7 @@ def camera_file(
         place=(_PLACE[0] + 1e-4 * frame.number, _PLACE[1]),
         laser_m=frame.altitude_m / math.sin(math.radians(frame.pitch_deg)) if frame.number % _LASER_EVERY else None,
         utc=captured - timedelta(hours=_ZONE_H),
-        settings=ObjectSettings(distance_m=0.0),
+        settings=ObjectSettings(reflected_k=plan.air_k, air_k=plan.air_k),
     )
     seen = optics(kelvin, _BLUR_PX) + _NOISE_K * rng.standard_normal(kelvin.shape).astype(np.float32)
     if frame.maker == "dji":

@@ -71,7 +71,7 @@ class FrameFacts:
 
     @property
     def name(self) -> str:
-        """File name: `T_HHH_AA_W_NNNNN.jpg` (radiometric: `.tiff`), `<sequence>/lwir/imageNNNNN.png`, or that of a camera."""
+        """File name: `T_HHH_AA_W_NNNNN.jpg` (or `.tiff`), `<sequence>/lwir/imageNNNNN.png`, or that of a camera."""
         if self.maker is not None:
             return f"DJI_{self.number + 1:04d}_T.JPG" if self.maker == "dji" else f"FLIR{self.number + 1:04d}.jpg"
         if self.sequence is not None:

@@ -1,0 +1,68 @@
+"""A folder of pictures off the card goes through `generate` without a table: each picture through its own lens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from infrablend import api
+from infrablend.errors import DatasetError
+from infrablend.formats.rjpeg.lens import fov_of_35mm
+from infrablend.formats.rjpeg.writing import Maker
+from infrablend.pipeline.record import FrameRecord, read_record
+from tests.flights import SIZE_WH, flight, shot
+
+FLAT = api.Execution(renderer="flat", in_process=True)
+
+
+def run(data: Path, out: Path, *settings: str) -> list[FrameRecord]:
+    api.generate("hit-uav-people", data, out, settings=list(settings), execution=FLAT)
+    return [r for p in sorted((out / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+
+
+def hfov(record: FrameRecord) -> float:
+    c = record.scene.camera
+    return float(np.degrees(2 * np.arctan(c.sensor_width_mm / 2 / c.focal_length_mm)))
+
+
+@pytest.mark.parametrize("maker", ["dji", "flir"])
+def test_each_picture_is_seen_through_its_own_lens_from_its_own_height(maker: Maker, tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 1, maker, focal_length_35mm=40.0)
+    shot(data / "DJI_0002_T.JPG", maker, 1, focal_length_35mm=80.0, altitude_m=25.0, pitch_deg=45.0)
+    wide, narrow = run(data, tmp_path / "out")
+    assert hfov(wide) == pytest.approx(fov_of_35mm(40, SIZE_WH), abs=0.01)
+    assert hfov(narrow) == pytest.approx(fov_of_35mm(80, SIZE_WH), abs=0.01)
+    assert np.degrees(narrow.scene.camera.pitch_rad) == pytest.approx(45.0)
+    view = narrow.scene.view
+    assert view is not None and view.camera_height_m == pytest.approx(25.0)  # not HIT-UAV's 1.15 times as much
+
+
+def test_a_lens_on_the_command_line_counts_more(tmp_path: Path) -> None:
+    (record,) = run(flight(tmp_path / "in", 1), tmp_path / "out", "camera.focal_length_mm=100")
+    assert record.scene.camera.focal_length_mm == 100.0
+
+
+def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 1)
+    (data / "metadata.csv").write_text("file,hfov_deg,pitch_deg\nDJI_0001_T.JPG,20,70\n")
+    (record,) = run(data, tmp_path / "out")
+    assert hfov(record) == pytest.approx(20.0) and np.degrees(record.scene.camera.pitch_rad) == pytest.approx(70.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"pitch_deg": -40.0}, "above-horizon", "the whole picture is above the horizon"),
+        ({"focal_length_35mm": None}, "no-field-of-view", "unknown field of view of DJI M3T"),
+        ({"altitude_m": -4.0}, "no-altitude", "unknown camera height"),
+        ({"pitch_deg": None}, "no-pitch", "unknown camera pitch"),
+    ],
+)
+def test_pictures_that_cannot_be_used_are_named(changes: dict[str, Any], code: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError) as caught:
+        api.plan("hit-uav-people", flight(tmp_path, 2, **changes))
+    found = [p for p in caught.value.problems if p.code == code]
+    assert len(found) == 2 and words in found[0].found
