@@ -64,7 +64,7 @@ def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Pat
         grey = thermal_frame(kelvin, plan.gain_per_k, plan.std_grey, plan.mean_grey, look)
         if frame.maker is not None:
             counts = stream(seed, "world", frame.number, "counts")
-            write_bytes(path, camera_file(frame, plan.camera, kelvin, grey, counts))
+            write_bytes(path, camera_file(frame, plan, kelvin, grey, counts))
         else:
             write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
     record = _monet_record if frame.sequence is not None else _hit_uav_record if frame.maker is None else _bare_record
