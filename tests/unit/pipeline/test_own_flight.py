@@ -19,7 +19,8 @@ FLAT = api.Execution(renderer="flat", in_process=True)
 
 
 def run(data: Path, out: Path, *settings: str) -> list[FrameRecord]:
-    api.generate("hit-uav-people", data, out, settings=list(settings), execution=FLAT)
+    # Without objects: the camera of a frame does not depend on them.
+    api.generate("hit-uav-people", data, out, settings=["empty_share=1.0", *settings], execution=FLAT)
     return [r for p in sorted((out / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
 
 
