@@ -154,11 +154,28 @@ def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
     return write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 
+DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+"""What reading fields of a record raises if the file or a field is missing, damaged or of another type."""
+
+
+def load_json(path: Path) -> Any:
+    """Return the JSON value in a file.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is not JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
 def read_object(path: Path) -> dict[str, Any] | None:
     """Return the JSON object in a file; None if it is missing, damaged or anything else."""
     try:
-        data = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+        data = load_json(path)
+    except (OSError, ValueError):
         return None
     return data if isinstance(data, dict) else None
 

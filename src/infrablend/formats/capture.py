@@ -237,7 +237,7 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
             continue
         try:
             number = float(raw)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not low <= number <= high:
             return Capture(), ("table-value", f"{name} {raw!r}", f"{low:g} to {high:g} {unit}")

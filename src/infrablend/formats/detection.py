@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -91,7 +92,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
     if table is not None:
         given["metadata"] = real_path(table)  # the user's own file: it may be a link to anywhere
-    dataset = with_fitting_fields(_without_links(module.read(root, splits=reading.splits, **given)))
+    dataset = with_fitting_fields(_with_regular_pictures(module.read(root, splits=reading.splits, **given)))
     if stated:
         dataset = temperatures.with_scale(dataset, scale)
     dataset = add_flight_data(dataset)
@@ -100,20 +101,14 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     return replace(dataset, problems=(*dataset.problems, *remarks))
 
 
-def _without_links(dataset: Dataset) -> Dataset:
-    """Return the dataset without pictures that are links out of their folders or to nowhere.
+def _with_regular_pictures(dataset: Dataset) -> Dataset:
+    """Return the dataset without pictures that are no files: pipes, and links out of their folders or to nowhere.
 
-    The former would copy foreign files.
+    Opening a pipe would wait for ever, and links out of the folder would copy foreign files.
     """
     problems, kept = list(dataset.problems), []
     for image in dataset.images:
-        problem = None
-        if image.path.is_symlink():
-            where = f"{image.split}/{image.name}"
-            problem = check_link(image.path, image.path.parent, where)
-            if problem is None and not image.path.is_file():
-                found = "a link that leads to no file"
-                problem = Problem(where, "image-missing", found, "a picture file", "restore the file")
+        problem = _picture_fault(image.path, f"{image.split}/{image.name}")
         if problem is None:
             kept.append(image)
         else:
@@ -121,10 +116,23 @@ def _without_links(dataset: Dataset) -> Dataset:
     if len(kept) == len(dataset.images):
         return dataset
     if not kept:
-        raise DatasetError(
-            f"{dataset.root}: every picture is a link out of its folder or to no file", shorten(problems)
-        )
+        raise DatasetError(f"{dataset.root}: no picture is a file in its folder", shorten(problems))
     return replace(dataset, images=tuple(kept), problems=tuple(problems))
+
+
+def _picture_fault(path: Path, where: str) -> Problem | None:
+    try:
+        mode = path.lstat().st_mode
+    except (OSError, ValueError):  # reported by what reads the picture
+        return None
+    if stat.S_ISREG(mode):
+        return None
+    if stat.S_ISLNK(mode):
+        problem = check_link(path, path.parent, where)
+        if problem is not None or path.is_file():
+            return problem
+    found = "a link that leads to no file" if stat.S_ISLNK(mode) else "no regular file, but a folder, pipe or device"
+    return Problem(where, "image-missing", found, "a picture file", "restore the file")
 
 
 def _options_text(name: str, known: Mapping[str, str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,6 +15,7 @@ from infrablend.annotation.looseness import is_loosened, loosen_inserted, loosen
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import load_json
 from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, find_writer, written_names
 from infrablend.core.output import require_apart
@@ -215,7 +215,7 @@ def _recorded_loosened(root: Path) -> int:
     """Return how many boxes the run or the conversion that wrote the dataset enlarged; not all formats mark them."""
     for record in (root / CONVERT_FILE, root / RUN_FILE, root.parent / RUN_FILE):
         try:
-            return int(json.loads(record.read_text("utf-8"))["counts"]["boxes_loosened"])
+            return int(load_json(record)["counts"]["boxes_loosened"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
     return 0

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import part_path, write_json
+from infrablend.core.files import load_json, part_path, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
@@ -35,7 +34,7 @@ class RunFolder(RunLayout):
             OutputError: The record does not exist or cannot be read.
         """
         try:
-            data = json.loads(self.run_file.read_text("utf-8"))
+            data = load_json(self.run_file)
         except (OSError, ValueError) as error:
             raise OutputError(
                 f"{self.run_file}: cannot be read ({error}); expected the record of a run. "

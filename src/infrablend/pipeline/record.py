@@ -12,7 +12,7 @@ from typing import Any
 from infrablend.annotation.merge import MergedLabels
 from infrablend.core.dataset import Instance
 from infrablend.core.file_names import leaves
-from infrablend.core.files import write_json
+from infrablend.core.files import load_json, write_json
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
 
@@ -140,7 +140,7 @@ def load_record(path: Path) -> FrameRecord:
         RecordError: The record is missing, damaged, or was edited.
     """
     try:
-        data = json.loads(path.read_text("utf-8"))
+        data = load_json(path)
         if not isinstance(data, dict):
             raise RecordError("damaged: not a JSON object")
         if (digest := data.pop(DIGEST, None)) is not None and digest != _digest(data):

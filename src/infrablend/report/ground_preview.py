@@ -6,7 +6,6 @@ their sizes differ, the camera's height, pitch or focal length is wrong.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
+from infrablend.core.files import DAMAGED, load_json
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
@@ -71,8 +71,8 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
     for frame in load_frames(run, count):
         path = RunLayout(run).record(frame.frame_id)
         try:
-            scene = SceneSpec.from_json(json.loads(path.read_text("utf-8"))["scene"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            scene = SceneSpec.from_json(load_json(path)["scene"])
+        except DAMAGED as error:
             raise DatasetError(
                 f"{path}: not a readable frame record ({type(error).__name__}). Run `generate --resume`."
             ) from error

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import io
-import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
@@ -23,7 +22,7 @@ from pycocotools import mask as coco_mask
 
 from infrablend.core.arguments import require_choices, require_whole
 from infrablend.core.dataset import SPLITS, Instance
-from infrablend.core.files import write_bytes
+from infrablend.core.files import DAMAGED, load_json, write_bytes
 from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
@@ -415,7 +414,7 @@ def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
 
 def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
     try:
-        document = json.loads(path.read_text("utf-8"))
+        document = load_json(path)
         names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
         sizes = {i["id"]: (int(i["width"]), int(i["height"])) for i in document["images"]}
         by_image: dict[Any, list[Instance]] = {}
@@ -425,7 +424,7 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
         return [
             _Entry(split, _image_path(run, split, i["file_name"]), tuple(by_image.get(i["id"], ()))) for i in images
         ]
-    except (OSError, ValueError, KeyError, TypeError) as e:
+    except DAMAGED as e:
         raise DatasetError(
             f"{path}: not a COCO file that InfraBlend wrote ({type(e).__name__}: {e}). Run `generate --resume`."
         ) from e
@@ -433,11 +432,11 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
 
 def _record_entry(run: Path, path: Path) -> _Entry:
     try:
-        record = json.loads(path.read_text("utf-8"))
+        record = load_json(path)
         split = str(record["frame_id"]).split("/")[0]
         inserted = tuple(Instance.from_json(i) for i in record["inserted"])
         return _Entry(split, RunLayout(run).image(str(record["image"])), inserted)
-    except (OSError, ValueError, KeyError, TypeError) as e:
+    except DAMAGED as e:
         raise DatasetError(f"{path}: not a frame record ({type(e).__name__}: {e}). Run `generate --resume`.") from e
 
 
@@ -482,12 +481,12 @@ def _title(run: Path, entry: _Entry) -> str:
     parts = [f"{entry.split}/{name}"]
     facts: dict[str, Any] = {}
     try:
-        record = json.loads(RunLayout(run).record(f"{entry.split}/{name}").read_text("utf-8"))
+        record = load_json(RunLayout(run).record(f"{entry.split}/{name}"))
         facts = dict(record["background"])
         if record["scene"] is not None:
             # The pitch of the virtual camera differs from the metadata if a recipe fixes or draws it.
             facts["pitch_deg"] = math.degrees(record["scene"]["camera"]["pitch_rad"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except DAMAGED:
         log.debug("%s: no record, so its title is shorter", entry.path)
     if facts.get("pitch_deg") is not None:
         parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")

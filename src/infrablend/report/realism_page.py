@@ -14,7 +14,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from infrablend.core.class_names import known_class
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import load_json, write_bytes, write_json, write_text
 from infrablend.core.output import require_replaceable
 from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_COMPARED, MIN_LEAST_RATIO
 from infrablend.report.figures import compact, interval, markdown_table, plot_text
@@ -78,7 +78,7 @@ def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
 def _read(path: Path) -> dict[str, Any] | None:
     """Return the content of an earlier page's JSON, or None if there is none."""
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = load_json(path)
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) and found.get("page") == STEM else None

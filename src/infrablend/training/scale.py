@@ -6,12 +6,12 @@ pictures at their own size; one trained on whole pictures sees them scaled to th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from infrablend.config.agc import Agc, agc_from_json
+from infrablend.core.files import load_json
 from infrablend.errors import Problem
 
 # Default of Ultralytics, and the size in the paper.
@@ -79,7 +79,7 @@ def training_agc(weights: Path, checkpoint: Mapping[str, object]) -> Agc | None:
     found = mark.get("agc") if isinstance(mark, Mapping) else None
     if found is None and weights.name == "weights.pt":
         try:
-            found = json.loads(weights.with_name(RECORD).read_text("utf-8")).get("agc")
+            found = load_json(weights.with_name(RECORD)).get("agc")
         except (OSError, ValueError, AttributeError):
             return None
     try:
@@ -99,7 +99,7 @@ def _of_settings(settings: Mapping[str, object]) -> Scale:
 
 def _recorded_settings(record: Path) -> Mapping[str, object] | None:
     try:
-        settings = json.loads(record.read_text("utf-8"))["settings"]
+        settings = load_json(record)["settings"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return settings if isinstance(settings, dict) else None

@@ -432,6 +432,16 @@ def test_picture_that_is_a_link_to_itself_is_missing(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]["images"] == 3
 
 
+@pytest.mark.parametrize("command", [["check"], ["inspect", "--decode"], ["convert", "--to", "voc"]])
+def test_picture_that_is_a_pipe_is_missing(command: list[str], tmp_path: Path) -> None:
+    data = SAMPLES["coco:plain"](tmp_path / "data")
+    (data / "a1.png").unlink()
+    os.mkfifo(data / "a1.png")
+    to = [tmp_path / "out"] if command[0] == "convert" else []
+    ended = run(command[0], data, *to, *command[1:])
+    assert "pipe" in ended.stdout + ended.stderr, ended.output
+
+
 def test_links_in_a_circle_are_an_error_with_a_name(data: Path, tmp_path: Path) -> None:
     circle = tmp_path / "circle.csv"
     circle.symlink_to(circle)
@@ -455,3 +465,35 @@ def test_download_whose_files_are_being_placed_is_unfinished(tmp_path: Path) -> 
     (data / ".fetch" / "all.ready.json").write_text("{}")
     ended = run("check", data)
     assert ended.exit_code == 2 and "infrablend fetch" in ended.stderr, ended.output
+
+
+def test_pipe_in_place_of_a_log_does_not_stop_a_run_for_ever(words: list[object], made: Path) -> None:
+    (made / "log" / "workers.log").unlink(missing_ok=True)
+    os.mkfifo(made / "log" / "workers.log")
+    ended = run(*words, "--resume")
+    assert ended.exit_code == 2 and "workers.log" in ended.stderr, ended.output
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[1]", '{"inserted": [[]], "frame_id": "a", "image": "b"}'])
+def test_preview_of_a_damaged_record_is_an_error_with_a_name(text: str, made: Path) -> None:
+    for path in (made / "scenes").rglob("*.json"):
+        path.write_text(text)
+    for path in (made / "coco").rglob("*.json"):
+        path.write_text(text)
+    for options in ([], ["--ground"]):
+        assert run("preview", made, *options).exit_code == 2
+
+
+def test_numbers_that_are_too_large_are_errors_with_a_name(tmp_path: Path) -> None:
+    write_detections(tmp_path)
+    data = tmp_path / "in" / "data"
+    predictions = tmp_path / "in" / "predictions.json"
+    top = json.loads(predictions.read_text())
+    top["annotations"][0]["bbox"][0] = 10**400
+    predictions.write_text(json.dumps(top))
+    assert run("evaluate", predictions, data, "--out", tmp_path / "out").exit_code == 2
+    table = tmp_path / "table.json"
+    names = [p.name for p in sorted(data.rglob("*.png"))]
+    table.write_text(json.dumps([{"file": n, "pitch_deg": 10**400} for n in names]))
+    ended = run("inspect", data, "--metadata", table)
+    assert ended.exit_code in (0, 2) and "pitch_deg" in ended.stdout + ended.stderr, ended.output

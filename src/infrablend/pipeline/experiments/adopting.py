@@ -14,7 +14,7 @@ from infrablend.config.experiment import Generate
 from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import SPLITS
-from infrablend.core.files import link_or_copy
+from infrablend.core.files import link_or_copy, load_json
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
@@ -107,7 +107,7 @@ def _check_run(job: StageJob, folder: Path) -> None:
 
 def _read_record(path: Path, expected: str) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = load_json(path)
     except (OSError, ValueError) as error:
         problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
         raise DatasetError("nothing to adopt", [problem]) from error

@@ -7,12 +7,12 @@ two experiments is the same stage. A stage is finished when its record has the s
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.files import load_json
 from infrablend.pipeline.content import json_digest
 
 RECORD = "stage.json"
@@ -105,7 +105,7 @@ def stage_folder(work: Path, stage: Stage, key: str) -> Path:
 def read_stage_record(folder: Path) -> dict[str, Any] | None:
     """Return the record in a stage's folder, or None if there is none that can be read."""
     try:
-        data = json.loads((folder / RECORD).read_text("utf-8"))
+        data = load_json(folder / RECORD)
     except (OSError, ValueError):
         return None
     return data if isinstance(data, dict) else None

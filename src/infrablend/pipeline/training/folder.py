@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import part_path
+from infrablend.core.files import load_json, part_path
 from infrablend.core.output import Existing, OutputFolder, require_existing
 from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.training import trainer
@@ -61,7 +61,7 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
     if not entries:
         return None, False
     try:
-        record: dict[str, Any] | None = json.loads(path.read_text("utf-8"))
+        record: dict[str, Any] | None = load_json(path)
         ours = isinstance(record, dict) and "infrablend" in record and "status" in record
     except (OSError, ValueError):
         ours, record = False, None

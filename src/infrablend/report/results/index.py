@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.files import load_json
 from infrablend.report.figures import markdown_table
 from infrablend.report.results.text import figure, paper_and_ours, run_state
 
@@ -19,7 +19,7 @@ def index_text(out: Path) -> str:
     rows = []
     for path in sorted(out.glob("*.json")):
         try:
-            rows.append(_row(json.loads(path.read_text("utf-8")), path.stem))
+            rows.append(_row(load_json(path), path.stem))
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not one of ours
     intro = (

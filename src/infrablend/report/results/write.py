@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import load_json, write_bytes, write_json, write_text
 from infrablend.report.results.index import index_text
 from infrablend.report.results.page import page_text
 from infrablend.report.results.plots import draw_plots
@@ -45,7 +45,7 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
 
 def _is_complete(path: Path) -> bool:
     try:
-        facts = json.loads(path.read_text("utf-8"))
+        facts = load_json(path)
     except (OSError, ValueError):
         return False
     return isinstance(facts, dict) and facts.get("status") == "complete"
