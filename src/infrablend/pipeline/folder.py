@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
-from infrablend.errors import OutputError
+from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.record import RecordError, load_record
 
 # Folders that contain nothing but what the run writes.
@@ -81,6 +82,15 @@ class RunFolder(RunLayout):
             if found <= {*LOG_FILES, MANIFEST, part_path(Path(MANIFEST)).name}:
                 shutil.rmtree(self.log_folder, ignore_errors=True)
 
+    def _require_plain_logs(self) -> None:
+        """Refuse anything but files where the logs are written: opening a pipe would wait for ever."""
+        for name in (*LOG_FILES, MANIFEST):
+            path = self.log_folder / name
+            if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+                expected, todo = "a file", "remove it and repeat the command"
+                problem = Problem(str(path), "log-not-a-file", "a link, pipe or folder", expected, todo)
+                raise OutputError(f"{self.root}: the logs cannot be written", [problem])
+
     def outlook(self, existing: Existing) -> str | None:
         """Return what a run would do with the present contents of the folder; None if there are none.
 
@@ -112,6 +122,7 @@ class RunFolder(RunLayout):
         """
         output = self.output
         if self.root.is_dir():
+            self._require_plain_logs()
             self._remove_start()
         entries = output.require_empty(existing=existing)
         if entries and RUN_FILE not in entries:
