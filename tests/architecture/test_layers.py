@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -115,3 +116,14 @@ def test_programs_beside_the_package_import_names_that_exist() -> None:
                 except ImportError as error:
                     missing.append(f"{path.relative_to(ROOT)}:{node.lineno}: {error}")
     assert missing == []
+
+
+def test_picture_files_are_opened_in_one_place() -> None:
+    """`open_picture` refuses pipes, which would wait for ever; buffers may be opened anywhere."""
+    opened = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line in path.read_text("utf-8").splitlines()
+        if "Image.open(" in line and not re.search(r"Image\.open\((io\.BytesIO|buffer|file\))", line)
+    }
+    assert opened == {"formats/pictures.py"}

@@ -14,7 +14,7 @@ from PIL import Image, JpegImagePlugin
 
 from infrablend.core.files import write_bytes
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures import MAX_PIXELS, PICTURE_FORMATS
+from infrablend.formats.pictures import MAX_PIXELS, open_picture
 
 PixelMode = Literal["L", "RGB", "I;16"]
 SaveKind = Literal["same", "png"]
@@ -73,7 +73,7 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             # PIL's own bomb warning becomes an error; our limit, checked below, is on top of it.
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            picture = Image.open(path, formats=PICTURE_FORMATS)
+            picture = open_picture(path)
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise _refuse(path, "image-too-large", str(error), f"at most {MAX_PIXELS} px", "scale it down") from error
     except Exception as error:  # PIL's decoders raise what they like on broken headers

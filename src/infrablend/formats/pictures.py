@@ -129,16 +129,26 @@ def assign_ids(names: Iterable[str]) -> dict[str, str]:
     return {n: ids[n] for n in ordered}
 
 
+def open_picture(path: Path, formats: Sequence[str] = PICTURE_FORMATS) -> Image.Image:
+    """Open a picture without decoding its pixels.
+
+    Raises:
+        OSError: There is no such file, or it is a folder, device or pipe, which would wait for ever.
+        Exception: PIL's decoders raise what they like on broken headers.
+    """
+    if not path.is_file():
+        raise FileNotFoundError("no such file")
+    return Image.open(path, formats=tuple(formats))
+
+
 def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:
     """Return (width, height) from the file's header, without decoding; or None and the problem."""
     if path.is_symlink() and (problem := check_link(path, path.parent, where)) is not None:
         return None, problem
     try:
-        if not path.is_file():
-            raise OSError("no such file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
-            with Image.open(path, formats=PICTURE_FORMATS) as picture:
+            with open_picture(path) as picture:
                 size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] <= MAX_PIXELS:
             return size_wh, None

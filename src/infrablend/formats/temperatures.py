@@ -7,12 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from PIL import Image
-
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures import PICTURE_FORMATS
+from infrablend.formats.pictures import open_picture
 
 OPTIONS: Mapping[str, str] = {
     "unit": "unit of 16-bit pictures: centikelvin, decikelvin or counts",
@@ -74,7 +72,7 @@ def is_deep(image: ImageRecord) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(image.path, formats=PICTURE_FORMATS) as picture:
+            with open_picture(image.path) as picture:
                 return str(picture.mode).startswith("I")
     except Exception:  # unreadable pictures are reported where they are read
         return False

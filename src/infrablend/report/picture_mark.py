@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PIL import Image
+from infrablend.formats.pictures import open_picture
 
 CONTACT_SHEET = "InfraBlend contact sheet"
 CHARTS = "InfraBlend charts"
@@ -13,7 +13,7 @@ CHARTS = "InfraBlend charts"
 def software_of(path: Path) -> str | None:
     """Return the program that a PNG file names as its author; None if it names none or cannot be read."""
     try:
-        with Image.open(path) as picture:
+        with open_picture(path, ("PNG",)) as picture:
             named = picture.info.get("Software")
     except (OSError, ValueError, SyntaxError, ImportError):  # Ultralytics, once imported, tries a library it may lack
         return None

@@ -18,7 +18,6 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.compositing.agc import apply_agc
 from infrablend.config.agc import Agc
@@ -29,7 +28,7 @@ from infrablend.errors import DatasetError, MissingDependencyError, ModelError, 
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.images import load_background
-from infrablend.formats.pictures import PICTURE_FORMATS, read_size
+from infrablend.formats.pictures import open_picture, read_size
 from infrablend.formats.temperatures import is_deep
 from infrablend.training.environment import has_fast_bfloat16, quiet_ultralytics
 from infrablend.training.scale import Scale, training_agc, training_scale
@@ -272,7 +271,7 @@ def _file_damage(image: ImageRecord) -> Problem | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(image.path, formats=PICTURE_FORMATS) as picture:
+            with open_picture(image.path) as picture:
                 picture.verify()
     except Exception as error:  # PIL's decoders can raise anything on broken files
         found = f"unreadable picture ({error or type(error).__name__})"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.formats.pictures import open_picture
 from infrablend.formats.rjpeg import dji
 from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, bad_file, read_header
@@ -106,7 +106,7 @@ def read_converted(path: Path, unit: str) -> NDArray[np.float64]:
         DatasetError: The file cannot be read, or its values are no temperatures in that unit.
     """
     try:
-        with Image.open(path, formats=("TIFF",)) as picture:
+        with open_picture(path, ("TIFF",)) as picture:
             values = np.asarray(picture, np.float64)
     except Exception as error:  # Pillow raises what it likes on broken pictures
         found = f"no TIFF that can be read ({type(error).__name__})"
