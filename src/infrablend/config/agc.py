@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, TypeAdapter, ValidationError, model_validator
+from pydantic import BeforeValidator, Discriminator, TypeAdapter, ValidationError, model_validator
 from pydantic import Field as _Field
 
 from infrablend.core.strict_model import Strict
@@ -70,7 +70,17 @@ class FixedAgc(Strict):
         return self
 
 
-Agc = Annotated[LinearAgc | PlateauAgc | FixedAgc, Discriminator("mode")]
+def _mode_alone(data: Any) -> Any:
+    """Return the mapping that a mode alone stands for."""
+    return {"mode": data} if isinstance(data, str) else data
+
+
+Agc = Annotated[
+    Annotated[LinearAgc | PlateauAgc | FixedAgc, Discriminator("mode")],
+    BeforeValidator(
+        _mode_alone, json_schema_input_type=LinearAgc | PlateauAgc | FixedAgc | Literal["linear", "plateau"]
+    ),
+]
 DEFAULT_AGC = LinearAgc(mode="linear")
 MODES = ("linear", "plateau", "fixed")
 
@@ -92,9 +102,7 @@ def parse_agc(text: str) -> Agc:
     Raises:
         ValueError: The text is none of these; the message says what is wrong.
     """
-    data = read_yaml(text)
-    if isinstance(data, str):
-        data = {"mode": data}
+    data = _mode_alone(read_yaml(text))
     if not isinstance(data, dict):
         raise ValueError(f"{text!r}: expected linear, plateau, or a mapping with mode, low_c and high_c")
     try:

@@ -615,7 +615,8 @@ class Output(Strict):
     """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
     agc: Agc | None = None
     """16-bit pictures only: also write the dataset with 8-bit PNG pictures to `8bit/`, by this automatic gain control,
-    the same for originals and inserts: `{mode: linear}`, `{mode: plateau}` or `{mode: fixed, low_c: 0, high_c: 40}`."""
+    the same for originals and inserts: `linear`, `plateau`, `{mode: fixed, low_c: 0, high_c: 40}`, or a mapping with
+    `mode` and settings."""
 
 
 # ---- Recipe

@@ -33,6 +33,7 @@ _EXPECTED = {
     "bool_parsing": "true or false",
     "string_type": "text",
 }
+_QUOTE = "'"
 _MAPPING_TYPES = ("model_type", "model_attributes_type", "dict_type")
 _SPACE = "write a space after the colon: {key: value}"
 
@@ -186,6 +187,10 @@ def _problem(path: Path, e: ErrorDetails, code: str) -> Problem:
 def _expected(e: ErrorDetails) -> str:
     if e["type"] in _EXPECTED:
         return _EXPECTED[e["type"]]
+    if e["type"] == "union_tag_not_found":
+        return f"a mapping with {e['ctx']['discriminator'].strip(_QUOTE)}"
+    if e["type"] == "union_tag_invalid":
+        return f"{e['ctx']['discriminator'].strip(_QUOTE)} as one of {e['ctx']['expected_tags'].replace(_QUOTE, '')}"
     text = re.sub(r"^(Value error, |Input should be |\w+ should have )|( after validation, not \d+)$", "", e["msg"])
     return re.sub(r"^String should match ", "a text of the ", text)
 

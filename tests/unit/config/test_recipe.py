@@ -124,3 +124,22 @@ def test_an_unquoted_off_is_the_sensors_off():
 def test_incompatible_options_are_reported(settings, match):
     with pytest.raises(RecipeError, match=match):
         load_recipe("hit-uav-person", settings)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("{method: plateau}", "a mapping with mode"),
+        ("{mode: foo}", "mode as one of linear, plateau, fixed"),
+        ("3", "a mapping"),
+    ],
+)
+def test_a_wrong_gain_control_is_explained(value, message):
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("hit-uav-people", [f"output.agc={value}"])
+    assert [(p.where, p.expected) for p in caught.value.problems] == [("output.agc", message)]
+
+
+def test_the_mode_of_a_gain_control_is_enough():
+    short, long = (load_recipe("hit-uav-people", [f"output.agc={v}"]) for v in ("plateau", "{mode: plateau}"))
+    assert short == long
