@@ -65,17 +65,25 @@ def with_scale(dataset: Dataset, scale: TemperatureScale | None) -> Dataset:
     return replace(dataset, images=tuple(stated(i) for i in dataset.images))
 
 
-def is_deep(image: ImageRecord) -> bool:
-    """Return whether a picture has 16 bits per pixel, by its header; False if it cannot be read."""
+def deep_mode(image: ImageRecord) -> str:
+    """Return Pillow's mode of a picture of more than 8 bits per channel by its header: `I...`, or `F` for floats.
+
+    Empty for other pictures, and for those that cannot be read.
+    """
     if image.path.suffix.lower() not in DEEP_SUFFIXES:
-        return False
+        return ""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with open_picture(image.path) as picture:
-                return str(picture.mode).startswith("I")
+                return str(picture.mode) if picture.mode.startswith(("I", "F")) else ""
     except Exception:  # unreadable pictures are reported where they are read
-        return False
+        return ""
+
+
+def is_deep(image: ImageRecord) -> bool:
+    """Return whether a picture has 16 bits per pixel, by its header; False if it cannot be read."""
+    return deep_mode(image).startswith("I")
 
 
 def scale_warnings(dataset: Dataset) -> list[Problem]:

@@ -70,3 +70,14 @@ def test_a_detector_keeps_the_agc_of_its_training(tmp_path: Path) -> None:
     (tmp_path / "train.json").write_text(json.dumps({"agc": DEFAULT_AGC.model_dump()}))
     assert training_agc(weights, {}) == DEFAULT_AGC
     assert training_agc(tmp_path / "best.pt", {}) is None
+
+
+def test_pictures_of_floats_are_refused_before_the_training(flight: Path) -> None:
+    for picture in sorted((flight / "images").rglob("*.tiff")):
+        Image.fromarray(np.full((240, 320), 290.5, np.float32)).save(picture)
+    request = TrainRequest(preset="smoke")
+    with pytest.raises(DatasetError) as caught:
+        select_training_data(detection.read(flight), request.chosen_preset(), "detect", None)
+    assert {(p.where, p.code, p.found) for p in caught.value.problems} == {
+        (f"{split}{k}", "image-depth", "mode F") for split in ("train", "val") for k in range(2)
+    }

@@ -19,7 +19,7 @@ from infrablend.core.format_table import writer_for_task
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
-from infrablend.formats.temperatures import is_deep
+from infrablend.formats.temperatures import deep_mode, is_deep
 from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.eight_bit import eight_bit_copies
 from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES, output_folder
@@ -108,8 +108,8 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
     """Return train and val with the sizes in the pictures' headers.
 
     Raises:
-        DatasetError: Pictures that cannot be read, or have another size than annotated; pictures of 8 and of 16 bits;
-            16-bit pictures without the temperature scale that the AGC needs: all of them.
+        DatasetError: Pictures that cannot be read, have another size than annotated, or hold floats; pictures of 8 and
+            of 16 bits; 16-bit pictures without the temperature scale that the AGC needs: all of them.
     """
     images, problems, deep = [], [], []
     for image in dataset.images:
@@ -122,7 +122,11 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
         if image.size_wh not in (None, size_wh):
             expected = f"{image.size_wh} as annotated"
             problems.append(Problem(image.id, "image-size", f"{size_wh} px", expected, "correct the annotation"))
-        deep += [image] if is_deep(image) else []
+        mode = deep_mode(image)
+        if mode.startswith("F"):
+            todo = "write it with 16 bits and state the scale: the trainer cannot read floats"
+            problems.append(Problem(image.id, "image-depth", f"mode {mode}", "8-bit or 16-bit pictures", todo))
+        deep += [image] if mode.startswith("I") else []
         images.append(replace(image, size_wh=size_wh))
     if deep and len(deep) < len(images):
         todo = "put them in two folders; an AGC would show the same scene differently in the two"
