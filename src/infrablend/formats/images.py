@@ -195,6 +195,13 @@ def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Backgroun
     return out.getvalue()
 
 
+def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Return a PNG file's bytes for (h, w) grey or (h, w, 3) colour pixels; same pixels, same bytes."""
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG", compress_level=6)
+    return out.getvalue()
+
+
 def save_image(
     path: Path,
     pixels: NDArray[np.uint8] | NDArray[np.uint16],

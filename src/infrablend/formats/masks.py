@@ -10,7 +10,6 @@ A form of InfraBlend's own. The table holds all that is known of an object; the 
 
 from __future__ import annotations
 
-import io
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split, TimeOfDay
 from infrablend.core.files import link_or_copy, write_bytes, write_json
@@ -37,7 +35,7 @@ from infrablend.formats.base import (
     sort_images,
 )
 from infrablend.formats.box_checks import check_box, is_near
-from infrablend.formats.images import load_background
+from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, check_name
@@ -77,9 +75,7 @@ def write(
             raise ValueError(f"{image.name}: another picture of the split has the same stem")
         seen.add(target)
         pixels = instance_pixels(image, losses)
-        encoded = io.BytesIO()
-        Image.fromarray(pixels).save(encoded, "PNG", compress_level=6)
-        files.append(write_bytes(target, encoded.getvalue()))
+        files.append(write_bytes(target, png_bytes(pixels)))
         files.append(write_json(target.with_suffix(".json"), _table(image, pixels, of_category, ignored)))
         if pictures:
             files.append(link_or_copy(image.path, out / "images" / image.split / image.name))

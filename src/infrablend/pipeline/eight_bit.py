@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from PIL import Image
 
 from infrablend.compositing.agc import apply_agc
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import write_bytes
-from infrablend.formats.images import load_background
+from infrablend.formats.images import load_background, png_bytes
 
 
 def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> tuple[list[ImageRecord], int]:
@@ -38,8 +36,6 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
         else:
             levels, as_they_are = np.asarray(pixels, np.uint8), as_they_are + 1
         name = str(PurePosixPath(image.name).with_suffix(".png"))
-        data = io.BytesIO()
-        Image.fromarray(levels).save(data, "PNG", compress_level=6)
-        path = write_bytes(join_inside(folder / image.split, name), data.getvalue())
+        path = write_bytes(join_inside(folder / image.split, name), png_bytes(levels))
         copies.append(replace(image, path=path, file_name=name, radiometry=None))
     return copies, as_they_are

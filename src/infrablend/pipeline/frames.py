@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.core.arguments import require_names
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
@@ -27,6 +26,7 @@ from infrablend.formats.dji_srt import read_srt
 from infrablend.formats.flight import time_of_day
 from infrablend.formats.flight_csv import read_flight_csv
 from infrablend.formats.flight_log import FIELDS, Coverage, FlightLog, Sampled, sample
+from infrablend.formats.images import png_bytes
 from infrablend.formats.log_alignment import NO_CLOCK, Aligned, Clock, align
 from infrablend.formats.video import Frame, Video
 from infrablend.pipeline.dataset_folder import DatasetFolder
@@ -314,10 +314,8 @@ def _wanted(plan: _Plan) -> Any:
 def _write_picture(out: Path, sequence: str, frame: Frame) -> tuple[str, bool]:
     """Write one frame; return its path in the folder and whether it is in colour."""
     pixels = frame.pixels
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", compress_level=6)
     name = f"{sequence}/{sequence}_{frame.number:06d}.png"
-    write_bytes(out / name, buffer.getvalue())
+    write_bytes(out / name, png_bytes(pixels))
     return name, pixels.ndim == 3
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name
@@ -22,6 +20,7 @@ from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_files
+from infrablend.formats.images import png_bytes
 from infrablend.formats.rjpeg.facts import read_facts
 from infrablend.formats.rjpeg.lens import zoomed
 from infrablend.formats.rjpeg.temperatures import (
@@ -212,9 +211,7 @@ def _write(
     """Write one layer; return its record and its range in kelvin."""
     raw = read_temperatures(image.path)
     pixels, scale, source = _levels(raw, image, given, stated)
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", compress_level=6)
-    path = write_bytes(out / "images" / image.split / name, buffer.getvalue())
+    path = write_bytes(out / "images" / image.split / name, png_bytes(pixels))
     h, w = pixels.shape
     hfov = image.hfov_deg
     if hfov is not None and image.path.suffix.lower() in (".jpg", ".jpeg"):

@@ -16,12 +16,13 @@ from infrablend.core.files import write_bytes
 from infrablend.core.rng import stream
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.formats import monet
+from infrablend.formats.images import png_bytes
 from infrablend.world.camera_files import camera_file
 from infrablend.world.frames import FrameFacts, telemetry_of
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
 from infrablend.world.sampling import sample_world
-from infrablend.world.thermal_image import jpeg_bytes, png_bytes, radiometric_frame, thermal_frame, tiff_bytes
+from infrablend.world.thermal_image import jpeg_bytes, radiometric_frame, thermal_frame, tiff_bytes
 
 CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 

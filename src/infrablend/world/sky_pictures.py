@@ -18,7 +18,7 @@ from infrablend.core.files import write_bytes, write_json
 from infrablend.core.output import OutputFolder
 from infrablend.core.rng import stream
 from infrablend.formats import coco
-from infrablend.world.thermal_image import png_bytes
+from infrablend.formats.images import png_bytes
 
 SIZE_WH = (320, 256)
 # Levels of sky and trees, and of objects above the sky; deviation of the noise.

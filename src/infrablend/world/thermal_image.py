@@ -104,10 +104,3 @@ def jpeg_bytes(grey: NDArray[np.uint8]) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(grey).save(buffer, "JPEG", quality=95)
     return buffer.getvalue()
-
-
-def png_bytes(grey: NDArray[np.uint8]) -> bytes:
-    """Encode a frame without further loss: 8-bit grey PNG."""
-    buffer = io.BytesIO()
-    Image.fromarray(grey).save(buffer, "PNG", compress_level=6)
-    return buffer.getvalue()
