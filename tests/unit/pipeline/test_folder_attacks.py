@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.pipeline import request
 from tests.attack.scenarios import write_detections
+from tests.killing import run_until_killed
 from tests.samples import SAMPLES
 
 
@@ -32,24 +33,8 @@ def done(*words: object) -> Result:
 
 
 def killed(renames: int, *words: object) -> None:
-    """Run a command in a process that dies, without any clean-up, just before it gives a file its name."""
-    child = os.fork()
-    if not child:
-        left = [renames]
-        real = Path.replace
-
-        def replace(path: Path, target: Path) -> Path:
-            left[0] -= 1
-            if left[0] < 0:
-                os._exit(137)
-            return real(path, target)
-
-        Path.replace = replace  # type: ignore[assignment,method-assign]
-        try:
-            run(*words)
-        finally:
-            os._exit(0)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 137, "ended before it was killed"
+    """Run a command that dies after this many renames."""
+    run_until_killed(renames, lambda: run(*words))
 
 
 def set_status(record: Path, status: str) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import json
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from infrablend.errors import OutputError
 from infrablend.world.dataset import WorldRequest, write_world
 from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.frames import FrameFacts
+from tests.killing import run_until_killed
 
 REQUEST = WorldRequest(2, 3, splits={"train": 1.0})
 
@@ -36,30 +37,11 @@ def tree(root: Path) -> dict[str, bytes]:
     return {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
 
 
-def killed(renames: int, out: Path) -> None:
-    child = os.fork()
-    if not child:
-        left, real = [renames], Path.replace
-
-        def replace(path: Path, target: Path) -> Path:
-            left[0] -= 1
-            if left[0] < 0:
-                os._exit(137)
-            return real(path, target)
-
-        Path.replace = replace  # type: ignore[assignment,method-assign]
-        try:
-            write_world(out, REQUEST, frames)
-        finally:
-            os._exit(0)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 137
-
-
 def test_killed_world_is_refused_and_finished_by_the_same_command(tmp_path: Path) -> None:
     write_world(tmp_path / "fresh", REQUEST, frames)
     for renames in (0, 1, 4, 6):
         out = tmp_path / str(renames)
-        killed(renames, out)
+        run_until_killed(renames, functools.partial(write_world, out, REQUEST, frames))
         if (out / "world.json").is_file():
             ended = CliRunner().invoke(build_app(), ["-q", "check", str(out)])
             assert ended.exit_code == 2 and "infrablend world" in ended.stderr, ended.output
@@ -71,7 +53,7 @@ def test_killed_world_is_refused_and_finished_by_the_same_command(tmp_path: Path
 
 def test_folders_with_other_files_are_left_alone(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    killed(4, out)
+    run_until_killed(4, functools.partial(write_world, out, REQUEST, frames))
     (out / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match="not empty"):
         write_world(out, REQUEST, frames)
