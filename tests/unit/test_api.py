@@ -145,7 +145,7 @@ def test_categories_of_a_comparison_are_a_list(write_tiny_hit_uav: Callable[...,
 
 @pytest.mark.parametrize("existing", ["refuse", "resume", "overwrite"])
 def test_valid_choices_are_accepted(existing: Existing) -> None:
-    assert RunRequest("hit-uav-drone", Path("data"), limit=1, existing=existing).existing == existing
+    assert RunRequest("hit-uav-drone", Path("data"), seed=1, existing=existing).existing == existing
 
 
 def test_texts_are_accepted_as_paths(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ from infrablend.pipeline.compare_objects import RealismReport
 from infrablend.pipeline.convert import ClassChanges, ConvertReport
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.select import Selection
@@ -61,8 +62,8 @@ from infrablend.training.request import TrainRequest
 
 __all__ = [
     "ClassChanges", "ConvertReport", "EvaluationSettings", "Execution", "ExperimentRequest", "FetchReport",
-    "FetchRequest", "ModelAnswers", "ModelSurvey", "PlanReport", "Reading", "RealismReport", "RunReport",
-    "Selection", "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest",
+    "FetchRequest", "FrameSelection", "ModelAnswers", "ModelSurvey", "PlanReport", "Reading", "RealismReport",
+    "RunReport", "Selection", "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport", "TrainRequest",
     "WriteSettings",
     "add_model", "check", "compare_evaluations", "convert", "describe_model", "describe_source", "diagnose",
     "evaluate", "experiment", "extract_frames", "extract_temperatures", "fetch", "generate",

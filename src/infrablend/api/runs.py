@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
+from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
@@ -34,8 +35,9 @@ class PlanReport:
         return dict(self.facts)
 
 
-def generate(
-    recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None, seed: int = 0,
+def generate(  # noqa: PLR0913 - as in `realism`
+    recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None,
+    selection: FrameSelection = ALL_FRAMES, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
     existing: Existing = "refuse", on_progress: OnProgress | None = None,
 ) -> RunReport:  # fmt: skip
@@ -51,6 +53,7 @@ def generate(
         data: Folder of the background dataset.
         out: Folder to write.
         limit: Number of backgrounds to use, the first ones in sorted order.
+        selection: Another choice of frames: `FrameSelection(sample=20)`, `FrameSelection(frames=["test/a_c0"])`.
         seed: The same seed, data and recipe give the same bytes.
         settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
         reading: How to read `data`, e.g. `Reading(splits=("train",))`.
@@ -58,12 +61,14 @@ def generate(
         existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
     """
-    request = RunRequest(recipe, Path(data), Path(out), limit, seed, settings, reading, execution, existing)
+    chosen = selection if limit is None else replace(selection, limit=limit)
+    request = RunRequest(recipe, Path(data), Path(out), chosen, seed, settings, reading, execution, existing)
     return generate_run(request, on_progress)
 
 
 def plan(
-    recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None, seed: int = 0,
+    recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None,
+    selection: FrameSelection = ALL_FRAMES, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
     existing: Existing = "refuse",
 ) -> PlanReport:  # fmt: skip
@@ -73,7 +78,8 @@ def plan(
     8
     """
     folder = None if out is None else Path(out)
-    request = RunRequest(recipe, Path(data), folder, limit, seed, settings, reading, execution, existing)
+    chosen = selection if limit is None else replace(selection, limit=limit)
+    request = RunRequest(recipe, Path(data), folder, chosen, seed, settings, reading, execution, existing)
     return PlanReport(describe_run(request))
 
 

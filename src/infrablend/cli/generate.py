@@ -42,6 +42,13 @@ def generate(
     data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write the run to.")],
     limit: Annotated[int | None, typer.Option(min=1, help="Use only the first N backgrounds in sorted order.")] = None,
+    sample: Annotated[
+        int | None, typer.Option(min=1, help="Use only N backgrounds, spread over the dataset and drawn with --seed.")
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="Render only these frames: ids such as test/a_c0, or ids of backgrounds."),
+    ] = None,
     split: SplitsOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
@@ -75,6 +82,10 @@ def generate(
     existing = earlier_output(resume, overwrite)
     reading = make_reading(split, format, form, metadata, options)
     names = comma_list(to, "--to")
+    chosen = comma_list(frames, "--frames")
+    given = [n for n, v in (("--limit", limit), ("--sample", sample), ("--frames", frames)) if v is not None]
+    if len(given) > 1:
+        raise typer.BadParameter(f"{' and '.join(given)} exclude each other; give one of them", param_hint=given[1])
     fields = [*(settings or []), *([] if names is None else [f"output.formats=[{', '.join(names)}]"])]
 
     from infrablend import api
@@ -82,13 +93,13 @@ def generate(
     from infrablend.cli.results import facts, print_json, print_result, table
     from infrablend.pipeline.request import Execution
 
-    execution = Execution(workers, device.value)
+    execution, selection = Execution(workers, device.value), api.FrameSelection(limit, sample, chosen)
     if plan:
         planned = api.plan(
             recipe,
             data,
             out,
-            limit=limit,
+            selection=selection,
             seed=seed,
             settings=fields,
             reading=reading,
@@ -105,7 +116,7 @@ def generate(
             recipe,
             data,
             out,
-            limit=limit,
+            selection=selection,
             seed=seed,
             settings=fields,
             reading=reading,

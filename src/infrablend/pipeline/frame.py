@@ -33,12 +33,13 @@ from infrablend.config.recipe import (
 from infrablend.core.cores import take_core
 from infrablend.core.files import write_bytes
 from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, load_background, output_suffix
 from infrablend.pipeline.backgrounds import background_facts, require_temperatures, require_thermal_levels
+from infrablend.pipeline.composed import ComposedFrame
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import (
     FrameDone,
@@ -59,7 +60,7 @@ from infrablend.pipeline.occlusion import (
     occlusion_facts,
     too_hidden,
 )
-from infrablend.pipeline.original import copy_original
+from infrablend.pipeline.original import unchanged_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
@@ -68,24 +69,25 @@ from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import air_source, move_objects, sample_scene
 
 
-class FrameMaker:
-    """Produces frames; each worker process has one instance."""
+class FrameComposer:
+    """Composes frames in memory: the one way from a background to its picture and labels, for all commands."""
 
-    def __init__(self, settings: FrameSettings) -> None:
-        """Start the renderer and load the recipe's models."""
-        if settings.pin_cores:
-            take_core()
+    def __init__(self, settings: FrameSettings, renderer: Renderer) -> None:
+        """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
-        self._folder = RunFolder(settings.out)
         self._recipe = recipe_from_json(settings.recipe_json)
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
-        self._renderer = make_renderer(settings.renderer, settings.device)
+        self._renderer = renderer
 
-    def __call__(self, task: Task) -> FrameDone:
-        """Write the image and the record of the `PlannedFrame` in the task's payload."""
-        frame: PlannedFrame = task.payload
+    def compose(self, frame: PlannedFrame) -> ComposedFrame:
+        """Return the picture and the record of a frame.
+
+        Raises:
+            DatasetError: The background cannot be used.
+            RenderError: The renderer fails.
+        """
         if frame.configuration is None:
-            return copy_original(frame, self._recipe, self._settings)
+            return unchanged_original(frame, self._recipe, self._settings)
         source, recipe = frame.background, self._recipe
         background = load_background(source.path, source.size_wh)
         if isinstance(recipe.matching, LocalMatching):
@@ -156,14 +158,8 @@ class FrameMaker:
             warnings=tuple(p.to_json() for p in background.problems),
             covered=covered_facts(merged),
         )
-        # The record comes first: whatever is in `images/` is then in a record, with its digest.
-        write_record(self._folder.record(frame.frame_id), record)
-        write_bytes(self._folder.image(relative), image_bytes)
-        return FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
-
-    def close(self) -> None:
-        """Release the renderer."""
-        self._renderer.close()
+        done = FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
+        return ComposedFrame(record, image_bytes, done)
 
     def _site(self, frame: PlannedFrame, background: Background, unit: float, cover: Cover | None) -> Site:
         """Return the facts about the background that placement may use."""
@@ -293,6 +289,30 @@ def overlay(
     else:
         picture = compose(background, layer) if sensor is None else apply_sensor(background, layer, sensor)
     return picture if front is None else restore_front(picture, background, front)
+
+
+class FrameMaker:
+    """Composes frames and writes them to the folder of a run; each worker process has one instance."""
+
+    def __init__(self, settings: FrameSettings) -> None:
+        """Start the renderer and load the recipe's models."""
+        if settings.pin_cores:
+            take_core()
+        self._folder = RunFolder(settings.out)
+        self._renderer = make_renderer(settings.renderer, settings.device)
+        self._composer = FrameComposer(settings, self._renderer)
+
+    def __call__(self, task: Task) -> FrameDone:
+        """Write the image and the record of the `PlannedFrame` in the task's payload."""
+        composed = self._composer.compose(task.payload)
+        # The record comes first: whatever is in `images/` is then in a record, with its digest.
+        write_record(self._folder.record(composed.record.frame_id), composed.record)
+        write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
+        return composed.done
+
+    def close(self) -> None:
+        """Release the renderer."""
+        self._renderer.close()
 
 
 def make_frame_maker(settings: FrameSettings) -> FrameMaker:

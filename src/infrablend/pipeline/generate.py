@@ -67,7 +67,7 @@ def prepare_run(request: RunRequest) -> RunPlan:
         dataset,
         request.seed,
         splits=request.reading.splits,
-        limit=request.limit,
+        selection=request.selection,
         recipe_warnings=loaded.warnings,
     )
 

@@ -1,4 +1,4 @@
-"""Copies unchanged backgrounds into the output dataset."""
+"""Takes unchanged backgrounds into the output dataset."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import hashlib
 
 from infrablend.annotation.merge import merge
 from infrablend.config.recipe import Recipe
-from infrablend.core.files import write_bytes
 from infrablend.formats.images import encode_image, load_background, output_suffix
 from infrablend.pipeline.backgrounds import background_facts
-from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.composed import ComposedFrame
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings, merge_settings
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord, write_record
+from infrablend.pipeline.record import FrameRecord
 
 
-def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> FrameDone:
-    """Write a background's image and record; the image is a byte-for-byte copy unless the recipe asks for PNG."""
-    source, folder = frame.background, RunFolder(settings.out)
+def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
+    """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+    source = frame.background
     background = load_background(source.path, source.size_wh)
     kind = recipe.output.image
     relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
@@ -38,6 +37,4 @@ def copy_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) 
         removed=tuple(r.to_json() for r in merged.removed),
         warnings=tuple(p.to_json() for p in background.problems),
     )
-    write_record(folder.record(frame.frame_id), record)
-    write_bytes(folder.image(relative), image_bytes)
-    return FrameDone(0, 0, {})
+    return ComposedFrame(record, image_bytes, FrameDone(0, 0, {}))

@@ -23,6 +23,7 @@ from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.writing import WriteSettings, unwritable
+from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
@@ -140,7 +141,7 @@ def make_plan(
     seed: int,
     *,
     splits: Sequence[str] | None = None,
-    limit: int | None = None,
+    selection: FrameSelection = ALL_FRAMES,
     recipe_warnings: Sequence[Problem] = (),
 ) -> RunPlan:
     """Return the plan of a run.
@@ -150,10 +151,11 @@ def make_plan(
         dataset: Backgrounds of the requested splits.
         seed: Seed of the run.
         splits: Requested splits, for error messages only.
-        limit: Number of backgrounds to use, the first ones in sorted order; None for all.
+        selection: Frames to produce.
         recipe_warnings: Warnings from reading the recipe.
 
     Raises:
+        ArgumentError: The selection names a frame that does not exist.
         DatasetError: No background is left.
         RecipeError: A model does not have an option of the recipe, or the dataset lacks a category that it names.
         ModelError: A model does not exist, or lacks a part that the recipe names.
@@ -168,7 +170,12 @@ def make_plan(
     as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
     dataset = renamed
     _require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), dataset)
-    images = dataset.images[:limit] if limit is not None else dataset.images
+    names = frame_names(dataset.images, recipe.output.originals, recipe.configurations)
+    images, chosen = selection.backgrounds(dataset.images, seed), None
+    if selection.frames is not None:
+        chosen = find_frames(selection.frames, dataset.images, names)
+        of_chosen = {image for image, _ in chosen}
+        images = [image for image in images if id(image) in of_chosen]
     problems = [*recipe_warnings, *dataset.problems, *turned]
     usable = []
     stands = all(model.stands for model in models.values())
@@ -220,11 +227,11 @@ def make_plan(
             new.append(name)
             categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
     _require_loosened(recipe, {o.category or models[o.model].category for o in recipe.objects})
-    names = frame_names(dataset.images, recipe.output.originals, recipe.configurations)
     frames = [
         PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
         for image in usable
         for k in _configurations(recipe.output.originals, recipe.configurations)
+        if chosen is None or (id(image), k) in chosen
     ]
     trimmed = Dataset(
         dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra
@@ -235,6 +242,8 @@ def make_plan(
         "seed": seed,
         "backgrounds": fingerprint(trimmed),
     }
+    if chosen is not None:
+        key["frames"] = sorted(frame.frame_id for frame in frames)
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return RunPlan(

@@ -16,6 +16,7 @@ from infrablend.core.output import Existing, require_existing
 from infrablend.core.render import Device
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)
@@ -79,7 +80,7 @@ class RunRequest:
         recipe: Name of a shipped recipe, or path of a YAML file.
         data: Folder of the background dataset.
         out: Folder to write; None only for describing a run.
-        limit: Number of backgrounds to use, the first ones in sorted order; None for all.
+        selection: Frames to produce.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
         settings: Recipe fields to set.
         reading: How to read `data`.
@@ -94,7 +95,7 @@ class RunRequest:
     recipe: str | Path
     data: Path
     out: Path | None = None
-    limit: int | None = None
+    selection: FrameSelection = ALL_FRAMES
     seed: int = 0
     settings: Settings = ()
     reading: Reading = READ_ALL
@@ -102,8 +103,6 @@ class RunRequest:
     existing: Existing = "refuse"
 
     def __post_init__(self) -> None:
-        if self.limit is not None:
-            require_whole("limit", self.limit, 1)
         require_whole("seed", self.seed)
         require_existing(self.existing)
         if self.execution.in_process and self.execution.renderer == "blender":

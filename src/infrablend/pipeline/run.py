@@ -449,7 +449,7 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
                 texts.append(f"{k} was {was.get(k)!r}, is {now[k]!r}")
         raise OtherSettingsError(
             f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
-            "Use the same recipe, data, seed, splits and limit, or --overwrite, or another --out."
+            "Use the same recipe, data, seed, splits and choice of frames, or --overwrite, or another --out."
         )
 
 

@@ -1,0 +1,90 @@
+"""Chooses the frames of a run: the first backgrounds, a sample of them, or frames by their ids."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from infrablend.core.arguments import require_names, require_whole
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.rng import stream
+from infrablend.errors import ArgumentError, Problem
+
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class FrameSelection:
+    """Frames that a run produces; at most one of the fields is set. The frames are the same as in a full run.
+
+    Attributes:
+        limit: Number of backgrounds to use, the first ones in sorted order.
+        sample: Number of backgrounds to use, spread over the dataset and drawn with the run's seed.
+        frames: Ids of frames (`test/a_c0`), or of backgrounds (`a` or `test/a`) for all of their frames.
+
+    Raises:
+        ArgumentError: A value is not one of these, or several are set.
+    """
+
+    limit: int | None = None
+    sample: int | None = None
+    frames: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("limit", "sample", "frames") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ArgumentError(f"{' and '.join(given)} exclude each other; give one of them")
+        for name in ("limit", "sample"):
+            if getattr(self, name) is not None:
+                require_whole(name, getattr(self, name), 1)
+        if self.frames is not None:
+            require_names("frames", self.frames)
+            if not self.frames:
+                raise ArgumentError("frames: found an empty list, expected at least one id of a frame or background")
+            object.__setattr__(self, "frames", tuple(dict.fromkeys(self.frames)))
+
+    def backgrounds(self, images: Sequence[ImageRecord], seed: int) -> Sequence[ImageRecord]:
+        """Return the backgrounds that `limit` or `sample` leaves, in their order."""
+        if self.limit is not None:
+            return images[: self.limit]
+        if self.sample is None or self.sample >= len(images):
+            return images
+        # One from each of equal parts, so that no sequence is left out by chance.
+        shares = stream(seed, "backgrounds", self.sample).random(self.sample)
+        return [images[int((k + share) * len(images) / self.sample)] for k, share in enumerate(shares.tolist())]
+
+
+ALL_FRAMES = FrameSelection()
+
+Names = Mapping[tuple[int, int | None], str]
+"""Name of each frame by `id(image)` and configuration, see `plan.frame_names`."""
+
+
+def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Names) -> set[tuple[int, int | None]]:
+    """Return the keys in `names` of the frames with these ids, or of these backgrounds.
+
+    Raises:
+        ArgumentError: There is no such frame or background; `problems` names each of them, with similar ones.
+    """
+    known: dict[str, list[tuple[int, int | None]]] = {}
+    backgrounds: dict[str, list[tuple[int, int | None]]] = {}
+    of_image = {id(image): image for image in images}
+    for key, name in names.items():
+        image = of_image[key[0]]
+        known.setdefault(f"{image.split}/{name}", []).append(key)
+        for background in (f"{image.split}/{image.id}", image.id):
+            backgrounds.setdefault(background, []).append(key)
+    found: set[tuple[int, int | None]] = set()
+    problems = []
+    for frame in wanted:
+        keys = known.get(frame) or backgrounds.get(frame)
+        if keys:
+            found.update(keys)
+            continue
+        near = difflib.get_close_matches(frame, [*known, *backgrounds], _SHOWN, 0.5) or sorted(known)[:_SHOWN]
+        expected = "the id of a frame or a background" + (f", such as {', '.join(near)}" if near else "")
+        problems.append(Problem(frame, "frame-unknown", "no frame or background has this id", expected))
+    if problems:
+        raise ArgumentError(f"{len(problems)} of {len(wanted)} frames do not exist", problems)
+    return found

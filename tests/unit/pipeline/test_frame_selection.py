@@ -1,0 +1,103 @@
+"""Frames chosen by id or by a sample: the same bytes as in the full run, and unknown ids with similar ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import ArgumentError, OtherSettingsError
+from infrablend.pipeline.frame_selection import FrameSelection
+
+FLAT = api.Execution(renderer="flat", in_process=True)
+RECIPE = "hit-uav-drone-physical"
+
+
+@pytest.fixture
+def data(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
+    return write_tiny_hit_uav(tmp_path / "hit-uav")
+
+
+def files(run: Path, folder: str) -> dict[str, bytes]:
+    return {p.relative_to(run).as_posix(): p.read_bytes() for p in sorted((run / folder).rglob("*")) if p.is_file()}
+
+
+def test_chosen_frames_have_the_bytes_of_the_full_run(data: Path, tmp_path: Path) -> None:
+    api.generate(RECIPE, data, tmp_path / "full", execution=FLAT)
+    chosen = ["train/0_60_30_0_00001_c1", "0_130_90_0_00004"]
+    report = api.generate(RECIPE, data, tmp_path / "part", selection=FrameSelection(frames=chosen), execution=FLAT)
+    assert report.counts["frames_planned"] == report.counts["frames"] == 3
+    full, part = files(tmp_path / "full", "images"), files(tmp_path / "part", "images")
+    stems = {"train/0_60_30_0_00001_c1", "test/0_130_90_0_00004_c0", "test/0_130_90_0_00004_c1"}
+    assert {name.removeprefix("images/").removesuffix(".jpg") for name in part} == stems
+    assert part.items() <= full.items()
+    assert files(tmp_path / "part", "scenes").items() <= files(tmp_path / "full", "scenes").items()
+
+
+def test_a_run_of_chosen_frames_is_resumed_only_with_the_same_frames(data: Path, tmp_path: Path) -> None:
+    def generate(frames: list[str], **options: Any) -> api.RunReport:
+        return api.generate(
+            RECIPE, data, tmp_path / "run", selection=FrameSelection(frames=frames), execution=FLAT, **options
+        )
+
+    generate(["test/0_130_90_0_00004_c0"])
+    assert generate(["test/0_130_90_0_00004_c0"], existing="resume").ok
+    with pytest.raises(OtherSettingsError, match="frames was"):
+        generate(["test/0_130_90_0_00004_c1"], existing="resume")
+
+
+def images(count: int) -> list[ImageRecord]:
+    return [ImageRecord(f"{k}", Path(f"{k}.png"), "train", None, None, None, None, ()) for k in range(count)]
+
+
+def test_a_sample_is_spread_over_the_dataset_and_drawn_with_the_seed() -> None:
+    pictures = images(100)
+    for seed in (0, 1):
+        drawn = [int(i.id) for i in FrameSelection(sample=10).backgrounds(pictures, seed)]
+        assert [n // 10 for n in drawn] == list(range(10))
+        assert drawn == [int(i.id) for i in FrameSelection(sample=10).backgrounds(pictures, seed)]
+    assert FrameSelection(sample=10).backgrounds(pictures, 0) != FrameSelection(sample=10).backgrounds(pictures, 1)
+    assert list(FrameSelection(sample=200).backgrounds(pictures, 0)) == pictures
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"limit": 1, "sample": 1}, "limit and sample exclude each other"),
+        ({"frames": []}, "an empty list"),
+        ({"frames": "a,b"}, "expected a list of names"),
+        ({"sample": 0}, "sample"),
+    ],
+)
+def test_wrong_choices_are_refused(choice: dict[str, Any], message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        FrameSelection(**choice)
+
+
+def test_unknown_frames_are_named_with_similar_ones(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(ArgumentError, match="1 of 2 frames do not exist") as caught:
+        unknown = FrameSelection(frames=["test/0_130_90_0_00004", "tst/0_130_90_0_00004_c0"])
+        api.generate(RECIPE, data, out, selection=unknown, execution=FLAT)
+    (problem,) = caught.value.problems
+    assert "test/0_130_90_0_00004_c0" in problem.expected
+    assert not out.exists()
+
+
+def test_the_command_line_plans_chosen_frames(data: Path, tmp_path: Path) -> None:
+    def call(*options: str) -> Any:
+        arguments = ["generate", RECIPE, "--data", str(data), "--out", str(tmp_path / "run"), "--plan", "--json"]
+        return CliRunner().invoke(build_app(), [*arguments, *options])
+
+    assert json.loads(call("--frames", "test/0_130_90_0_00004_c1,0_60_30_0_00001").stdout)["frames"] == 3
+    assert json.loads(call("--sample", "2").stdout)["frames"] == 4
+    refused = call("--sample", "2", "--limit", "1")
+    assert refused.exit_code == 2
+    assert "--limit and --sample exclude each other" in refused.output
