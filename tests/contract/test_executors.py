@@ -14,7 +14,7 @@ import pytest
 
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, RenderError, WorkerDiedError
-from infrablend.execution import PoolSettings, ProcessPool, Serial
+from infrablend.execution import PoolSettings, ProcessPool, Serial, WarmPool
 
 OBEY = WorkerSpec("executor_work:obey")
 # Far above what any machine needs: an upper bound on a wait, never a measurement.
@@ -429,3 +429,44 @@ def test_interruption_from_within_raises_interrupted():
 def test_bad_settings_are_refused():
     with pytest.raises(ValueError, match="workers 0"):
         PoolSettings(workers=0)
+
+
+# ---- the warm pool
+
+
+@pytest.fixture
+def warm():
+    opened = WarmPool(OBEY, PoolSettings(workers=2, retries=1))
+    yield opened
+    opened.close()
+    assert_no_children()
+
+
+def test_a_warm_pool_keeps_its_workers_between_calls(warm):
+    warm.start(1)
+    pids = [r.value for _ in range(4) for r in warm.run(orders(("pid", None)))]
+    assert len(pids) == 4
+    assert len(set(pids)) == 1
+
+
+def test_calls_of_a_warm_pool_may_overlap(warm):
+    seen = []
+    for outer in warm.run(orders(*[("give", f"outer {k}") for k in range(6)])):
+        (inner,) = warm.run(orders(("give", f"inner of {outer.value}")))
+        seen += [outer.value, inner.value]
+    assert sorted(seen) == sorted([f"outer {k}" for k in range(6)] + [f"inner of outer {k}" for k in range(6)])
+
+
+def test_what_an_unfinished_call_leaves_is_dropped(warm, tmp_path):
+    left = warm.run(orders(("give", 1), ("die_once", str(tmp_path / "flag")), *[("give", 9)] * 10))
+    assert next(left).value == 1
+    left.close()
+    assert [r.value for r in warm.run(orders(("give", 2), ("give", 3)))] in ([2, 3], [3, 2])
+
+
+def test_a_warm_pool_replaces_a_worker_that_died(warm, tmp_path):
+    flag = str(tmp_path / "flag")
+    assert [(r.value, r.attempts) for r in warm.run(orders(("die_once", flag)))] == [("second try", 2)]
+    (result,) = warm.run(orders(("die", 5)))
+    assert result.failure.kind == "crash"
+    assert [r.value for r in warm.run(orders(("give", 4)))] == [4]

@@ -1,6 +1,9 @@
-"""Runs tasks, in this process (`Serial`) or in worker processes (`ProcessPool`); the port is `core.tasks.Executor`."""
+"""Runs tasks in this process or in worker processes; the port is `core.tasks.Executor`.
 
-from infrablend.execution.process_pool import PoolSettings, ProcessPool
+`WarmPool` keeps its workers between calls.
+"""
+
+from infrablend.execution.process_pool import PoolSettings, ProcessPool, WarmPool
 from infrablend.execution.serial import Serial
 
-__all__ = ["PoolSettings", "ProcessPool", "Serial"]
+__all__ = ["PoolSettings", "ProcessPool", "Serial", "WarmPool"]

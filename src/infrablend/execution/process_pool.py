@@ -8,6 +8,7 @@ output of Blender's C code. Unlike `spawn`, it does not import the caller's main
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import logging
 import os
@@ -96,18 +97,66 @@ class ProcessPool:
 
     def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
         """Run tasks and yield their results, see `core.tasks.Executor`."""
-        spec = pickle.dumps(self._worker, pickle.HIGHEST_PROTOCOL)
         with contextlib.ExitStack() as stack:
-            log = (
-                stack.enter_context(self._settings.log_path.open("ab", buffering=0))
-                if self._settings.log_path
-                else None
-            )
-            scratch = stack.enter_context(scratch_folder())
-            run = _Run(self._settings, spec, log, scratch)
+            run = _open_run(self._worker, self._settings, stack)
             stop = stack.enter_context(Interruption(run.signal_all))
             stack.callback(run.kill_all)
             yield from run.results(iter(tasks), stop)
+            run.finish_all()
+
+
+class WarmPool:
+    """Worker processes that stay between calls, for callers that decide on the next task when they see a result.
+
+    It leaves signals alone: Ctrl-C raises KeyboardInterrupt where the caller waits. Closing it ends the workers.
+    """
+
+    def __init__(self, worker: WorkerSpec, settings: PoolSettings | None = None) -> None:
+        """Open the pool; workers start with `start` or with the first task."""
+        self._stack = contextlib.ExitStack()
+        self._run = _open_run(worker, settings or PoolSettings(), self._stack)
+        self._stack.callback(self._run.kill_all)
+
+    def start(self, workers: int = 1) -> None:
+        """Start workers before there are tasks for them, so that they load while the caller prepares."""
+        self._run.start(workers)
+
+    def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
+        """Yield one result per task in the order of completion; `tasks` is read as workers become free.
+
+        Calls may overlap: a call within the loop over another one shares its workers. What an unfinished call leaves
+        is dropped.
+
+        Raises:
+            InfraBlendError: Workers cannot start: the factory's own error, or `RenderError`.
+        """
+        yield from self._run.results(iter(tasks))
+
+    def close(self) -> None:
+        """End the workers at once; no task may follow."""
+        self._stack.close()
+
+
+def _open_run(worker: WorkerSpec, settings: PoolSettings, stack: contextlib.ExitStack) -> _Run:
+    """Return the state of a new pool; its log and its scratch folder are closed with `stack`."""
+    spec = pickle.dumps(worker, pickle.HIGHEST_PROTOCOL)
+    log = stack.enter_context(settings.log_path.open("ab", buffering=0)) if settings.log_path else None
+    return _Run(settings, spec, log, stack.enter_context(scratch_folder()))
+
+
+@dataclass(eq=False)
+class _Call:
+    """One caller's loop over results.
+
+    Attributes:
+        open: Number of tasks without a result.
+        arrived: Results that the caller has not taken yet.
+        abandoned: Whether the caller has left the loop.
+    """
+
+    open: int = 0
+    arrived: deque[TaskResult] = field(default_factory=deque)
+    abandoned: bool = False
 
 
 @dataclass
@@ -117,11 +166,13 @@ class _Attempt:
     Attributes:
         index: Number of the task in the messages to and from workers.
         task: The task.
+        call: The loop that waits for the result.
         number: Number of the current attempt, from 1.
     """
 
     index: int
     task: Task
+    call: _Call
     number: int = 1
 
 
@@ -145,7 +196,7 @@ class _Worker:
 
 
 class _Run:
-    """State of one call of `ProcessPool.run`: its workers and the waiting tasks."""
+    """State of a pool: its workers and the waiting tasks."""
 
     def __init__(self, settings: PoolSettings, spec: bytes, log: IO[bytes] | None, scratch: str) -> None:
         self._settings = settings
@@ -157,37 +208,50 @@ class _Run:
         self._failed_starts = 0
         self._winding_down = False
         self._pending: deque[_Attempt] = deque()
+        self._indices = itertools.count()
 
-    def results(self, source: Iterator[Task], stop: Interruption) -> Iterator[TaskResult]:
+    def results(self, source: Iterator[Task], stop: Interruption | None = None) -> Iterator[TaskResult]:
         """Feed workers, wait and collect results until no task is left or the user stops the run."""
-        numbered = enumerate(source)
+        call = _Call()
         exhausted = False
         give_up_at: float | None = None
-        while True:
-            if give_up_at is None and stop.requested and not (exhausted and not self._outstanding):
-                give_up_at = time.monotonic() + self._settings.grace_s
-                self._finish_running_tasks()
-            if give_up_at is None:
-                while not exhausted and self._outstanding < self._settings.workers * IN_FLIGHT:
-                    item = next(numbered, None)
-                    if item is None:
-                        exhausted = True
-                    else:
-                        self._pending.append(_Attempt(*item))
-                if exhausted and not self._outstanding:
-                    self._finish_all()
-                    return
-                self._start_workers()
-                self._feed()
-            elif not self._workers or time.monotonic() >= give_up_at:
-                raise Interrupted(STOPPED)
-            yield from self._collect(stop, give_up_at)
+        try:
+            while True:
+                requested = stop is not None and stop.requested
+                if give_up_at is None and requested and not (exhausted and not call.open):
+                    give_up_at = time.monotonic() + self._settings.grace_s
+                    self._finish_running_tasks()
+                if give_up_at is None:
+                    while not exhausted and call.open < self._settings.workers * IN_FLIGHT:
+                        task = next(source, None)
+                        if task is None:
+                            exhausted = True
+                        else:
+                            self._pending.append(_Attempt(next(self._indices), task, call))
+                            call.open += 1
+                    if exhausted and not call.open:
+                        return
+                    self._start_workers()
+                    self._feed()
+                elif not self._workers or time.monotonic() >= give_up_at:
+                    raise Interrupted(STOPPED)
+                self._collect(stop, give_up_at)
+                while call.arrived:
+                    yield call.arrived.popleft()
+        finally:
+            call.abandoned = True
+            self._pending = deque(a for a in self._pending if a.call is not call)
 
     @property
     def _outstanding(self) -> int:
         return len(self._pending) + sum(len(w.in_flight) for w in self._workers)
 
     # ---- starting and feeding
+
+    def start(self, workers: int) -> None:
+        """Start workers before there are tasks."""
+        for _ in range(min(self._settings.workers, workers) - len(self._workers)):
+            self._workers.append(self._start())
 
     def _start_workers(self) -> None:
         # An ending worker counts too: it may still occupy resources that its successor needs (a core, GPU memory).
@@ -236,23 +300,23 @@ class _Run:
 
     # ---- collecting
 
-    def _collect(self, stop: Interruption, give_up_at: float | None) -> Iterator[TaskResult]:
-        """Wait for messages of any worker and yield their results."""
+    def _collect(self, stop: Interruption | None, give_up_at: float | None) -> None:
+        """Wait for messages of any worker and hand their results to the calls that wait for them."""
         streams: list[Any] = [w.conn for w in self._workers]
         streams += [w.output for w in self._workers if not w.silent]
         # After a request to stop, the wake-up pipe stays readable; waiting on it again would spin.
-        extra = [] if stop.requested else [stop.wakeup]
+        extra = [] if stop is None or stop.requested else [stop.wakeup]
         readable: list[Any] = wait([*streams, *extra], self._seconds_to_timeout(give_up_at))
         for w in [w for w in self._workers if w.output in readable]:
             self._read_output(w)
         for w in [w for w in self._workers if w.conn in readable]:
-            yield from self._read_messages(w)
+            self._read_messages(w)
         now = time.monotonic()
         for w in list(self._workers):
             limit = self._limit(w)
             # A slow consumer is not a hang, so check the limit only when no message is waiting.
             if limit is not None and now - w.since > limit and not w.conn.poll():
-                yield from self._handle_dead_worker(w, "timeout")
+                self._handle_dead_worker(w, "timeout")
 
     def _limit(self, w: _Worker) -> float | None:
         if not w.ready:
@@ -268,14 +332,14 @@ class _Run:
             ends.append(give_up_at)
         return max(0.0, min(ends) - time.monotonic()) + 0.01 if ends else None
 
-    def _read_messages(self, w: _Worker) -> Iterator[TaskResult]:
+    def _read_messages(self, w: _Worker) -> None:
         while w in self._workers:
             try:
                 if not w.conn.poll():
                     return
                 message = w.conn.recv()
             except (EOFError, OSError):
-                yield from self._handle_dead_worker(w, "crash")
+                self._handle_dead_worker(w, "crash")
                 return
             if message[0] == "ready":
                 w.ready = True
@@ -284,10 +348,15 @@ class _Run:
             elif message[0] == "no-start":
                 self._raise_factory_error(w, message[1])
             else:
-                yield self._receive_result(w, message[1], message[2])
+                self._receive_result(w, message[1], message[2])
 
-    def _receive_result(self, w: _Worker, index: int, done: ResultMessage) -> TaskResult:
-        """Return the result in a message; dismiss the worker if it is due for replacement."""
+    def _deliver(self, attempt: _Attempt, result: TaskResult) -> None:
+        attempt.call.open -= 1
+        if not attempt.call.abandoned:
+            attempt.call.arrived.append(result)
+
+    def _receive_result(self, w: _Worker, index: int, done: ResultMessage) -> None:
+        """Deliver the result in a message; dismiss the worker if it is due for replacement."""
         attempt = w.in_flight.popleft()
         assert attempt.index == index, "workers answer in order"
         w.since = time.monotonic()
@@ -304,7 +373,8 @@ class _Run:
         if (old or big) and not w.ending:
             logger.info("worker %d is replaced after %d tasks, %d MiB", w.number, w.finished, done.rss_bytes >> 20)
             self._retire(w)
-        return TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
+        numbers = attempt.number, done.seconds, w.number, done.rss_bytes
+        self._deliver(attempt, TaskResult(attempt.task.key, value, failure, *numbers))
 
     def _retire(self, w: _Worker) -> None:
         """Let the worker end after the tasks in its inbox."""
@@ -333,7 +403,7 @@ class _Run:
 
     # ---- endings
 
-    def _handle_dead_worker(self, w: _Worker, kind: FailureKind) -> Iterator[TaskResult]:
+    def _handle_dead_worker(self, w: _Worker, kind: FailureKind) -> None:
         """Reap a worker that died or hung; retry or fail the task that it was running."""
         code = self._reap(w, patience_s=0.0 if kind == "timeout" else 5.0)
         if self._winding_down or (w.ending and not w.in_flight):
@@ -353,11 +423,13 @@ class _Run:
             return
         guilty, *innocent = w.in_flight
         w.in_flight.clear()
-        self._pending.extendleft(reversed(innocent))
+        self._pending.extendleft(a for a in reversed(innocent) if not a.call.abandoned)
         what = f"took longer than {self._settings.task_timeout_s:g} s" if kind == "timeout" else code
+        if guilty.call.abandoned:
+            return
         if guilty.number <= self._settings.retries:
             logger.warning("worker %d %s on %s; trying again", w.number, what, guilty.task.key)
-            self._pending.appendleft(_Attempt(guilty.index, guilty.task, guilty.number + 1))
+            self._pending.appendleft(_Attempt(guilty.index, guilty.task, guilty.call, guilty.number + 1))
             return
         failure = Failure(
             kind,
@@ -365,7 +437,7 @@ class _Run:
             f"{guilty.task.key}: its worker {what} on attempt {guilty.number} of {guilty.number}",
             traceback="\n".join(w.tail),
         )
-        yield TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0)
+        self._deliver(guilty, TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0))
 
     def _raise_factory_error(self, w: _Worker, failure: Failure) -> None:
         """Raise the error of a worker factory, which would fail again in every new worker."""
@@ -387,7 +459,7 @@ class _Run:
             w.ending = True
             self._send(w, ("stop",))
 
-    def _finish_all(self) -> None:
+    def finish_all(self) -> None:
         """Let all workers end after the last task, and kill those that take too long."""
         for w in self._workers:
             if w.ready:
