@@ -20,6 +20,24 @@ _SLOPES_K: Mapping[str, float] = {"centikelvin": 0.01, "decikelvin": 0.1}
 # A steeper scale would show a whole scene in a few levels: no radiometric picture has one.
 _MOST_SLOPE_K = 10.0
 
+PLAUSIBLE_K = (173.15, 473.15)
+"""Apparent temperatures, kelvin, between which the median of a picture lies, from a clear winter sky to a furnace."""
+
+
+def implausible_median(kelvin: NDArray[Any]) -> float | None:
+    """Return the median of a picture's apparent temperatures, kelvin, if no camera sees such a scene; else None.
+
+    A unit taken for another one moves it far outside: 0.04 K per count instead of 0.01 makes 1,150 K of 288 K.
+    """
+    finite = kelvin[np.isfinite(kelvin)]
+    median = float(np.median(finite)) if finite.size else math.nan
+    return None if PLAUSIBLE_K[0] <= median <= PLAUSIBLE_K[1] else median
+
+
+def describe_plausible() -> str:
+    """Return the range of plausible medians in words."""
+    return f"a median between {PLAUSIBLE_K[0] - 273.15:.0f} and {PLAUSIBLE_K[1] - 273.15:.0f} degrees Celsius"
+
 
 @dataclass(frozen=True)
 class TemperatureScale:

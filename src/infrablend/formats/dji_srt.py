@@ -23,14 +23,19 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog
+from infrablend.formats.flight_log import FlightLog, with_places
 from infrablend.formats.log_text import read_log_text
 
 _TIME = re.compile(r"\s*(\d{1,3}):(\d{1,2}):(\d{1,2})[,.](\d{1,3})\s*-->", re.ASCII)
 _NUMBER = r"([-+]?\d{1,12}(?:\.\d{1,12})?)"
 _TAG = re.compile(r"<[^<>\n]{0,100}>")
-_FIELD = re.compile(r"(?<![A-Za-z_])([A-Za-z_]{1,40}(?:\(degrees\))?)\s{0,3}:\s{0,3}" + _NUMBER, re.ASCII)
-_HEIGHT = re.compile(r"(?<![\w.])H\s{1,3}" + _NUMBER + r"\s?[mM]\b", re.ASCII)
+# The decimal point may be a comma, and a height may be in feet.
+_FIELD = re.compile(
+    r"(?<![A-Za-z_])([A-Za-z_]{1,40}(?:\(degrees\))?)\s{0,3}:\s{0,3}"
+    r"([-+]?\d{1,12}(?:[.,]\d{1,12})?)(\s?(?:ft|feet)\b)?", re.ASCII | re.IGNORECASE
+)  # fmt: skip
+_HEIGHT = re.compile(r"(?<![\w.])H\s{1,3}" + _NUMBER + r"\s?([mM]|ft)\b", re.ASCII)
+_FEET_M = 0.3048
 _GIMBAL = re.compile(rf"G\.PRY\s?\(\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?\)", re.ASCII)
 _DATE = re.compile(
     r"(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T](\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?", re.ASCII
@@ -63,9 +68,13 @@ def read_srt(path: Path) -> FlightLog:
     silent = 0
     for seconds, text in blocks:
         plain = _TAG.sub(" ", text[:_MAX_BLOCK])
-        given = {name.lower(): float(value) for name, value in _FIELD.findall(plain)}
+        # Of equal names in a block, the first counts.
+        given = {
+            name.lower(): float(value.replace(",", ".")) * (_FEET_M if feet else 1.0)
+            for name, value, feet in reversed(_FIELD.findall(plain))
+        }
         if height := _HEIGHT.search(plain):
-            given["h"] = float(height[1])
+            given["h"] = float(height[1]) * (_FEET_M if height[2] == "ft" else 1.0)
         if gimbal := _GIMBAL.search(plain):
             given |= {"gb_pitch": float(gimbal[1]), "gb_roll": float(gimbal[2]), "gb_yaw": float(gimbal[3])}
         names.update(given.keys())
@@ -85,18 +94,22 @@ def read_srt(path: Path) -> FlightLog:
 
 
 def _blocks(text: str) -> Iterator[tuple[float, str]]:
-    """Yield start in seconds and text of each block; a block ends where the next line of times begins."""
+    """Yield start in seconds and text of each block; a block ends where the next line of times begins.
+
+    The start is NaN for times that cannot be, such as negative ones.
+    """
     seconds: float | None = None
     lines: list[str] = []
     for line in text.splitlines():
         match = _TIME.match(line)
-        if match is None:
+        if match is None and "-->" not in line:
             lines.append(line)
             continue
         if seconds is not None:
             yield seconds, "\n".join(lines[:-1] if lines and lines[-1].strip().isdigit() else lines)
-        milliseconds = int(match[4].ljust(3, "0"))
-        seconds, lines = int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3]) + milliseconds / 1000, []
+        seconds, lines = math.nan, []
+        if match is not None:
+            seconds = int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3]) + int(match[4].ljust(3, "0")) / 1000
     if seconds is not None:
         yield seconds, "\n".join(lines)
 
@@ -145,10 +158,11 @@ def _log(
             text = f"{back} sample(s) with a gimbal that looks back under the aircraft"
             problems.append(Problem(path.name, "log-pitch", text, "-90 to 90 degrees", severity="warning"))
     counter = next((c for c in _COUNTERS if names[c]), "")
-    frames = np.array([given.get(counter, math.nan) - 1 for _, given, _ in found], np.float64)
+    frames = np.array([given.get(counter, math.nan) for _, given, _ in found], np.float64)
+    frames = frames if (frames == 0).any() else frames - 1  # nearly all cameras count from 1
     clock = np.array([when for _, _, when in found], np.float64)
     dated = clock if np.isfinite(clock).any() else None
     return FlightLog(
-        path.name, "DJI subtitles", np.array([s for s, _, _ in found], np.float64), values,
+        path.name, "DJI subtitles", np.array([s for s, _, _ in found], np.float64), with_places(values),
         chosen["altitude_m"] or "", frames if counter else None, dated, problems=tuple(problems),
     )  # fmt: skip

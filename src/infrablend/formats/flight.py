@@ -19,6 +19,7 @@ from typing import Any
 from infrablend.core.dataset import Dataset, ImageRecord, TimeOfDay
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
+from infrablend.formats.values import is_place
 from infrablend.thermal.sun import sun_position, time_of
 
 # Only these formats hold pictures of any camera; those of the public datasets are known.
@@ -184,15 +185,17 @@ def time_of_day(captured: str | None, latitude: float | None, longitude: float |
     """
     if captured is None or len(captured) <= 10 or latitude is None or longitude is None:
         return None
+    if not is_place(latitude, longitude):
+        return None
     exact = time_of(captured)
     if exact is not None:
         times = [exact]
     else:
         try:
             local = datetime.fromisoformat(captured).replace(tzinfo=UTC)
-        except ValueError:
+            times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
+        except (ValueError, OverflowError):
             return None
-        times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
     up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
     if min(up) > _DAY_ABOVE_DEG:
         return "day"

@@ -22,7 +22,7 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order
+from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places
 from infrablend.formats.log_text import read_log_text
 
 _HEADER_LINES = 5
@@ -30,6 +30,12 @@ _UNIT = re.compile(r"[\s]*[(\[]\s*([A-Za-z/ ]+?)\s*[)\]]\s*$")
 _METRES = {"m": 1.0, "meters": 1.0, "metres": 1.0, "meter": 1.0, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048}
 _SECONDS = {"millisecond": 1e-3, "milliseconds": 1e-3, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
 _FLY_TIME = re.compile(r"(?:(\d+)\s*h)?\s*(?:(\d+)\s*m)?\s*(\d+(?:\.\d+)?)\s*s", re.ASCII)
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+", re.ASCII)
+_DECIMAL_POINT = re.compile(r"[-+]?\d+\.\d+", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+", re.ASCII)
+_DAY_S = 86_400
+# Rows that are searched for decimal points and commas.
+_SAMPLE = 200
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d{1,6})?)\s*([AaPp][Mm])?", re.ASCII)
 _DAY = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})", re.ASCII)
 _RECORDING = {"1", "true", "yes", "starting", "recording", "started"}
@@ -73,11 +79,22 @@ _DIALECTS = (
 
 @dataclass(frozen=True)
 class _Column:
-    """Place of a column, its name as written, and its unit in lower case (empty if it names none)."""
+    """A column: its place, its name as written, and its unit in lower case (empty if it names none).
+
+    Attributes:
+        comma: What stands for a comma in its numbers: a point, or nothing where commas separate thousands.
+        contradicted: Whether another column of the same name has other values.
+    """
 
     index: int
     title: str
     unit: str
+    comma: str = "."
+    contradicted: bool = False
+
+    def numbers(self, rows: Sequence[Sequence[str]]) -> Values:
+        """Return the column's numbers; NaN where it has none."""
+        return np.array([_number(row[self.index].replace(",", self.comma)) for row in rows], np.float64)
 
 
 def read_flight_csv(path: Path) -> FlightLog:
@@ -93,6 +110,9 @@ def read_flight_csv(path: Path) -> FlightLog:
     problems = []
     if lost > MAX_DAMAGED * len(rows) or kept.sum() < 2:
         found = f"{lost} of {len(rows)} row(s) without a time, or out of order"
+        column = next((columns[c] for c in dialect.elapsed if c in columns), None)
+        if column is not None and column.unit not in _SECONDS:
+            found += f"; column {column.title!r} has no known unit"
         problem = Problem(path.name, "log-times", found, "times that increase", "export the log again")
         raise DatasetError(f"{path}: no usable times", [problem])
     if lost:
@@ -112,28 +132,64 @@ def read_flight_csv(path: Path) -> FlightLog:
 def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:
     """Return the kind of log, its columns by name without unit, and its rows, padded to the header."""
     try:
-        lines = list(csv.reader(io.StringIO(read_log_text(path), newline="")))
+        text = read_log_text(path)
+        delimiter = _delimiter(text)
+        lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
     except csv.Error as error:
         problem = Problem(path.name, "log-layout", f"no CSV table ({error})", "a flight log", "export the log again")
         raise DatasetError(f"{path}: cannot be read", [problem]) from error
     for n, line in enumerate(lines[:_HEADER_LINES]):
-        columns: dict[str, _Column] = {}
-        for index, title in enumerate(line):
-            unit = _UNIT.search(title)
-            name = (title[: unit.start()] if unit else title).strip().lower()
-            columns.setdefault(name, _Column(index, title.strip(), unit[1].lower() if unit else ""))
+        names = [_name_and_unit(title) for title in line]
         for dialect in _DIALECTS:
-            if dialect.mark in columns and any(c in columns for v in dialect.columns.values() for c in v):
+            known = {name for name, _ in names}
+            if dialect.mark in known and any(c in known for v in dialect.columns.values() for c in v):
                 width = len(line)
                 rows = [[*row, *[""] * (width - len(row))] for row in lines[n + 1 :] if any(c.strip() for c in row)]
                 if rows:
-                    return dialect, columns, rows
+                    return dialect, _columns(line, names, rows, delimiter), rows
                 problem = Problem(path.name, "log-layout", "a header and no rows", "samples", "export the log again")
                 raise DatasetError(f"{path}: an empty {dialect.name}", [problem])
     found = f"columns {', '.join(c.strip() for c in (lines[0] if lines else ()))[:120] or 'none'}"
     expected = "AirData's columns (time(millisecond), ...) or those of a DJI flight record (CUSTOM.updateTime, ...)"
     problem = Problem(path.name, "log-layout", found, expected, "export the log as CSV with AirData or Flight Reader")
     raise DatasetError(f"{path}: not a flight log of a known kind", [problem])
+
+
+def _delimiter(text: str) -> str:
+    """Return what separates the columns: what occurs most often in the first lines, comma, semicolon or tab."""
+    start = "\n".join(text[:20_000].splitlines()[:_HEADER_LINES])
+    return max(",;\t", key=start.count)
+
+
+def _name_and_unit(title: str) -> tuple[str, str]:
+    unit = _UNIT.search(title)
+    return (title[: unit.start()] if unit else title).strip().lower(), unit[1].lower() if unit else ""
+
+
+def _columns(
+    titles: Sequence[str], names: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], delimiter: str
+) -> dict[str, _Column]:
+    """Return the columns by name; of equal names the first that has values."""
+    comma = _comma(rows[:: max(1, len(rows) // _SAMPLE)], delimiter)
+    places: dict[str, list[int]] = {}
+    for index, (name, _) in enumerate(names):
+        places.setdefault(name, []).append(index)
+    columns = {}
+    for name, same in places.items():
+        filled = [k for k in same if len(same) == 1 or any(row[k].strip() for row in rows)] or same
+        others = {tuple(row[k].strip() for row in rows) for k in filled} if len(filled) > 1 else ()
+        chosen = filled[0]
+        columns[name] = _Column(chosen, titles[chosen].strip(), names[chosen][1], comma, len(others) > 1)
+    return columns
+
+
+def _comma(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    """Return what stands for a comma in numbers: nothing where it separates thousands, else a decimal point."""
+    cells = [cell.strip() for row in rows for cell in row]
+    if any(_DECIMAL_POINT.fullmatch(c) for c in cells):
+        return ""
+    decimal = any(_DECIMAL_COMMA.fullmatch(c) and not _THOUSANDS.fullmatch(c) for c in cells)
+    return "." if decimal or delimiter != "," else ""
 
 
 def _times(
@@ -149,12 +205,11 @@ def _times(
     column = next((columns[c] for c in dialect.elapsed if c in columns), None)
     elapsed = np.full(len(rows), np.nan)
     if column is not None:
-        scale = _SECONDS.get(column.unit, 1.0)
-        elapsed = np.array([_elapsed(row[column.index], scale) for row in rows], np.float64)
+        elapsed = _elapsed(column, rows)
     dated = clock_s is not None and np.isfinite(clock_s).all() and bool((clock_s > 0).all())
     if clock_s is not None and not np.isfinite(elapsed).any():
         # Without dates the clock still gives the time within the day.
-        elapsed = np.array([_seconds_of_day(row[clock.index]) for row in rows], np.float64) if clock else elapsed
+        elapsed = _across_midnight([_seconds_of_day(row[clock.index]) for row in rows]) if clock else elapsed
         elapsed = clock_s if dated else elapsed
     if clock_s is not None and not dated:
         clock_s = None
@@ -164,11 +219,25 @@ def _times(
     return elapsed, clock_s, clock is not None and clock.unit == "utc"
 
 
-def _elapsed(text: str, scale: float) -> float:
-    match = _FLY_TIME.fullmatch(text.strip())
-    if match is not None:
-        return int(match[1] or 0) * 3600 + int(match[2] or 0) * 60 + float(match[3])
-    return _number(text) * scale
+def _elapsed(column: _Column, rows: Sequence[Sequence[str]]) -> Values:
+    """Return seconds: texts such as `1m 2.5s`, or numbers in a known unit; NaN for others."""
+    matches = [_FLY_TIME.fullmatch(row[column.index].strip()) for row in rows]
+    if any(matches):
+        return np.array([math.nan if m is None else _seconds(m) for m in matches], np.float64)
+    return column.numbers(rows) * _SECONDS.get(column.unit, math.nan)
+
+
+def _seconds(match: re.Match[str]) -> float:
+    return int(match[1] or 0) * 3600 + int(match[2] or 0) * 60 + float(match[3])
+
+
+def _across_midnight(seconds: Sequence[float]) -> Values:
+    """Return seconds of the day that go on rising where midnight sets them back."""
+    times = np.array(seconds, np.float64)
+    known = np.flatnonzero(np.isfinite(times))
+    days = np.cumsum(np.diff(times[known], prepend=times[known[:1]]) < -_DAY_S / 2)
+    times[known] += days * _DAY_S
+    return times
 
 
 def _seconds_of_day(text: str) -> float:
@@ -202,7 +271,7 @@ def _clock(text: str) -> float:
 
 def _number(text: str) -> float:
     try:
-        value = float(text.strip().replace(",", "."))
+        value = float(text.strip())
     except ValueError:
         return math.nan
     return value if math.isfinite(value) and abs(value) < 1e12 else math.nan
@@ -223,7 +292,8 @@ def _values(
         column = next((columns[c] for c in options if c in columns), None)
         if column is None:
             continue
-        numbers = np.array([_number(row[column.index]) for row in taken], np.float64)
+        problems += _contradictions(path, column)
+        numbers = column.numbers(taken)
         if field == "pitch":
             field, numbers = "pitch_deg", np.array([pitch_of_gimbal(v) for v in numbers.tolist()], np.float64)
             back = int((numbers > STRAIGHT_DOWN_DEG).sum())
@@ -240,12 +310,20 @@ def _values(
             found = f"column {column.title!r} without a known unit, not used"
             problems.append(Problem(path.name, "log-height", found, "metres or feet in its name", severity="warning"))
             continue
-        numbers = np.array([_number(row[column.index]) for row in taken], np.float64) * _METRES[column.unit]
+        numbers = column.numbers(taken) * _METRES[column.unit]
         # Logs without terrain data have the column with zeros.
         if np.isfinite(numbers).any() and (np.nan_to_num(numbers) != 0).any():
+            problems += _contradictions(path, column)
             values["altitude_m"] = np.where(np.abs(numbers) <= 1e5, numbers, np.nan)
-            return values, column.title, problems
-    return values, "", problems
+            return with_places(values), column.title, problems
+    return with_places(values), "", problems
+
+
+def _contradictions(path: Path, column: _Column) -> list[Problem]:
+    if not column.contradicted:
+        return []
+    found = f"several columns {column.title!r} with different values; the first is used"
+    return [Problem(path.name, "log-columns", found, "each column once", severity="warning")]
 
 
 def _recordings(flags: Sequence[str], times: Values) -> tuple[tuple[float, float], ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.errors import Problem
+from infrablend.formats.values import is_place
 
 Values = NDArray[np.float64]
 
@@ -145,6 +146,18 @@ def sample(log: FlightLog, at: Sequence[float], positions: Values | None = None)
         int(known.sum()), int(before.sum()), int(after.sum()), int(in_gap.sum()), float(steps.max(initial=0.0))
     )
     return Sampled(values, captured, coverage)
+
+
+def with_places(values: Mapping[str, Values]) -> dict[str, Values]:
+    """Return the values of a log without latitudes and longitudes that are no places; see `is_place`."""
+    latitude, longitude = values.get("latitude_deg"), values.get("longitude_deg")
+    if latitude is None or longitude is None:
+        return {**values}
+    known = np.array([is_place(a, b) for a, b in zip(latitude.tolist(), longitude.tolist(), strict=True)], np.bool_)
+    if not known.any():
+        return {k: v for k, v in values.items() if k not in ("latitude_deg", "longitude_deg")}
+    places = {"latitude_deg": np.where(known, latitude, np.nan), "longitude_deg": np.where(known, longitude, np.nan)}
+    return {**values, **places}
 
 
 def in_order(values: Sequence[float] | Values) -> NDArray[np.bool_]:

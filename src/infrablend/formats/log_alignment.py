@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order
 from infrablend.formats.video import Timeline
 
@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 _SAME_S, _SAME_SHARE = 2.5, 0.02
 # Subtitles may be longer than their video by this much, or this share.
 _LONGER_S, _LONGER_SHARE = 3.0, 0.05
+# Clocks are wrong by up to decades.
+_MOST_S = 4e9
 # Times of subtitles that differ more than this from those of the frames that they count are not used.
 _WRONG_S = 1.0
 
@@ -29,10 +31,18 @@ class Clock:
     Attributes:
         offset_s: Seconds to add to the video's time to get the log's time.
         log_start_s: Seconds since the log's start at which the video starts; None to find it.
+
+    Raises:
+        ArgumentError: A value is not finite, or longer than any clock is wrong.
     """
 
     offset_s: float = 0.0
     log_start_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("offset", self.offset_s), ("log start", self.log_start_s or 0.0)):
+            if not abs(value) <= _MOST_S:
+                raise ArgumentError(f"{name} {value:g} s: expected at most {_MOST_S:g} s")
 
 
 NO_CLOCK = Clock()
@@ -88,8 +98,8 @@ def _subtitles(log: FlightLog, timeline: Timeline, offset_s: float) -> Aligned:
             times = timeline.times_s[frames[(frames >= 0) & (frames < count)]]
             off = np.abs(times - log.times_s[kept])
             problems = _left_out(log, kept)
-            if off.size and np.median(off) > _WRONG_S:
-                found = f"times up to {off.max():.1f} s away from those of the frames that they count"
+            if np.isfinite(off).any() and np.nanmedian(off) > _WRONG_S:
+                found = f"times up to {np.nanmax(off):.1f} s away from those of the frames that they count"
                 todo = "the frames' times are used"
                 problems.append(Problem(log.name, "log-times", found, "the video's times", todo, "warning"))
             return Aligned(_select(log, kept, times - offset_s), "frame numbers", tuple(problems))

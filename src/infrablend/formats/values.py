@@ -49,3 +49,9 @@ def number_text(value: float) -> str:
     """Return a coordinate as text, with up to eight decimals and none for whole numbers."""
     text = f"{value:.8f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
+
+
+def is_place(latitude_deg: float, longitude_deg: float) -> bool:
+    """Return whether two numbers are a place on Earth; 0, 0 is what devices write that have not found theirs yet."""
+    known = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180
+    return known and (latitude_deg != 0 or longitude_deg != 0)

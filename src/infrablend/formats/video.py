@@ -17,6 +17,10 @@ from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats.pictures import MAX_PIXELS
 
 SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lrv", ".lrf")
+# Containers of video. FFmpeg also knows playlists, which open other files and addresses.
+_CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,flv,asf,mxf,ogg,nut,ivf,mjpeg,wav"
+# Formats with interleaved planes, and those with the same values in planes of their own.
+_PLANES = {"nv12": "yuv420p", "nv21": "yuv420p", "yuyv422": "yuv422p", "uyvy422": "yuv422p"}
 # Encoders of grey pictures leave the colour planes at their middle, give or take rounding.
 _NEUTRAL = 2
 
@@ -132,7 +136,8 @@ class Video:
         if not path.is_file():
             raise _refuse(path, "video-missing", "no such file", "a video file", "check the path")
         try:
-            container = self._av.open(str(path), mode="r")
+            options = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file"}
+            container = self._av.open(str(path), mode="r", options=options)
         except (self._av.error.FFmpegError, ValueError, OSError) as error:
             found = f"cannot be opened ({_reason(error)})"
             todo = "copy the file from the card again: a truncated MP4 lacks the index at its end"
@@ -234,11 +239,14 @@ class Video:
 
 
 def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Return a picture without loss: grey as grey, more than 8 bits as 16, other colour as RGB.
+    """Return a picture without loss: grey as grey, more than 8 bits as 16, other colour as 8-bit RGB.
 
     Grey in a colour format is its luminance; the narrow range of video (16 to 235) is spread to 0 to 255.
     """
     name = str(picture.format.name)
+    planes = _PLANES.get(name, name.removesuffix("be") + "le" if name.startswith("yuv") and name.endswith("be") else "")
+    if planes:
+        name, picture = planes, picture.reformat(format=planes)
     if name.startswith("gray"):
         levels: NDArray[Any] = picture.to_ndarray()
         return np.ascontiguousarray(levels)
@@ -253,6 +261,10 @@ def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
             if bits > 8:
                 return luminance.astype(np.uint16)
             return luminance.astype(np.uint8) if full else _FULL_RANGE[luminance]
+    if max((int(c.bits) for c in picture.format.components), default=8) > 8 and not planar:
+        deep: NDArray[np.uint16] = picture.to_ndarray(format="rgb48le")
+        if (deep[..., 0] == deep[..., 1]).all() and (deep[..., 0] == deep[..., 2]).all():
+            return np.ascontiguousarray(deep[..., 0])
     colour: NDArray[np.uint8] = picture.to_ndarray(format="rgb24")
     if (colour[..., 0] == colour[..., 1]).all() and (colour[..., 0] == colour[..., 2]).all():
         return np.ascontiguousarray(colour[..., 0])

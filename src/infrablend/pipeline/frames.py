@@ -78,6 +78,8 @@ class FrameChoice:
         if match is None or (match[2][0] == "f" and "." in match[1]):
             raise ArgumentError(f"every {self.every!r}: expected a step such as 2s, 500ms or 60f (frames)")
         number = float(match[1])
+        if not math.isfinite(number):
+            raise ArgumentError(f"every {self.every[:20]!r}...: expected a shorter step")
         return (number, True) if match[2][0] == "f" else (number / (1000 if match[2] == "ms" else 1), False)
 
     def seconds(self, name: str) -> float:

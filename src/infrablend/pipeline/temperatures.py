@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.file_names import distinct_names, file_name
+from infrablend.core.file_names import distinct_names, file_name, leaves
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.tasks import OnProgress, paced
-from infrablend.core.temperature import TemperatureScale
+from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_files
 from infrablend.formats.images import png_bytes
@@ -37,6 +37,8 @@ _CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 _SPOT = re.compile(r"(.+):(\d+),(\d+)=([-+]?\d+(?:\.\d+)?)", re.ASCII)
 # Half the side of the square around a spot whose median count is taken, px.
 _SPOT_REACH = 1
+_FULL = 65_535
+_MOST_SPOT_C = 3_000.0
 _COUNTS_ALONE = "counts without a scale"
 
 
@@ -64,7 +66,49 @@ class Spot:
         match = _SPOT.fullmatch(text.strip())
         if match is None:
             raise ArgumentError(f"spot {text!r}: expected FILE:X,Y=DEGREES, e.g. DJI_0001_T.JPG:320,256=21.5")
+        if not -ZERO_C_K < float(match[4]) < _MOST_SPOT_C:
+            raise ArgumentError(f"spot {text!r}: expected a temperature from {-ZERO_C_K:g} to {_MOST_SPOT_C:g}")
         return cls(match[1], (int(match[2]), int(match[3])), float(match[4]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """A radiometric layer as it is written.
+
+    Attributes:
+        levels: (h, w) 16-bit pixels.
+        scale: Their scale; None for counts alone.
+        source: Where the scale comes from.
+        unfit: Number of pixels without a temperature, or with one that 16 bits do not hold.
+    """
+
+    levels: NDArray[np.uint16]
+    scale: TemperatureScale | None
+    source: str
+    unfit: int = 0
+
+    @property
+    def kelvin(self) -> NDArray[np.float64]:
+        """The temperatures of a layer with a scale, kelvin, as one row without what does not fit."""
+        assert self.scale is not None
+        fitting = self.levels[(self.levels > 0) & (self.levels < _FULL)] if self.unfit else self.levels
+        return self.scale.kelvin(fitting.ravel())
+
+    @classmethod
+    def of_kelvin(cls, kelvin: NDArray[np.float64], source: str) -> _Layer:
+        """Return a layer in centikelvin; what does not fit becomes 0 or 65535."""
+        unfit = int((~(kelvin < _FULL * _CENTIKELVIN.slope_k)).sum())
+        return cls(_CENTIKELVIN.counts(np.nan_to_num(kelvin, nan=0.0)), _CENTIKELVIN, source, unfit)
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What is known of a layer that was written: its record, its range and median in kelvin, and its unfit pixels."""
+
+    record: ImageRecord
+    range_k: tuple[float, float] | None
+    implausible_k: float | None
+    unfit: int
 
 
 @dataclass(frozen=True)
@@ -91,6 +135,8 @@ class CountScale:
     def __post_init__(self) -> None:
         if (self.slope_k is None) != (self.offset_k is None):
             raise ArgumentError("slope and offset: found one of them, expected both, or neither")
+        if self.slope_k is not None and self.slope_k < 0:
+            raise ArgumentError(f"slope {self.slope_k:g}: found a negative one; DJI's counts rise with temperature")
         if sum((self.slope_k is not None, bool(self.spots), self.converted is not None)) > 1:
             raise ArgumentError("slope and offset, spots, converted: found several, expected one source of the scale")
         if (self.converted is None) != (self.unit is None):
@@ -156,28 +202,29 @@ def extract_temperatures(
     folder.require_usable(overwrite)
     stated = _stated_scale(dataset, scale)
     problems: list[Problem] = []
-    images, ranges = [], []
+    layers: list[_Written] = []
+    stems = Counter(i.path.stem for i in dataset.images)
     names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
     tell = paced(on_progress)
     with folder.writing({"source": str(dataset.root)}, overwrite):
         for k, (image, name) in enumerate(zip(dataset.images, names, strict=True)):
             try:
-                written = _write(image, f"{name}.png", out, scale, stated)
+                raw = read_temperatures(image.path)
+                layer = _layer(raw, image, scale, stated, unique=stems[image.path.stem] == 1)
+                layers.append(_write(raw, layer, image, f"{name}.png", out))
             except DatasetError as error:
                 problems += error.problems
-            else:
-                images.append(written[0])
-                ranges += [written[1]] if written[1] is not None else []
             if tell is not None:
                 tell(k + 1, len(dataset.images))
+        images = [w.record for w in layers]
         if not images:
-            raise DatasetError(f"{dataset.root}: no radiometric layer in {len(dataset.images)} picture(s)", problems)
+            raise DatasetError(f"{dataset.root}: no temperatures in {len(dataset.images)} picture(s)", problems)
         for split, text in coco_files(images, ())[0].items():
             write_text(out / "annotations" / f"instances_{split}", text)
         scales = Counter(_scale_text(i) for i in images)
-        problems += _remarks(dataset, images) + folder.problems()
-        lowest = min((low for low, _ in ranges), default=None)
-        span = None if lowest is None else (lowest, max(high for _, high in ranges))
+        problems += _remarks(dataset, layers) + folder.problems()
+        ranges = [w.range_k for w in layers if w.range_k is not None]
+        span = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
         report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, tuple(problems))
         folder.finish({"source": str(dataset.root)}, report.to_json())
     return report
@@ -205,14 +252,10 @@ def _count_at(dataset: Dataset, spot: Spot) -> tuple[float, float]:
     return float(np.median(near)), spot.celsius + ZERO_C_K
 
 
-def _write(
-    image: ImageRecord, name: str, out: Path, given: CountScale, stated: TemperatureScale | None
-) -> tuple[ImageRecord, tuple[float, float] | None]:
-    """Write one layer; return its record and its range in kelvin."""
-    raw = read_temperatures(image.path)
-    pixels, scale, source = _levels(raw, image, given, stated)
-    path = write_bytes(out / "images" / image.split / name, png_bytes(pixels))
-    h, w = pixels.shape
+def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, out: Path) -> _Written:
+    """Write one layer; return what is known of it."""
+    path = write_bytes(out / "images" / image.split / name, png_bytes(layer.levels))
+    h, w = layer.levels.shape
     hfov = image.hfov_deg
     if hfov is not None and image.path.suffix.lower() in (".jpg", ".jpeg"):
         facts = read_facts(image.path)
@@ -220,37 +263,52 @@ def _write(
         hfov = zoomed(hfov, 1 / facts.zoom) if facts.value("hfov_deg") == hfov else hfov
     record = replace(
         image, path=path, file_name=name, size_wh=(w, h), instances=(), hfov_deg=hfov,
-        radiometry=raw.facts(scale, source),
+        radiometry=raw.facts(layer.scale, layer.source),
     )  # fmt: skip
-    span = (
-        None if scale is None else tuple(sorted(float(v) for v in scale.kelvin(np.array([pixels.min(), pixels.max()]))))
-    )
-    return record, None if span is None else (span[0], span[1])
+    if layer.scale is None or not layer.kelvin.size:
+        return _Written(record, None, None, layer.unfit)
+    kelvin = layer.kelvin
+    span = float(kelvin.min()), float(kelvin.max())
+    return _Written(record, span, implausible_median(kelvin), layer.unfit)
 
 
-def _levels(
-    raw: RawTemperatures, image: ImageRecord, given: CountScale, stated: TemperatureScale | None
-) -> tuple[NDArray[np.uint16], TemperatureScale | None, str]:
-    """Return the 16-bit pixels to write, their scale, and where that comes from."""
+def _layer(
+    raw: RawTemperatures, image: ImageRecord, given: CountScale, stated: TemperatureScale | None, *, unique: bool
+) -> _Layer:
+    """Return the layer to write; `unique` says that no other picture has the name of this one."""
     kelvin = raw.apparent_k
     if kelvin is not None:
-        # Counts that no black body gives are colder than anything that the camera shows.
-        return _CENTIKELVIN.counts(np.nan_to_num(kelvin, nan=0.0)), _CENTIKELVIN, "FLIR's Planck constants"
+        return _Layer.of_kelvin(kelvin, "FLIR's Planck constants")
     if given.converted is not None and given.unit is not None:
-        path = next(
-            (p for s in (".tif", ".tiff", ".TIF", ".TIFF") if (p := given.converted / (image.path.stem + s)).is_file()),
-            None,
-        )
-        if path is None:
-            found = f"no {image.path.stem}.tif in {given.converted}"
-            raise DatasetError(
-                found, [Problem(image.name, "raw-missing", found, "a TIFF per picture", "convert it too")]
-            )
-        converted = read_converted(path, given.unit)
-        return _CENTIKELVIN.counts(np.nan_to_num(converted, nan=0.0)), _CENTIKELVIN, "converted by another program"
+        h, w = raw.counts.shape
+        path = _converted_file(image, given.converted, unique=unique)
+        return _Layer.of_kelvin(read_converted(path, given.unit, (w, h)), "converted by another program")
     if stated is not None:
-        return raw.counts, stated, "fitted to stated temperatures" if given.spots else "stated"
-    return raw.counts, None, "none"
+        return _Layer(raw.counts, stated, "fitted to stated temperatures" if given.spots else "stated")
+    return _Layer(raw.counts, None, "none")
+
+
+def _converted_file(image: ImageRecord, folder: Path, *, unique: bool) -> Path:
+    """Return the converted file of a picture: in the same folder below `folder`, or else in `folder` itself.
+
+    Raises:
+        DatasetError: There is none, or it could be that of another picture of the same name.
+    """
+    relative = PurePosixPath(image.name)
+    own = not leaves(image.name) and (len(relative.parts) > 1 or unique)
+    if own and (path := _tiff(folder / relative.parent, relative.stem)) is not None:
+        return path
+    if unique and (path := _tiff(folder, image.path.stem)) is not None:
+        return path
+    found = f"no {relative.with_suffix('.tif')} in {folder}"
+    if not unique:
+        found += ", and other pictures have the same name without the folder"
+    todo = "convert it too" if unique else "keep the folders of the pictures when converting them"
+    raise DatasetError(found, [Problem(image.name, "raw-missing", found, "a TIFF per picture", todo)])
+
+
+def _tiff(folder: Path, stem: str) -> Path | None:
+    return next((p for s in (".tif", ".tiff", ".TIF", ".TIFF") if (p := folder / (stem + s)).is_file()), None)
 
 
 def _scale_text(image: ImageRecord) -> str:
@@ -258,15 +316,36 @@ def _scale_text(image: ImageRecord) -> str:
     return _COUNTS_ALONE if known is None or known.scale is None else f"{known.scale.describe()} ({known.source})"
 
 
-def _remarks(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
+def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
     where, problems = dataset.root.name, []
-    alone = sum(_scale_text(i) == _COUNTS_ALONE for i in images)
+    alone = [w for w in layers if _scale_text(w.record) == _COUNTS_ALONE]
     if alone:
-        found = f"{alone} of {len(images)} layers are only counts: DJI does not publish how to convert them"
+        makers = {w.record.extra.get("camera", "") for w in alone}
+        why = "the files lack the constants of their conversion"
+        if any(str(m).upper().startswith("DJI") for m in makers) or makers == {""}:
+            why = "DJI does not publish how to convert them"
+        found = f"{len(alone)} of {len(layers)} layers are only counts: {why}"
         todo = "give --slope and --offset, two --spot temperatures, or --converted files, if you need temperatures"
         problems.append(Problem(where, "counts-only", found, "a scale from counts to kelvin", todo, "warning"))
+    hot = [w.implausible_k for w in layers if w.implausible_k is not None]
+    if hot:
+        found = f"{len(hot)} of {len(layers)} picture(s) with a median of {_span(hot)} degrees Celsius"
+        todo = "check the unit, the slope and the offset"
+        problems.append(Problem(where, "temperature-implausible", found, describe_plausible(), todo, "warning"))
+    unfit = [w for w in layers if w.unfit]
+    if unfit:
+        found = f"{sum(w.unfit for w in unfit)} pixel(s) of {len(unfit)} picture(s) without a temperature below 655 K"
+        expected = "temperatures that fit into 16 bits in centikelvin; others are 0 or 65535"
+        problems.append(Problem(where, "temperature-clipped", found, expected, severity="warning"))
     labels = sum(len(i.instances) for i in dataset.images)
     if labels:
         found = f"{labels} label(s) of the pictures not carried over: the layer's size and zoom are its own"
         problems.append(Problem(where, "labels-dropped", found, "pictures without labels", severity="warning"))
     return problems
+
+
+def _span(kelvin: Iterable[float]) -> str:
+    """Return a range of temperatures in degrees Celsius as a text."""
+    celsius = sorted(k - ZERO_C_K for k in kelvin)
+    low, high = f"{celsius[0]:,.1f}", f"{celsius[-1]:,.1f}"
+    return low if low == high else f"{low} to {high}"

@@ -64,4 +64,7 @@ def time_of(captured: str | None) -> datetime | None:
         when = datetime.fromisoformat(captured)
     except ValueError:
         return None
-    return when if when.tzinfo is not None else None
+    try:
+        return when if when.tzinfo is not None and when.astimezone(UTC) else None
+    except OverflowError:  # the first or last hours that dates can express
+        return None

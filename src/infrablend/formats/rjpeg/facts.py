@@ -17,6 +17,7 @@ from infrablend.formats.rjpeg.exif import Exif, number, read_exif
 from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, read_header
 from infrablend.formats.rjpeg.xmp import Xmp, read_xmp
+from infrablend.formats.values import is_place
 
 FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
@@ -25,12 +26,25 @@ DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/
 _XMP_DATES = (("http://ns.adobe.com/xap/1.0/", "CreateDate"), ("http://ns.adobe.com/xap/1.0/", "ModifyDate"))
 # Below this pitch a laser that points along the camera's axis hits the ground too far away to give a height.
 _LEAST_LASER_PITCH_DEG = 15.0
+# DJI's range finders reach 3 km.
+_MOST_LASER_M = 5_000.0
 # A relative height below this is a drone that flew into a valley, or a barometer that drifted: no height over ground.
 _LEAST_ALTITUDE_M = 0.0
+_MOST_ALTITUDE_M = 1e5
+_NUMBER = re.compile(r"([+-]?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)(?:/(\d{1,15}))?", re.ASCII)
 _EXIF_DATE = re.compile(r"(\d{4})[:\-](\d\d)[:\-](\d\d)[ T](\d\d):(\d\d):(\d\d)", re.ASCII)
 # DJI's cameras end file names with the lens: wide, zoom, visible; T and R are thermal.
 _VISIBLE_NAME = re.compile(r"_([WZVS])(?:_\d+)?$", re.ASCII)
 _THERMAL_NAME = re.compile(r"_(T|R|IR|THRM)(?:_\d+)?$", re.ASCII)
+
+
+# Properties that are numbers; a text in one of them is a fault of the file.
+_NUMBERS = (
+    *((DJI, n) for n in ("GimbalPitchDegree", "GimbalRollDegree", "GimbalYawDegree", "RelativeAltitude")),
+    *((DJI, n) for n in ("LRFTargetDistance", "GpsLatitude", "GpsLongitude", "GpsLongtitude")),
+    (DJI, "CalibratedFocalLength"), (FLIR, "MAVRelativeAltitude"),
+)  # fmt: skip
+_PREFIXES = {DJI: "drone-dji", FLIR: "FLIR", PIX4D: "Camera"}
 
 
 @dataclass(frozen=True)
@@ -93,6 +107,10 @@ def read_facts(path: Path) -> CameraFacts:
     record = _camera_record(header, problems)
     raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if has_raw_layer(header) else ""
     facts: dict[str, Fact] = {}
+    for key in _NUMBERS:
+        if (text := xmp.values.get(key)) and _as_number(text) is None:
+            found = f"XMP {_PREFIXES[key[0]]}:{key[1]} {text[:40]!r}, left out"
+            problems.append(_warning(path, "flight-value", found, "a number"))
     for add in (_add_angles, _add_altitude):
         add(facts, exif, xmp, lambda *found: problems.append(_warning(path, *found)))
     _add_field_of_view(facts, exif, xmp, record, header.size_wh)
@@ -140,11 +158,18 @@ def _camera_record(header: JpegHeader, problems: list[Problem]) -> CameraRecord 
 def _xmp_number(xmp: Xmp, *names: tuple[str, str]) -> tuple[float, str] | None:
     """Return the first of these properties that is a number, with its tag."""
     for namespace, name in names:
-        found = number(xmp.values.get((namespace, name)))
+        found = _as_number(xmp.values.get((namespace, name)))
         if found is not None:
-            prefix = {DJI: "drone-dji", FLIR: "FLIR", PIX4D: "Camera"}[namespace]
-            return found, f"XMP {prefix}:{name}"
+            return found, f"XMP {_PREFIXES[namespace]}:{name}"
     return None
+
+
+def _as_number(text: str | None) -> float | None:
+    """Return the number in the text of a property, which may be a fraction such as `475/10`; None for anything else."""
+    match = _NUMBER.fullmatch(text) if text else None
+    if match is None or (match[2] is not None and not int(match[2])):
+        return None
+    return number(float(match[1]) / int(match[2] or 1))
 
 
 def _is_flir(exif: Exif) -> bool:
@@ -175,12 +200,15 @@ def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> N
     status = xmp.values.get((DJI, "LRFStatus"), "Normal")
     if laser is not None and laser[0] > 0 and status == "Normal" and pitch is not None:
         assert isinstance(pitch.value, float)
-        if pitch.value >= _LEAST_LASER_PITCH_DEG:
+        if laser[0] > _MOST_LASER_M:
+            found = f"{laser[1]} {laser[0]:g} m, left out"
+            warn("flight-laser", found, f"at most {_MOST_LASER_M:g} m")
+        elif pitch.value >= _LEAST_LASER_PITCH_DEG:
             height = laser[0] * math.sin(math.radians(pitch.value))
             facts["altitude_m"] = Fact(round(height, 3), f"{laser[1]} and pitch")
             return
     if relative is not None:
-        if _LEAST_ALTITUDE_M < relative[0] <= 1e5:
+        if _LEAST_ALTITUDE_M < relative[0] <= _MOST_ALTITUDE_M:
             facts["altitude_m"] = Fact(round(relative[0], 6), relative[1])
         else:
             found = f"{relative[1]} {relative[0]:g} m, left out"
@@ -191,7 +219,7 @@ def _add_field_of_view(
     facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, size_wh: tuple[int, int]
 ) -> None:
     pitch_um = lens.PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
-    calibrated = number(xmp.values.get((DJI, "CalibratedFocalLength")))
+    calibrated = _as_number(xmp.values.get((DJI, "CalibratedFocalLength")))
     if exif.focal_length_35mm is not None:
         fov, source = lens.fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"
     elif record is not None and record.hfov_deg is not None:
@@ -266,5 +294,5 @@ def _add_time_and_place(
     if exif.latitude_deg is not None and exif.longitude_deg is not None:
         facts["latitude_deg"] = Fact(exif.latitude_deg, "EXIF GPSLatitude")
         facts["longitude_deg"] = Fact(exif.longitude_deg, "EXIF GPSLongitude")
-    elif latitude is not None and longitude is not None and abs(latitude[0]) <= 90 and abs(longitude[0]) <= 180:
+    elif latitude is not None and longitude is not None and is_place(latitude[0], longitude[0]):
         facts["latitude_deg"], facts["longitude_deg"] = Fact(*latitude), Fact(*longitude)

@@ -11,7 +11,7 @@ import math
 import struct
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
@@ -38,6 +38,11 @@ _FLOATS = {
     "window_transmission": 0x34, "humidity": 0x3C, "r1": 0x58, "b": 0x5C, "f": 0x60, "alpha1": 0x70, "alpha2": 0x74,
     "beta1": 0x78, "beta2": 0x7C, "x": 0x80, "r2": 0x30C,
 }  # fmt: skip
+# Settings and what they can be; records that were never filled in contain zeros or NaN.
+_SETTINGS = {
+    "emissivity": (0.01, 1.0), "distance_m": (0.0, 1e5), "reflected_k": (100.0, 2000.0), "air_k": (100.0, 2000.0),
+    "humidity": (0.0, 1.0), "window_k": (100.0, 2000.0), "window_transmission": (0.01, 1.0),
+}  # fmt: skip
 _FIELD_OF_VIEW, _MODEL, _OFFSET, _DATE = 0x1B4, 0xD4, 0x308, 0x384
 
 
@@ -52,6 +57,7 @@ class CameraRecord:
         planck: Constants of the conversion.
         settings: Emissivity, distance and temperatures that the camera was set to.
         atmosphere: Constants of the atmosphere's transmission.
+        stated: Names of the settings that the record contains; the others have their usual values.
     """
 
     model: str
@@ -60,6 +66,7 @@ class CameraRecord:
     planck: Planck | None
     settings: ObjectSettings
     atmosphere: Atmosphere
+    stated: frozenset[str] = frozenset(f.name for f in fields(ObjectSettings))
 
 
 class FlirBlock:
@@ -100,22 +107,16 @@ class FlirBlock:
         values["o"] = float(struct.unpack_from(f"{order}i", data, _OFFSET)[0])
         fov = struct.unpack_from(f"{order}f", data, _FIELD_OF_VIEW)[0]
         date = _date(data, order)
-        settings = ObjectSettings(
-            emissivity=_within(values["emissivity"], 0.01, 1.0, 1.0),
-            distance_m=_within(values["distance_m"], 0.0, 1e5, 0.0),
-            reflected_k=_within(values["reflected_k"], 100.0, 2000.0, 293.15),
-            air_k=_within(values["air_k"], 100.0, 2000.0, 293.15),
-            humidity=_within(values["humidity"] / (100.0 if values["humidity"] > 2 else 1.0), 0.0, 1.0, 0.5),
-            window_k=_within(values["window_k"], 100.0, 2000.0, 293.15),
-            window_transmission=_within(values["window_transmission"], 0.01, 1.0, 1.0),
-        )
+        values["humidity"] /= 100.0 if values["humidity"] > 2 else 1.0
+        stated = {n: float(values[n]) for n, (low, high) in _SETTINGS.items() if low <= values[n] <= high}
         return CameraRecord(
             data[_MODEL : _MODEL + 32].split(b"\0")[0].decode("ascii", "replace").strip(" *"),
             float(fov) if math.isfinite(fov) and 0.1 <= fov < 170 else None,
             date,
             _planck(values),
-            settings,
+            ObjectSettings(**stated),
             _atmosphere(values),
+            frozenset(stated),
         )
 
     def counts(self) -> NDArray[np.uint16]:
@@ -198,10 +199,6 @@ def _in_order(header: JpegHeader) -> list[Segment]:
 
 def _byte_order(record: bytes) -> str:
     return ">" if struct.unpack_from(">H", record)[0] < 0x100 else "<"
-
-
-def _within(value: float, low: float, high: float, otherwise: float) -> float:
-    return float(value) if low <= value <= high else otherwise
 
 
 def _planck(values: Mapping[str, float]) -> Planck | None:

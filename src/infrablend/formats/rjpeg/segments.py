@@ -77,9 +77,14 @@ class JpegHeader:
         return b"".join(parts)
 
 
-def bad_file(path: Path, code: str, found: str, expected: str = "a JPEG file as the camera wrote it") -> DatasetError:
+def bad_file(
+    path: Path,
+    code: str,
+    found: str,
+    expected: str = "a JPEG file as the camera wrote it",
+    todo: str = "copy it from the card again, or remove it",
+) -> DatasetError:
     """Return the error for a faulty file."""
-    todo = "copy it from the card again, or remove it"
     return DatasetError(f"{path}: {found}", [Problem(path.name, code, found, expected, todo)])
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.temperature import Radiometry, TemperatureScale
-from infrablend.formats.pictures import open_picture
+from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
+from infrablend.errors import DatasetError
+from infrablend.formats.pictures import MAX_PIXELS, open_picture
 from infrablend.formats.rjpeg import dji
 from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, bad_file, read_header
@@ -19,6 +20,9 @@ CONVERTED_UNITS: dict[str, tuple[float, float]] = {
     "celsius": (1.0, 273.15), "kelvin": (1.0, 0.0), "decikelvin": (0.1, 0.0), "centikelvin": (0.01, 0.0),
 }  # fmt: skip
 """Units of other programs' files: kelvin per unit, and kelvin of 0."""
+
+
+_FACTS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +58,8 @@ class RawTemperatures:
         """Return a scale together with what the file states about the air and the objects."""
         if self.camera is None:
             return Radiometry(scale, source)
-        s = self.camera.settings
-        return Radiometry(scale, source, s.air_k, s.humidity, s.reflected_k, s.emissivity, s.distance_m)
+        stated = {n: getattr(self.camera.settings, n) for n in _FACTS if n in self.camera.stated}
+        return Radiometry(scale, source, **stated)
 
 
 def read_temperatures(path: Path) -> RawTemperatures:
@@ -95,26 +99,41 @@ def fit_scale(pairs: list[tuple[float, float]]) -> TemperatureScale:
     return TemperatureScale(float(slope), float(offset))
 
 
-def read_converted(path: Path, unit: str) -> NDArray[np.float64]:
-    """Return the temperatures, kelvin, of a TIFF file that another program wrote.
+def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the temperatures, kelvin, of a TIFF file that another program wrote; NaN where it has none.
 
     Args:
         path: A TIFF with one channel of floats or whole numbers.
         unit: `celsius`, `kelvin`, `decikelvin` or `centikelvin`.
+        layer_wh: Width and height of the radiometric layer; the file may have more or fewer pixels of the same scene.
 
     Raises:
-        DatasetError: The file cannot be read, or its values are no temperatures in that unit.
+        DatasetError: The file cannot be read, it shows another scene, or its values are no temperatures in that unit.
     """
+
+    def refuse(code: str, found: str, expected: str) -> DatasetError:
+        return bad_file(path, code, found, expected, "convert the picture again, or state the unit of the files")
+
     try:
         with open_picture(path, ("TIFF",)) as picture:
-            values = np.asarray(picture, np.float64)
+            pages = int(getattr(picture, "n_frames", 1))
+            too_large = picture.width * picture.height > MAX_PIXELS
+            values = None if pages != 1 or too_large else np.asarray(picture, np.float64)
     except Exception as error:  # Pillow raises what it likes on broken pictures
         found = f"no TIFF that can be read ({type(error).__name__})"
-        raise bad_file(path, "image-unreadable", found, "a TIFF with one temperature per pixel") from error
+        raise refuse("image-unreadable", found, "a TIFF with one temperature per pixel") from error
+    if values is None:
+        found = f"{pages} pages" if pages != 1 else f"more than {MAX_PIXELS} px"
+        raise refuse("image-frames" if pages != 1 else "image-too-large", found, "one picture of temperatures")
+    if values.ndim != 2:
+        raise refuse("image-mode", f"{values.shape[2]} channels", "one temperature per pixel")
+    if values.shape[1] * layer_wh[1] != values.shape[0] * layer_wh[0]:
+        found = f"{values.shape[1]}x{values.shape[0]} px, not of the shape of the layer of {layer_wh[0]}x{layer_wh[1]}"
+        raise refuse("raw-size", found, "the temperatures of the same picture, not cropped")
     slope, offset = CONVERTED_UNITS[unit]
     kelvin = values * slope + offset
-    finite = kelvin[np.isfinite(kelvin)] if kelvin.ndim == 2 else kelvin[:0]
-    if not finite.size or not 150 <= float(np.median(finite)) <= 1500:
-        middle = f"a median of {np.median(finite):.1f} K" if finite.size else f"an array of shape {values.shape}"
-        raise bad_file(path, "scale-malformed", f"{middle} in the unit {unit}", "temperatures of a scene in that unit")
+    kelvin[~(kelvin > 0)] = np.nan  # programs mark missing values with large negative numbers
+    median = implausible_median(kelvin)
+    if median is not None:
+        raise refuse("scale-malformed", f"a median of {median:.1f} K in the unit {unit}", describe_plausible())
     return np.asarray(kelvin)

@@ -50,9 +50,13 @@ def read_xmp(header: JpegHeader) -> Xmp:
     values: dict[Name, str] = {}
     packets = header.find(APP1, STANDARD)
     extended = header.find(APP1, EXTENDED)
-    if sum(s.length for s in (*packets, *extended)) > MAX_BYTES:
+    if sum(s.length for s in packets) > MAX_BYTES:
         found = f"more than {MAX_BYTES // 1024} KiB of XMP"
         return Xmp({}, (_warning(where, "xmp-too-large", found),))
+    if sum(s.length for s in extended) > MAX_BYTES:
+        found = f"more than {MAX_BYTES // 1024} KiB of extended XMP"
+        problems.append(_warning(where, "xmp-too-large", found))
+        extended = ()
     for segment in packets:
         _add(values, header.read([segment], skip=len(STANDARD)), where, problems)
     guid = values.get((_NOTE, "HasExtendedXMP"))

@@ -168,9 +168,9 @@ def test_a_scale_is_fitted_to_stated_temperatures() -> None:
 def test_other_programs_files_are_read_in_the_stated_unit(unit: str, value: float, tmp_path: Path) -> None:
     kind = np.uint16 if unit == "centikelvin" else np.float32
     Image.fromarray(np.full((4, 5), value, kind)).save(tmp_path / "a.tif")
-    assert read_converted(tmp_path / "a.tif", unit) == pytest.approx(np.full((4, 5), 293.15), abs=1e-4)
+    assert read_converted(tmp_path / "a.tif", unit, (5, 4)) == pytest.approx(np.full((4, 5), 293.15), abs=1e-4)
     with pytest.raises(DatasetError, match="decikelvin"):
-        read_converted(tmp_path / "a.tif", "decikelvin")
+        read_converted(tmp_path / "a.tif", "decikelvin", (5, 4))
 
 
 def test_the_scale_of_a_flir_layer_is_fine_enough() -> None:
