@@ -94,8 +94,9 @@ def attack(reference: Reference, case: str, disturbance: Disturbance, number: in
         shutil.rmtree(other, ignore_errors=True)
         read = fork_command(reader(out, other), lab, other, flat=scenario.flat)
         judge.ended(f"reader {k}", read)
-        if read.code in (0, 1) and left != reference.files and left:
-            differing = differences(left, reference.files)
+        whole = {k: v for k, v in left.items() if not k.startswith(scenario.working)}
+        if read.code in (0, 1) and whole != reference.files and left:
+            differing = differences(whole, reference.files)
             judge.found("silent loss", f"{reader(out, other)[1]} accepts unfinished output: {differing}")
     judge.unchanged_around()
     options = scenario.finishes[number % len(scenario.finishes)]

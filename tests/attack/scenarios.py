@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
 from tests.fuzzing import make_outside
 from tests.samples import SAMPLES, picture
@@ -37,6 +38,7 @@ class Scenario:
         left_out: Beginnings of paths in the output that may differ between equal calls.
         trained: Whether the output depends on weights that the command trains.
         share: Share of the kills.
+        working: Beginnings of paths that a finished output may still contain: the command deletes them last.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Scenario:
     left_out: tuple[str, ...] = ("log/", "train.log", ".files.jsonl")
     trained: bool = False
     share: float = 0.1
+    working: tuple[str, ...] = ()
 
 
 def new_lab(root: Path, prepare: Callable[[Path], object]) -> Path:
@@ -267,6 +270,7 @@ SCENARIOS: dict[str, Scenario] = {
             (_evaluate,),
             share=0.03,
             trained=True,
+            working=tuple(WORKING_FILES),
         ),
     )
 }  # fmt: skip

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import metadata
 from io import BytesIO
 from pathlib import Path
@@ -75,11 +75,30 @@ def plan_train(data: Path, *, out: Path | None = None, existing="refuse", **requ
 SMOKE = {"preset": "smoke", "weights": "scratch", "device": "cpu"}
 
 
-def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path):
+def without_end(record: dict[str, Any]) -> dict[str, Any]:
+    """The record as it was when the trainer was started."""
+    ends = {"epochs_done", "passes", "seconds", "losses", "gate", "precision", "threads", "versions", "batch", "note"}
+    return {k: v for k, v in record.items() if k not in ends} | {"status": "running", "sessions": []}
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in record.items() if k not in ("seconds", "sessions")}
+
+
+def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
-    report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
+    with monkeypatch.context() as patch:
+        patch.setattr(process, "remove_working_files", lambda out: None)
+        report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
     record = json.loads((tmp_path / "out" / "train.json").read_text())
+    assert record["losses"]
+    # Killed after the last epoch, before the record was finished: the checkpoint has all that the record needs.
+    (tmp_path / "out" / "train.json").write_text(json.dumps(without_end(record)))
+    train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
+    resumed = json.loads((tmp_path / "out" / "train.json").read_text())
+    assert without_times(resumed) == without_times(record)
+    record = resumed
     assert report.weights.stat().st_size > 1_000_000
     assert record["status"] == "complete"
     assert record["start"]["kind"] == "scratch"
@@ -147,6 +166,12 @@ def test_stopped_training_resumes_from_its_last_epoch(ultralytics, tmp_path):
     assert record["status"] == "complete"
     assert record["epochs_done"] == 3
     assert [s["end"] for s in record["sessions"]] == ["stopped", "end"]
+
+
+def test_a_trainer_without_its_parent_ends_before_it_writes(tmp_path):
+    command = [sys.executable, "-m", "infrablend.training.trainer", "1", str(tmp_path / "job.json")]
+    assert subprocess.run(command, timeout=60, check=False).returncode == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_gate_stops_where_ultralytics_would_drop_a_label(ultralytics, tmp_path):
@@ -331,7 +356,7 @@ def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
 
 
 END = {"event": "end", "epochs": 1, "precision": "float32", "batch": 3, "short_of_memory": False, "threads": 1,
-       "versions": {}}  # fmt: skip
+       "versions": {}, "gate": {}, "losses": {}}  # fmt: skip
 
 
 def test_interruption_after_the_last_task_has_no_effect(tmp_path, monkeypatch):
@@ -411,21 +436,24 @@ def test_resuming_needs_the_same_data_but_not_the_same_path(tmp_path, monkeypatc
         train(data, out, existing="resume", **SMOKE)
 
 
-def test_damaged_checkpoint_is_moved_away(ultralytics, tmp_path):
+def test_a_checkpoint_contains_the_progress_and_is_moved_away_if_damaged(ultralytics, tmp_path):
     import torch
 
     said = []
     checkpoint = tmp_path / "checkpoint.pt"
-    assert trainer._finished_epochs(checkpoint, torch, None) == 0
+    assert trainer._last_checkpoint(checkpoint, torch, None).epochs == 0
     torch.save({"epoch": 4}, checkpoint)
-    assert trainer._finished_epochs(checkpoint, torch, None) == 5
+    assert trainer._last_checkpoint(checkpoint, torch, None).epochs == 5
+    reached = trainer.Reached(5, True, {"images": 8}, {"box_loss": 0.5}, 4)
+    torch.save({"epoch": 4, trainer.REACHED: asdict(reached)}, checkpoint)
+    assert trainer._last_checkpoint(checkpoint, torch, None) == reached
     whole = checkpoint.read_bytes()
     (tmp_path / "run").mkdir()
     for broken in (b"", whole[: len(whole) // 2], b"no checkpoint"):
         checkpoint.write_bytes(broken)
         assert (
-            trainer._finished_epochs(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"])))
-            == 0
+            trainer._last_checkpoint(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"])))
+            == trainer.Reached()
         )
         assert (tmp_path / trainer.DAMAGED).read_bytes() == broken
         assert not checkpoint.exists()

@@ -28,6 +28,7 @@ from typing import Any
 
 import psutil
 
+from infrablend.core.parent_process import die_with_parent
 from infrablend.core.tasks import Failure, Task, WorkerSpec
 from infrablend.errors import InfraBlendError
 
@@ -40,8 +41,6 @@ ONE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "OPENCV_FOR_THREADS_NUM": "1",
 }
-
-_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
@@ -110,16 +109,6 @@ def _ignore_signals() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
-def _die_with_parent(parent_pid: int) -> None:
-    """Ask Linux to kill this process when its parent ends, even while C code holds Python's lock."""
-    if sys.platform != "linux":
-        return
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent_pid:  # the parent ended before the request
-        os._exit(1)
-
-
 def _exit_at_once(code: int) -> None:
     """End the process at once: bpy may hang or crash during the tear-down of Python or C."""
     with contextlib.suppress(Exception):
@@ -168,7 +157,7 @@ def main(fd: int) -> None:
     conn = Connection(fd)
     hello: StartMessage = conn.recv()
     if hello.die_with_parent:
-        _die_with_parent(hello.parent_pid)
+        die_with_parent(hello.parent_pid)
     logging.basicConfig(level=hello.log_level, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     inbox: queue.SimpleQueue[tuple[int, Task] | None] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(conn, inbox), daemon=True, name="inbox").start()

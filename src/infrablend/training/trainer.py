@@ -1,9 +1,9 @@
 """One training in a separate process, so that a crash, lack of memory or a stop does not affect the caller.
 
-    python -m infrablend.training.trainer JOB.json
+    python -m infrablend.training.trainer PARENT_PID JOB.json
 
-writes one JSON object per line to standard output: `gate` (what Ultralytics loaded), `step` (progress), `epoch`
-(losses), `damaged` (an unreadable checkpoint was moved away), `end`, or `error` with a code and a message.
+writes one JSON object per line to standard output: `step` (progress), `epoch` (losses), `damaged` (an unreadable
+checkpoint was moved away), `end`, or `error` with a code and a message.
 Ultralytics' own output goes to standard error.
 """
 
@@ -12,10 +12,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-import os
 import random
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -24,6 +22,7 @@ from typing import Any
 
 from infrablend.core.files import replace_atomically
 from infrablend.core.output import OutputFolder
+from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.training.scale import MARK
@@ -31,6 +30,8 @@ from infrablend.training.scale import MARK
 CHECKPOINT = "checkpoint.pt"
 DAMAGED = "checkpoint.damaged.pt"
 WEIGHTS = "weights.pt"
+REACHED = "infrablend_reached"
+"""Entry of a checkpoint with the progress, as the fields of `Reached`."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,27 @@ class Job:
     def write(self, path: Path) -> None:
         """Write the file that `main` reads."""
         path.write_text(json.dumps(asdict(self), indent=1, sort_keys=True), "utf-8")
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Progress of a training, which its checkpoint contains: a resumed training reports the same as an undisturbed one.
+
+    Attributes:
+        epochs: Number of finished epochs.
+        ended: Whether the training is finished, by the number of epochs or because val no longer improved.
+        gate: Numbers of images and labels that Ultralytics has loaded.
+        losses: Losses of the last epoch.
+        batch: Images per step.
+        short_of_memory: Whether the batch was reduced because memory was short.
+    """
+
+    epochs: int = 0
+    ended: bool = False
+    gate: dict[str, int] = field(default_factory=dict)
+    losses: dict[str, float] = field(default_factory=dict)
+    batch: int = 0
+    short_of_memory: bool = False
 
 
 class _IncompleteDataError(Exception):
@@ -135,8 +157,11 @@ def trainer_with_passes(base: Any, job: Job, begun: int) -> Any:
 
 def main(arguments: list[str]) -> int:
     """Train and return 0 for success or 1 for failure, as reported by the last line on standard output."""
-    job = Job(**json.loads(Path(arguments[0]).read_text("utf-8")))
-    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
+    parent_pid, job_file = arguments
+    # A trainer that outlived a killed command would write into the folder of the next one.
+    die_with_parent(int(parent_pid))
+    watch_parent(int(parent_pid))
+    job = Job(**json.loads(Path(job_file).read_text("utf-8")))
     out = sys.stdout
 
     def say(event: str, **facts: Any) -> None:
@@ -160,13 +185,6 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _exit_with_parent(parent: int) -> None:
-    """Exit once the parent process is gone, as nobody would use the result."""
-    while os.getppid() == parent:
-        time.sleep(1)
-    os._exit(1)
-
-
 def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
     configure_ultralytics(out / "ultralytics")
@@ -183,9 +201,9 @@ def _train(job: Job, say: Any) -> None:
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
     checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
-    begun = _finished_epochs(checkpoint, torch, say)
+    begun = _last_checkpoint(checkpoint, torch, say)
 
-    class Trainer(trainer_with_passes(base, job, begun)):  # type: ignore[misc]
+    class Trainer(trainer_with_passes(base, job, begun.epochs)):  # type: ignore[misc]
         """Ultralytics' trainer, with the memory layout that suits convolutions on a processor."""
 
         def set_model_attributes(self) -> None:
@@ -206,17 +224,19 @@ def _train(job: Job, say: Any) -> None:
     }  # fmt: skip
     if job.model.endswith(".yaml"):
         overrides["pretrained"] = False
-    if begun:
+    if begun.epochs:
         overrides["resume"] = str(checkpoint)
     trainer = Trainer(overrides=overrides)
     state = {"steps": 0, "next": 0.0}
+    loaded: dict[str, int] = {}
 
     def gate(t: Any) -> None:
         images, labels = _loaded(t.train_loader)
         shown = len(t.train_loader.sampler)
         val = _loaded(t.test_loader) if job.val_images else (0, 0)
-        say("gate", images=images, labels=labels, images_per_epoch=shown,
-            **({"val_images": val[0], "val_labels": val[1]} if job.val_images else {}))  # fmt: skip
+        loaded.update(images=images, labels=labels, images_per_epoch=shown)
+        if job.val_images:
+            loaded.update(val_images=val[0], val_labels=val[1])
         if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
             raise _IncompleteDataError(
                 f"of {job.images} images and {job.labels} labels the trainer would use "
@@ -248,10 +268,13 @@ def _train(job: Job, say: Any) -> None:
             say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.shown), losses=losses)
 
     def saved(t: Any) -> None:
+        losses = {k: round(float(v), 5) for k, v in (t.tloss or {}).items()}
+        batch = t.train_loader.batch_size
+        reached = Reached(t.epoch + 1, bool(t.stop), dict(loaded), losses, batch, t.batch_size != job.batch)
         with replace_atomically(checkpoint, beside=checkpoint.with_suffix(".new"), durable=True) as temporary:
-            temporary.write_bytes(t.last.read_bytes())
-        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=t.train_loader.batch_size,
-            losses={k: round(float(v), 5) for k, v in (t.tloss or {}).items()},
+            state_of_epoch = torch.load(t.last, map_location="cpu", weights_only=False)
+            torch.save({**state_of_epoch, REACHED: asdict(reached)}, temporary)
+        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=batch, losses=losses,
             metrics={k: round(float(v), 5) for k, v in (t.metrics or {}).items()} if job.patience else {})  # fmt: skip
 
     trainer.add_callback("on_pretrain_routine_end", gate)
@@ -263,20 +286,21 @@ def _train(job: Job, say: Any) -> None:
         if on_cpu and has_fast_bfloat16(torch):
             precision = "bfloat16"
             stack.enter_context(_bfloat16_forward(torch))
-        if begun < job.epochs:
+        if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
     best = out / "run" / "weights" / "best.pt"
     torch_utils.strip_optimizer(
         best if job.patience and best.is_file() else checkpoint,
         weights,
         updates={
-            MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc})
+            MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
+            REACHED: None,
         },
     )
-    loader = getattr(trainer, "train_loader", None)  # None if all epochs were done before
-    say("end", epochs=_epochs_done(checkpoint, torch), precision="amp" if not on_cpu else precision,
-        batch=min(trainer.batch_size, job.images) if loader is None else loader.batch_size,
-        short_of_memory=trainer.batch_size != job.batch, threads=torch.get_num_threads(),
+    reached = _read_checkpoint(checkpoint, torch)
+    say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
+        batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
+        precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
 
 
@@ -291,12 +315,12 @@ def _loaded(loader: Any) -> tuple[int, int]:
     return len(found), sum(len(label["cls"]) for label in found)
 
 
-def _finished_epochs(checkpoint: Path, torch: Any, say: Any) -> int:
-    """Return the number of finished epochs; move an unreadable checkpoint away and return 0."""
+def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
+    """Return the progress in the checkpoint; move an unreadable one away and return no progress."""
     if not checkpoint.is_file():
-        return 0
+        return Reached()
     try:
-        return _epochs_done(checkpoint, torch)
+        return _read_checkpoint(checkpoint, torch)
     except (MemoryError, ImportError):
         raise
     except Exception as error:  # unpickling can raise anything
@@ -304,11 +328,13 @@ def _finished_epochs(checkpoint: Path, torch: Any, say: Any) -> int:
         OutputFolder(checkpoint.parent, "training").remove(["run"])
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
         say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
-        return 0
+        return Reached()
 
 
-def _epochs_done(checkpoint: Path, torch: Any) -> int:
-    return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
+def _read_checkpoint(checkpoint: Path, torch: Any) -> Reached:
+    content = torch.load(checkpoint, map_location="cpu", weights_only=False)
+    known = content.get(REACHED) or {"epochs": int(content["epoch"]) + 1}  # earlier versions wrote the epoch only
+    return Reached(**known)
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
 import threading
@@ -56,7 +57,8 @@ def run_trainer(
             eta = (total - done) / pace if pace > 0 else None
             on_progress(Progress(done, total, pace, eta, {"epoch": event["epoch"]}))
 
-    code, stopped = watch([sys.executable, "-W", "ignore", "-m", trainer.__name__, str(out / JOB)], out / LOG, take)
+    command = [sys.executable, "-W", "ignore", "-m", trainer.__name__, str(os.getpid()), str(out / JOB)]
+    code, stopped = watch(command, out / LOG, take)
     # After the event `end` the weights are complete, and a stop has no effect.
     done = "end" in last and (code == 0 or stopped)
     session: dict[str, Any] = {"seconds": round(time.monotonic() - began, 1),
@@ -73,8 +75,8 @@ def run_trainer(
             "epochs_done": end["epochs"],
             "passes": end["epochs"] * shown,
             "seconds": round(sum(s["seconds"] for s in record["sessions"]), 1),
-            "losses": last.get("epoch", {}).get("losses", {}),
-            "gate": {k: v for k, v in last["gate"].items() if k != "event"} if "gate" in last else record.get("gate"),
+            "losses": end["losses"],
+            "gate": end["gate"],
         }
         if end["batch"] != preset.batch:
             why = "memory was short" if end["short_of_memory"] else f"there are {prepared['images']} images"
