@@ -93,12 +93,16 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
         file_type = "JPEG" if picture.format == "MPO" else str(picture.format)
         if file_type != "JPEG" and getattr(picture, "n_frames", 1) != 1:
             raise _refuse(path, "image-frames", f"{picture.n_frames} frames", "one picture", "split the file")
+        deep_colour = picture.mode in ("LA", "RGB", "RGBA") and _sixteen_bits(picture)
         try:
             picture.load()
         except Exception as error:  # OSError for truncation, but decoders raise SyntaxError, ValueError, zlib.error
             found = f"cannot be decoded: {error or type(error).__name__}"
             raise _refuse(path, "image-truncated", found, "a complete picture", "fetch it again") from error
         pixels, mode, problems = _grey(picture, path)
+        if deep_colour:
+            found, expected = "16-bit colour or alpha, read in 8 bits", "16-bit grey, or 8 bits"
+            problems.append(Problem(where, "image-depth", found, expected, severity="warning"))
         if _orientation(picture) != 1:
             found = "EXIF says the picture is turned; pixels are taken as stored"
             problems.append(Problem(where, "image-exif-turned", found, "no EXIF orientation", severity="warning"))
@@ -110,6 +114,11 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
         return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
+
+
+def _sixteen_bits(picture: Any) -> bool:
+    """Return whether a picture that is not decoded yet has 16 bits per channel in its file."""
+    return any(";16" in str(tile[-1]) for tile in picture.tile)
 
 
 def _orientation(picture: Any) -> Any:

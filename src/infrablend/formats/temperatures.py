@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import load_background
 from infrablend.formats.pictures import open_picture
 
 OPTIONS: Mapping[str, str] = {
@@ -18,6 +21,9 @@ OPTIONS: Mapping[str, str] = {
     "offset": "temperature of count 0 in kelvin, for the unit counts",
 }
 """Options that every reader takes: `--read unit=centikelvin`, or `data.unit` in a recipe."""
+
+IMPLAUSIBLE = "temperature-implausible"
+"""Code of the problem of temperatures that no scene has."""
 
 DEEP_SUFFIXES = (".png", ".tif", ".tiff")
 _LOOKED_AT = 4
@@ -87,14 +93,39 @@ def is_deep(image: ImageRecord) -> bool:
 
 
 def scale_warnings(dataset: Dataset) -> list[Problem]:
-    """Return a warning if 16-bit pictures have no temperature scale; only a few pictures are opened."""
-    bare = [i for i in dataset.images if i.radiometry is None]
-    looked_at = bare[:: max(1, len(bare) // _LOOKED_AT)][:_LOOKED_AT]
-    if not any(is_deep(i) for i in looked_at):
-        return []
+    """Return warnings if 16-bit pictures have no temperature scale or one that makes no sense; a few are opened."""
+    implausible = _implausible(dataset)
+    if not any(is_deep(i) for i in _some([i for i in dataset.images if i.radiometry is None])):
+        return implausible
     found = "16-bit pictures without a temperature scale: their levels are only counts"
     todo = "state it if it is known, with --read unit=centikelvin or data.unit in the recipe; unit=counts accepts them"
-    return [Problem(dataset.root.name, "image-counts", found, "a scale, for temperatures", todo, "warning")]
+    return [
+        *implausible,
+        Problem(dataset.root.name, "image-counts", found, "a scale, for temperatures", todo, "warning"),
+    ]
+
+
+def _some(images: Sequence[ImageRecord]) -> Sequence[ImageRecord]:
+    return images[:: max(1, len(images) // _LOOKED_AT)][:_LOOKED_AT]
+
+
+def _implausible(dataset: Dataset) -> list[Problem]:
+    """Return a warning if the medians of all pictures that are looked at are those of no scene."""
+    medians = []
+    for image in _some([i for i in dataset.images if i.radiometry is not None and i.radiometry.scale is not None]):
+        try:
+            pixels = load_background(image.path).pixels
+        except DatasetError:  # unreadable pictures are reported where they are read
+            continue
+        if pixels.dtype == np.uint16:
+            assert image.radiometry is not None and image.radiometry.scale is not None
+            medians.append(implausible_median(image.radiometry.scale.kelvin(pixels)))
+    wrong = [m for m in medians if m is not None]
+    if not wrong or len(wrong) < len(medians):
+        return []
+    found = f"temperatures of no scene: medians of {min(wrong):,.1f} to {max(wrong):,.1f} K in {len(wrong)} picture(s)"
+    todo = "check the unit, the slope and the offset: counts of another unit look like this"
+    return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(), todo, "warning")]
 
 
 def describe_scales(dataset: Dataset) -> dict[str, int]:

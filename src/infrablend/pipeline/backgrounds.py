@@ -10,8 +10,10 @@ import numpy as np
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import sha256_of
+from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
+from infrablend.formats.temperatures import IMPLAUSIBLE
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4
@@ -45,11 +47,11 @@ def require_thermal_levels(background: Background) -> None:
         raise DatasetError(f"{background.path}: no contrast", [problem])
 
 
-def require_temperatures(background: Background) -> None:
-    """Refuse a picture without 16 bits, which radiometric matching requires.
+def require_temperatures(background: Background, scale: TemperatureScale | None) -> None:
+    """Refuse a picture without temperatures of a scene in 16 bits, which radiometric matching requires.
 
     Raises:
-        DatasetError: The picture has 8 bits.
+        DatasetError: The picture has 8 bits, or no scene has the temperatures that its scale gives.
     """
     if background.bit_depth != 16:
         problem = Problem(
@@ -60,6 +62,16 @@ def require_temperatures(background: Background) -> None:
             "use the radiometric files of the camera, or leave matching.mode out",
         )
         raise DatasetError(f"{background.path}: no temperatures", [problem])
+    median = None if scale is None else implausible_median(scale.kelvin(background.pixels))
+    if median is not None:
+        problem = Problem(
+            background.path.name,
+            IMPLAUSIBLE,
+            f"temperatures of no scene: a median of {median:,.1f} K",
+            describe_plausible(),
+            "check the unit, the slope and the offset; leave the picture out if it is empty or saturated",
+        )
+        raise DatasetError(f"{background.path}: implausible temperatures", [problem])
 
 
 def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: Path) -> dict[str, Any]:

@@ -93,7 +93,8 @@ class FrameComposer:
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
         elif isinstance(recipe.matching, RadiometricMatching):
-            require_temperatures(background)
+            radiometry = frame.as_read.radiometry
+            require_temperatures(background, None if radiometry is None else radiometry.scale)
 
         # Scene: the objects, their places and temperatures.
         levels, rules = self._settings.levels, recipe.occlusion

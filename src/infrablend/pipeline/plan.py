@@ -22,6 +22,7 @@ from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.temperatures import IMPLAUSIBLE
 from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.models import ready_model
@@ -176,6 +177,9 @@ def make_plan(
         chosen = find_frames(selection.frames, dataset.images, names)
         of_chosen = {image for image, _ in chosen}
         images = [image for image in images if id(image) in of_chosen]
+    implausible = [replace(p, severity="error") for p in dataset.problems if p.code == IMPLAUSIBLE]
+    if implausible and isinstance(recipe.matching, RadiometricMatching):
+        raise DatasetError(f"{dataset.root}: temperatures that no scene has", implausible)
     problems = [*recipe_warnings, *dataset.problems, *turned]
     usable = []
     stands = all(model.stands for model in models.values())

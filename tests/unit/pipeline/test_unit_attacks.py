@@ -1,0 +1,101 @@
+"""16-bit pictures with a mistaken unit, without a scene, or in colour: said before anything is made of them."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from typer.testing import CliRunner
+
+from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.pipeline.record import read_record
+
+APP = build_app()
+SHAPE = (128, 160)
+
+
+def run(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(APP, ["-q", *(str(a) for a in arguments)], env={"COLUMNS": "300"})
+    assert result.exit_code == code, result.output
+    return " ".join(result.output.split())
+
+
+def centikelvin(seed: int = 0, level: float = 28_800.0) -> NDArray[np.uint16]:
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 400, SHAPE), (0, 0), 6)
+    return np.asarray(np.clip(level + noise, 0, 65_535), np.uint16)
+
+
+def data(folder: Path, *pictures: NDArray[np.uint16]) -> Path:
+    folder.mkdir()
+    for k, counts in enumerate(pictures):
+        Image.fromarray(counts).save(folder / f"{k}.png")
+    rows = [f"{k}.png,60,25,night,45" for k in range(len(pictures))]
+    (folder / "metadata.csv").write_text("\n".join(["file,pitch_deg,altitude_m,time_of_day,hfov_deg", *rows]))
+    return folder
+
+
+def scale(*values: str) -> list[str]:
+    return [w for v in values for w in ("--set", f"data.{v}")]
+
+
+@pytest.mark.parametrize(
+    ("values", "medians"),
+    [
+        (("unit=decikelvin",), "2,8"),
+        (("unit=counts", "slope=0.04", "offset=0"), "1,15"),
+        (("unit=counts", "slope=0.001", "offset=0"), "28.8"),
+        (("unit=counts", "slope=0.01", "offset=-1000"), "-712"),
+    ],
+)
+def test_a_mistaken_unit_is_refused_before_anything_is_made(
+    values: tuple[str, ...], medians: str, tmp_path: Path
+) -> None:
+    source = data(tmp_path / "in", centikelvin(0), centikelvin(1))
+    options = ["--set", "matching.mode=radiometric", "--set", "labels.mode=new", *scale(*values)]
+    text = run("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
+    assert f"temperatures of no scene: medians of {medians}" in text and "check the unit" in text.lower()
+    assert not (tmp_path / "out").exists()
+    read = [w for v in values for w in ("--read", v)]
+    for command in ("inspect", "check"):
+        assert "temperatures of no scene" in run(command, source, *read)
+
+
+@pytest.mark.parametrize("level", [0, 65_535])
+def test_an_empty_picture_fails_alone(level: int, tmp_path: Path) -> None:
+    source = data(tmp_path / "in", centikelvin(0), np.full(SHAPE, level, np.uint16))
+    fields = {
+        "matching.mode": "radiometric", "data.unit": "centikelvin", "environment.air_temperature_c": 12.0,
+        "camera.calibrate": False, "empty_share": 1.0,
+    }  # fmt: skip
+    execution = api.Execution(renderer="flat", in_process=True)
+    result = api.generate("hit-uav-car", source, tmp_path / "out", settings=fields, execution=execution)
+    assert len([r for p in (tmp_path / "out/scenes").rglob("*.json") if (r := read_record(p)) is not None]) == 1
+    assert [p.code for p in result.problems if p.severity == "error"] == ["temperature-implausible"]
+
+
+def png(samples: NDArray[np.uint16], kind: int) -> bytes:
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return len(body).to_bytes(4, "big") + name + body + zlib.crc32(name + body).to_bytes(4, "big")
+
+    head = SHAPE[1].to_bytes(4, "big") + SHAPE[0].to_bytes(4, "big") + bytes((16, kind, 0, 0, 0))
+    lines = b"".join(b"\0" + row.astype(">u2").tobytes() for row in samples)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(("channels", "kind"), [(2, 4), (3, 2), (4, 6)])
+def test_16_bit_colour_is_not_cut_to_8_bits_in_silence(channels: int, kind: int, tmp_path: Path) -> None:
+    counts = centikelvin()
+    layers: list[Any] = [counts] * channels
+    if channels in (2, 4):
+        layers[-1] = np.full_like(counts, 65_535)
+    source = tmp_path / "in"
+    source.mkdir()
+    (source / "a.png").write_bytes(png(np.stack(layers, 2), kind))
+    assert "16-bit colour or alpha, read in 8 bits" in run("check", source)
