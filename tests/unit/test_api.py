@@ -28,7 +28,8 @@ def test_the_examples_in_the_docstrings_run(
     write_tiny_hit_uav(tmp_path / "hit-uav")
     finder = doctest.DocTestFinder()
     modules = [import_module(f"infrablend.api.{m.name}") for m in pkgutil.iter_modules(api.__path__)]
-    examples = [t for m in modules for t in finder.find(m, globs=vars(api).copy()) if t.examples]
+    names = {name: getattr(api, name) for name in api.__all__}
+    examples = [t for m in modules for t in finder.find(m, globs=names.copy()) if t.examples]
     assert len(examples) >= 8
     runner = doctest.DocTestRunner()
     for example in examples:

@@ -12,15 +12,14 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.compare_objects import ComparisonRequest, RealismReport, Time, compare
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
-from infrablend.report.realism_page import add_to_page
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.compare_objects import RealismReport, Time
     from infrablend.report.preview import Draw
 
 
@@ -131,6 +130,8 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
         execution: Worker processes; `in_process` only for runs made with the flat renderer.
         on_progress: Called after each picture.
     """
+    from infrablend.pipeline.compare_objects import ComparisonRequest, compare
+
     folder = Path(run) / "realism" if out is None else Path(out)
     request = ComparisonRequest(
         categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
@@ -147,4 +148,6 @@ def realism_page(report: RealismReport, out: str | Path) -> Path:
         report: What `realism` returned.
         out: Folder of `realism.md`, `realism.json` and the charts; created if it is missing.
     """
+    from infrablend.report.realism_page import add_to_page
+
     return add_to_page(report.facts, Path(out))

@@ -30,6 +30,7 @@ from infrablend.cli import (
     split,
     temperatures,
     train,
+    try_recipe,
     world,
 )
 from infrablend.cli.session import open_session
@@ -103,6 +104,7 @@ def build_app() -> typer.Typer:
     )
     app.callback()(_root)
     app.command("generate")(generate.generate)
+    app.command("try")(try_recipe.try_recipe)
     app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)
     app.command("profile")(profile.profile)

@@ -7,8 +7,9 @@ import ctypes
 import os
 import sys
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -55,6 +56,40 @@ class Serial:
                     yield TaskResult(task.key, value, failure, 1, seconds, 0, int(process.memory_info().rss))
             finally:
                 close_callable(work)
+
+
+class WarmSerial:
+    """`WarmPool` without worker processes: the callable is created with the first task and kept between calls."""
+
+    def __init__(self, worker: WorkerSpec) -> None:
+        """Keep the worker's recipe."""
+        self._worker = worker
+        self._work: Callable[[Task], Any] | None = None
+
+    def start(self, workers: int = 1) -> None:
+        """Create the callable."""
+        if self._work is None:
+            self._work = make_callable(self._worker)
+
+    def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
+        """Run tasks in their order and yield their results."""
+        self.start()
+        assert self._work is not None
+        for task in tasks:
+            begun = time.monotonic()
+            value, failure = None, None
+            try:
+                with _stdout_to(None):
+                    value = self._work(task)
+            except Exception as e:
+                failure = failure_of(e)
+            yield TaskResult(task.key, value, failure, 1, time.monotonic() - begun)
+
+    def close(self) -> None:
+        """Close the callable."""
+        if self._work is not None:
+            close_callable(self._work)
+            self._work = None
 
 
 @contextlib.contextmanager

@@ -204,6 +204,13 @@ def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Backgroun
     return out.getvalue()
 
 
+def decode_image(data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Return the (h, w) grey levels of a picture file's bytes that `encode_image` returned."""
+    with Image.open(io.BytesIO(data)) as picture:
+        picture.load()
+        return _grey(picture, Path())[0]
+
+
 def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Return a PNG file's bytes for (h, w) grey or (h, w, 3) colour pixels; same pixels, same bytes."""
     out = io.BytesIO()

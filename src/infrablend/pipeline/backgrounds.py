@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 from typing import Any
@@ -74,13 +75,14 @@ def require_temperatures(background: Background, scale: TemperatureScale | None)
         raise DatasetError(f"{background.path}: implausible temperatures", [problem])
 
 
-def background_facts(source: ImageRecord, size_wh: tuple[int, int], data_root: Path) -> dict[str, Any]:
-    """Return the facts about the background for a frame's record."""
+def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, Any]:
+    """Return the facts about the background for a frame's record; without a file, the digest is that of its pixels."""
+    is_file = source.path.is_file()
     return {
         "id": source.id,
         "path": Path(os.path.relpath(source.path, data_root)).as_posix(),
-        "sha256": sha256_of(source.path),
-        "size_wh": list(size_wh),
+        "sha256": sha256_of(source.path) if is_file else hashlib.sha256(background.pixels.tobytes()).hexdigest(),
+        "size_wh": list(background.size_wh),
         "pitch_deg": source.pitch_deg,
         "altitude_m": source.altitude_m,
         "time_of_day": source.time_of_day,

@@ -37,9 +37,10 @@ from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
-from infrablend.formats.images import Background, encode_image, load_background, output_suffix
+from infrablend.formats.images import Background, encode_image, output_suffix
 from infrablend.pipeline.backgrounds import background_facts, require_temperatures, require_thermal_levels
 from infrablend.pipeline.composed import ComposedFrame
+from infrablend.pipeline.extensions import LookRequest, SceneRequest
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import (
     FrameDone,
@@ -66,7 +67,7 @@ from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
 from infrablend.sampling.calibration import FROM_TABLE, PRIORS
 from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import air_source, move_objects, sample_scene
+from infrablend.sampling.scene import air_source, move_objects
 
 
 class FrameComposer:
@@ -75,6 +76,7 @@ class FrameComposer:
     def __init__(self, settings: FrameSettings, renderer: Renderer) -> None:
         """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
+        self._extensions = settings.extensions
         self._recipe = recipe_from_json(settings.recipe_json)
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
         self._renderer = renderer
@@ -89,7 +91,7 @@ class FrameComposer:
         if frame.configuration is None:
             return unchanged_original(frame, self._recipe, self._settings)
         source, recipe = frame.background, self._recipe
-        background = load_background(source.path, source.size_wh)
+        background = self._extensions.load(source)
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
         elif isinstance(recipe.matching, RadiometricMatching):
@@ -101,7 +103,7 @@ class FrameComposer:
         unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
         cover = None if rules.share == 0 else Cover(rules, Scenery(background.pixels, unit), self._models)
         key, site = frame.key(background.size_wh), self._site(frame, background, unit, cover)
-        scene = sample_scene(key, recipe, self._models, self._settings.seed, site)
+        scene = self._extensions.scene(SceneRequest(key, recipe, self._models, self._settings.seed, site))
         scene = drop_barely_visible(scene, recipe.placement.min_visibility)
 
         # Image and labels. Objects that nobody can see in the finished picture are moved, or left out in the end.
@@ -117,6 +119,7 @@ class FrameComposer:
                 front = front_of(occluders, None if cover is None else cover.scenery, rendered)
                 motion_px = scene.spec.motion_px
                 pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, motion_px, front)
+                pixels = self._extensions.picture(LookRequest(pixels, background.pixels, rendered, scene))
                 seen = behind_front(rendered, front, occluders)
                 labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
@@ -142,7 +145,7 @@ class FrameComposer:
             frame_id=frame.frame_id,
             image=relative,
             image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-            background=background_facts(source, background.size_wh, self._settings.data_root),
+            background=background_facts(source, background, self._settings.data_root),
             scene=scene.spec,
             mapping=mapping.to_json(),
             kept=merged.kept,
@@ -299,6 +302,8 @@ class FrameMaker:
         """Start the renderer and load the recipe's models."""
         if settings.pin_cores:
             take_core()
+        if settings.out is None:
+            raise ValueError("frames in memory are made by FrameWorker")
         self._folder = RunFolder(settings.out)
         self._renderer = make_renderer(settings.renderer, settings.device)
         self._composer = FrameComposer(settings, self._renderer)

@@ -24,6 +24,7 @@ from infrablend.config.recipe import (
 )
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.dataset import TimeOfDay
+from infrablend.pipeline.extensions import NO_EXTENSIONS, Extensions
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class FrameSettings:
     """Settings that all workers of a run share; picklable.
 
     Attributes:
-        out: Folder of the run.
+        out: Folder of the run; None for frames in memory.
         data_root: Folder of the backgrounds as it was given; their paths are recorded relative to it.
         recipe_json: The recipe.
         seed: The run's seed.
@@ -40,9 +41,10 @@ class FrameSettings:
         pin_cores: Whether each worker keeps to a processor core of its own.
         levels: Darkest and brightest level that the dataset uses; for `appearance.mode: physical` and the sensor.
         ignored: The source's own names of the categories that mark ignore regions.
+        extensions: The caller's own sampler, backgrounds and look.
     """
 
-    out: Path
+    out: Path | None
     data_root: Path
     recipe_json: str
     seed: int
@@ -51,6 +53,7 @@ class FrameSettings:
     pin_cores: bool = True
     levels: tuple[float, float] | None = None
     ignored: tuple[str, ...] = ()
+    extensions: Extensions = NO_EXTENSIONS
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.loading import read_recipe
 from infrablend.config.modes import DROPPED, KEPT
-from infrablend.config.recipe import Recipe
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError
 from infrablend.formats import detection
-from infrablend.formats.reading import Reading
-from infrablend.formats.temperatures import OPTIONS
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.temperature_scale import with_scale
 
 
 def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
@@ -61,7 +58,7 @@ def prepare_run(request: RunRequest) -> RunPlan:
             )
     if request.out is not None:
         require_apart(request.data, request.out)
-    dataset = detection.read(request.data, _with_scale(request.reading, loaded.recipe))
+    dataset = detection.read(request.data, with_scale(request.reading, loaded.recipe))
     return make_plan(
         loaded.recipe,
         dataset,
@@ -70,11 +67,3 @@ def prepare_run(request: RunRequest) -> RunPlan:
         selection=request.selection,
         recipe_warnings=loaded.warnings,
     )
-
-
-def _with_scale(reading: Reading, recipe: Recipe) -> Reading:
-    """Return the reading with the recipe's temperature scale, unless its options state one."""
-    stated = {k: str(v) for k, v in recipe.data.model_dump().items() if v is not None}
-    if not stated or any(name in reading.options for name in OPTIONS):
-        return reading
-    return replace(reading, options={**reading.options, **stated})

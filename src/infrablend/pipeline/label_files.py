@@ -22,6 +22,7 @@ from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.card import run_card
 from infrablend.pipeline.eight_bit import eight_bit_copies
 from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.report.card import write_card
@@ -57,7 +58,9 @@ def write_formats(
 ) -> LabelSummary:
     """Write the card and all formats of the recipe; the same records give the same bytes."""
     # The records keep the exact boxes.
-    images, loosened = loosen_inserted([labelled_image(f, r, folder) for f, r in records], plan.recipe.labels.loosen)
+    images, loosened = loosen_inserted(
+        [labelled_image(f, r, folder.image(r.image)) for f, r in records], plan.recipe.labels.loosen
+    )
     losses: Counter[str] = Counter()
     problems: list[Problem] = []
     for name in plan.recipe.output.formats if images else ():
@@ -104,21 +107,6 @@ def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRec
         pictures=name != "coco",  # they are in `images/` already
     )
     return writing.write(name, out / name, images, plan.categories, settings=settings, source=plan.dataset)
-
-
-def labelled_image(frame: PlannedFrame, record: FrameRecord, folder: RunFolder) -> ImageRecord:
-    """Return a finished frame as a dataset image, with the metadata of its background."""
-    source = frame.background
-    kept = record.originals(source.instances)
-    width, height = record.background["size_wh"]
-    return replace(
-        source,
-        id=frame.name,
-        path=folder.image(record.image),
-        size_wh=(width, height),
-        instances=kept + record.inserted,
-        file_name=record.image.partition("/")[2],
-    )
 
 
 def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:

@@ -6,7 +6,7 @@ import hashlib
 
 from infrablend.annotation.merge import merge
 from infrablend.config.recipe import Recipe
-from infrablend.formats.images import encode_image, load_background, output_suffix
+from infrablend.formats.images import encode_image, output_suffix
 from infrablend.pipeline.backgrounds import background_facts
 from infrablend.pipeline.composed import ComposedFrame
 from infrablend.pipeline.frame_settings import FrameDone, FrameSettings, merge_settings
@@ -17,10 +17,10 @@ from infrablend.pipeline.record import FrameRecord
 def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
     """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
     source = frame.background
-    background = load_background(source.path, source.size_wh)
+    background = settings.extensions.load(source)
     kind = recipe.output.image
     relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
-    if kind == "png" and source.path.suffix.lower() != ".png":
+    if settings.extensions.backgrounds is not None or (kind == "png" and source.path.suffix.lower() != ".png"):
         image_bytes = encode_image(background.pixels, background, kind)
     else:
         image_bytes = source.path.read_bytes()
@@ -29,7 +29,7 @@ def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSetti
         frame_id=frame.frame_id,
         image=relative,
         image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-        background=background_facts(source, background.size_wh, settings.data_root),
+        background=background_facts(source, background, settings.data_root),
         scene=None,
         mapping=None,
         kept=merged.kept,

@@ -16,7 +16,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from infrablend import __version__
-from infrablend.compositing.mapping import measure_levels
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
@@ -26,7 +25,6 @@ from infrablend.core.output import Existing
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, SCENES
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import (
-    DatasetError,
     Interrupted,
     MissingDependencyError,
     OtherSettingsError,
@@ -35,10 +33,12 @@ from infrablend.errors import (
 )
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
-from infrablend.formats.images import load_background, output_suffix
+from infrablend.formats.images import output_suffix
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame_settings import FrameDone, FrameSettings
+from infrablend.pipeline.frame_pool import settings_for
+from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.label_files import LabelSummary, write_formats
+from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
@@ -155,18 +155,7 @@ def run_plan(
         log.info(
             "%d frames, %d already there, seed %d, %d workers", len(plan.frames), state.resumed, plan.seed, workers
         )
-        settings = FrameSettings(
-            out=out,
-            data_root=plan.dataset.root,
-            recipe_json=plan.recipe.model_dump_json(),
-            seed=plan.seed,
-            renderer=renderer,
-            device=device,
-            pin_cores=renderer == "blender" and device in {"cpu", "auto"} and not in_process,
-            levels=levels,
-            ignored=plan.ignored,
-        )
-        worker = WorkerSpec(FACTORY, settings)
+        worker = WorkerSpec(FACTORY, settings_for(plan, levels, execution, out))
         executor: Executor
         if in_process:
             executor = Serial(worker, folder.log_folder / "workers.log")
@@ -238,21 +227,6 @@ def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, f
         low, high = previous["levels"]
         return float(low), float(high)
     return dataset_levels(plan)
-
-
-def dataset_levels(plan: RunPlan) -> tuple[float, float]:
-    """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
-
-    Raises:
-        DatasetError: None of these pictures can be read.
-    """
-    pictures = []
-    for image in plan.sample or plan.dataset.images:
-        with contextlib.suppress(DatasetError):  # reported when its frame is rendered
-            pictures.append(load_background(image.path, image.size_wh).pixels)
-    if not pictures:
-        raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
-    return measure_levels(pictures)
 
 
 def _make_frames(

@@ -1,0 +1,80 @@
+"""Frames without a run folder: try a recipe on one frame, and frames as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from infrablend.errors import InfraBlendError
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.pipeline.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
+from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.in_memory import Frames, FramesRequest
+from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, Settings
+from infrablend.pipeline.trial import ONE_WORKER, Trial, TrialRequest, Trials
+
+
+def frames(
+    recipe: str | Path, data: str | Path | BackgroundSource, *, selection: FrameSelection = ALL_FRAMES, seed: int = 0,
+    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+    extensions: Extensions = NO_EXTENSIONS,
+) -> Frames:  # fmt: skip
+    """Return the frames of a run as arrays with labels, composed on warm workers when they are asked for.
+
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> with frames("hit-uav-drone", "hit-uav", execution=flat) as found:
+    ...     first = next(iter(found))
+    ...     again = found["train/0_60_30_0_00001_c0"]
+    >>> first.id, first.pixels.shape, [i.category for i in first.inserted]
+    ('train/0_60_30_0_00001_c0', (512, 640), ['drone'])
+    >>> bool((first.pixels == again.pixels).all())
+    True
+
+    Args:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        data: Folder of the background dataset, or an object of your own that gives backgrounds.
+        selection: Frames to offer; by default all.
+        seed: The same seed, data and recipe give the same pixels and labels, as in a run of `generate`.
+        settings: Recipe fields to set, as in `generate`.
+        reading: How to read `data`.
+        execution: Workers, device and renderer.
+        extensions: Your own sampler of scenes, and your own look.
+    """
+    source = Path(data) if isinstance(data, str | Path) else data
+    return Frames(FramesRequest(recipe, source, selection, seed, settings, reading, execution, extensions))
+
+
+def try_recipe(
+    recipe: str | Path, data: str | Path, frame: str | None = None, *, seed: int = 0, settings: Settings = (),
+    reading: Reading = READ_ALL, execution: Execution = ONE_WORKER,
+) -> Trial:  # fmt: skip
+    """Return one frame of a recipe without a run folder; `write` of the result saves it with its boxes, enlarged.
+
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> trial = try_recipe("hit-uav-drone", "hit-uav", "test/0_130_90_0_00004_c1", execution=flat)
+    >>> trial.frame.id, trial.write("try.png").name
+    ('test/0_130_90_0_00004_c1', 'try.png')
+
+    Args:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        data: Folder of the background dataset.
+        frame: Id of the frame, or of a background; by default the first one.
+        seed: Seed, as of a run.
+        settings: Recipe fields to set, as in `generate`.
+        reading: How to read `data`.
+        execution: Device and renderer.
+    """
+    with Trials(TrialRequest(recipe, Path(data), frame, seed, settings, reading, execution)) as trials:
+        return trials.compose()
+
+
+def watch_recipe(
+    recipe: str | Path, data: str | Path, frame: str | None = None, *, seed: int = 0, settings: Settings = (),
+    reading: Reading = READ_ALL, execution: Execution = ONE_WORKER,
+) -> Iterator[Trial | InfraBlendError]:  # fmt: skip
+    """Yield one frame as in `try_recipe`, and again whenever recipe, models or data change, without end.
+
+    An error, such as an invalid recipe, is yielded instead of a frame.
+    """
+    with Trials(TrialRequest(recipe, Path(data), frame, seed, settings, reading, execution)) as trials:
+        yield from trials.watch()

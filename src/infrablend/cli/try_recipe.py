@@ -1,0 +1,134 @@
+"""`infrablend try`: one frame of a recipe as a PNG, without a run folder."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.completion import complete_recipe
+from infrablend.cli.options import (
+    Device,
+    DeviceOption,
+    FormatOption,
+    FormOption,
+    JsonOption,
+    MetadataOption,
+    ReadingOption,
+    SeedOption,
+    SplitsOption,
+    make_reading,
+)
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+    from infrablend.errors import InfraBlendError
+    from infrablend.pipeline.trial import Trial
+
+DEFAULT_OUT = Path("try.png")
+
+
+def try_recipe(
+    ctx: typer.Context,
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            metavar="RECIPE",
+            help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
+            autocompletion=complete_recipe,
+        ),
+    ],
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
+    frame: Annotated[
+        str | None,
+        typer.Option(metavar="ID", help="Id of the frame, e.g. test/a_c0, or of a background [default: the first]."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="PNG", help="Picture to write.")] = DEFAULT_OUT,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Render again whenever recipe, models or data change, until Ctrl-C.")
+    ] = False,
+    split: SplitsOption = None,
+    seed: SeedOption = 0,
+    device: DeviceOption = Device.AUTO,
+    format: FormatOption = None,
+    form: FormOption = None,
+    metadata: MetadataOption = None,
+    options: ReadingOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set a recipe field, e.g. objects.0.count=3; repeatable."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write one frame of a recipe as a PNG with its boxes and enlarged inserts; show it in terminals that can."""
+    session: Session = ctx.obj
+    session.json = as_json
+    # Nothing can be freed before the first frame, and looking for it would take a fifth of the time.
+    gc.disable()
+    reading = make_reading(split, format, form, metadata, options)
+
+    from infrablend import api
+
+    given, execution = settings or (), api.Execution(1, device.value)
+    if not watch:
+        trial = api.try_recipe(recipe, data, frame, seed=seed, settings=given, reading=reading, execution=execution)
+        _show(trial, out, session)
+        return
+    tries = api.watch_recipe(recipe, data, frame, seed=seed, settings=given, reading=reading, execution=execution)
+    try:
+        for found in tries:
+            if isinstance(found, api.Trial):
+                _show(found, out, session, again=True)
+            else:
+                _report(found, session)
+    except KeyboardInterrupt:  # the usual end of a watch
+        typer.echo("", err=True)
+
+
+def _report(error: InfraBlendError, session: Session) -> None:
+    """Print an error, after which the watch goes on."""
+    from infrablend.cli.exits import report_error
+
+    report_error(error, session.log_path)
+
+
+def _show(trial: Trial, out: Path, session: Session, *, again: bool = False) -> None:
+    """Write the picture, and print or show it."""
+    import os
+    import sys
+
+    from infrablend.cli.results import print_json, print_problems, print_result
+    from infrablend.cli.terminal_picture import CLEAR, picture_protocol, picture_text
+
+    path = trial.write(out)
+    gc.freeze()
+    gc.enable()
+    if session.json:
+        print_json({"out": str(path), **trial.to_json()})
+        return
+    protocol = picture_protocol(os.environ) if sys.stdout.isatty() else None
+    if protocol is not None:
+        typer.echo((CLEAR if again else "") + picture_text(path.read_bytes(), protocol), nl=False)
+    print_problems(trial.problems, session.log_path, path)
+    print_result("\n".join([*_lines(trial), str(path)]))
+
+
+def _lines(trial: Trial) -> list[str]:
+    """Return what is in the frame, a line per inserted object."""
+    lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
+    scene = trial.frame.scene
+    for label in trial.frame.inserted:
+        width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
+        facts = [f"{width:.1f} x {height:.1f} px"]
+        if label.visibility is not None:
+            facts.append(f"{100 * label.visibility:.0f} % visible")
+        if "contrast_grey" in label.extra:
+            facts.append(f"contrast {label.extra['contrast_grey']:+.0f} grey levels")
+        lines.append(f"{label.category}: {', '.join(facts)}")
+    absent = {} if scene is None else {**scene.draws.get("absent", {})}
+    lines += [f"not inserted: {count} ({reason})" for reason, count in sorted(absent.items())]
+    if removed := len(trial.frame.record.removed):
+        lines.append(f"{removed} original label(s) removed")
+    return lines

@@ -1,0 +1,33 @@
+"""Measures the range of grey levels that a dataset uses."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+from infrablend.compositing.mapping import measure_levels
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError
+from infrablend.formats.images import Background, load_background
+from infrablend.pipeline.plan import RunPlan
+
+Load = Callable[[ImageRecord], Background]
+
+
+def _load_file(image: ImageRecord) -> Background:
+    return load_background(image.path, image.size_wh)
+
+
+def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float]:
+    """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
+
+    Raises:
+        DatasetError: None of these pictures can be read.
+    """
+    pictures = []
+    for image in plan.sample or plan.dataset.images:
+        with contextlib.suppress(DatasetError):  # reported when its frame is rendered
+            pictures.append(load(image).pixels)
+    if not pictures:
+        raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
+    return measure_levels(pictures)
