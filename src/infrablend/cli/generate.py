@@ -91,9 +91,10 @@ def generate(
     from infrablend import api
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import facts, print_json, print_result, table
+    from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.request import Execution
 
-    execution, selection = Execution(workers, device.value), api.FrameSelection(limit, sample, chosen)
+    execution, selection = Execution(workers, device.value), FrameSelection(limit, sample, chosen)
     if plan:
         planned = api.plan(
             recipe,

@@ -70,8 +70,10 @@ def try_recipe(
     reading = make_reading(split, format, form, metadata, options)
 
     from infrablend import api
+    from infrablend.pipeline.request import Execution
+    from infrablend.pipeline.trial import Trial
 
-    given, execution = settings or (), api.Execution(1, device.value)
+    given, execution = settings or (), Execution(1, device.value)
     if not watch:
         trial = api.try_recipe(recipe, data, frame, seed=seed, settings=given, reading=reading, execution=execution)
         _show(trial, out, session)
@@ -79,7 +81,7 @@ def try_recipe(
     tries = api.watch_recipe(recipe, data, frame, seed=seed, settings=given, reading=reading, execution=execution)
     try:
         for found in tries:
-            if isinstance(found, api.Trial):
+            if isinstance(found, Trial):
                 _show(found, out, session, again=True)
             else:
                 _report(found, session)

@@ -26,6 +26,7 @@ from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.add_model import ModelAnswers
+from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.request import Execution
 
 
@@ -128,7 +129,7 @@ def test_generate_passes_its_options_on(api, capsys):
     assert args == ("hit-uav-drone", Path("in"), Path("runs/a"))
     assert callable(kwargs.pop("on_progress"))
     assert kwargs == {
-        "limit": 5,
+        "selection": FrameSelection(limit=5),
         "seed": 0,
         "settings": ["output.image=png", "camera.pitch={fixed_deg: 0}", "output.formats=[coco, yolo-obb]"],
         "reading": Reading(("test", "train"), "hit-uav", "rotate_json"),
@@ -142,7 +143,12 @@ def test_generate_passes_its_options_on(api, capsys):
 def test_generate_defaults(api):
     assert main(GENERATE) == 0
     kwargs = api.calls["generate"][1]
-    assert (kwargs["limit"], kwargs["seed"], kwargs["settings"], kwargs["existing"]) == (None, 0, [], "refuse")
+    assert (kwargs["selection"], kwargs["seed"], kwargs["settings"], kwargs["existing"]) == (
+        FrameSelection(),
+        0,
+        [],
+        "refuse",
+    )
     assert (kwargs["reading"], kwargs["execution"]) == (Reading(), Execution())
 
 
