@@ -41,7 +41,7 @@ SPECIES = {
     "Damwild": "fallow deer",
     "Schwarzwild": "wild boar",
 }
-"""English class names by the hunters' names in the files; other species keep theirs."""
+"""English class names by the hunters' names in the files; of other species, by their Wikidata number."""
 
 _PATTERN = "*_metadata.json"
 _PICTURES = "thermal"
@@ -151,7 +151,7 @@ def read(
         _add_unlabelled(state, name)
     names = [n for n in SPECIES.values() if n in state.species]
     names += sorted(state.species - set(names))
-    rows = {k: state.counts[k] for k in ("flights", "frames", "objects", "read", "unlabelled")}
+    rows = {k: state.counts[k] for k in ("flights", "frames", "objects", "read", "no_animal", "unlabelled")}
     categories = [Category(k, n) for k, n in enumerate(names)]
     notes = {"labels": NAME, "rows": rows}
     return make_dataset(root, NAME, state.records, categories, state.problems, notes, metadata=metadata, splits=wanted)
@@ -239,7 +239,11 @@ def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str
         state.problems += [problem] if problem else []
         if xyxy is None:
             continue
-        name = SPECIES.get(species.strip(), species.strip())
+        wikidata = bambi_tracks.WIKIDATA.get(str(values.get("wikidata_id")))
+        name = SPECIES.get(species.strip()) or wikidata or species.strip()
+        if name == bambi_tracks.NO_ANIMAL:
+            state.counts["no_animal"] += 1
+            continue
         state.species.add(name)
         state.counts["read"] += 1
         # Sex, age and visibility are codes without a published key, kept as they are.

@@ -35,6 +35,12 @@ CLASSES: tuple[tuple[int, str], ...] = (
 )  # fmt: skip
 """First class number after those of a species, and the species; a class is a species with sex, age and visibility."""
 NO_ANIMAL = "no animal"
+WIKIDATA = {
+    "Q58697": "wild boar", "Q1219579": "red deer", "Q122069": "roe deer", "Q20908334": "fallow deer",
+    "Q168327": "alpine ibex", "Q131340": "chamois", "Q5113": "bird", "Q15978631": "human", "Q26972265": "dog",
+    "Q602666": "hybrid pig", "Q10738": NO_ANIMAL, "Q24238356": "unknown",
+}  # fmt: skip
+"""Species by their published numbers, which files in any language contain."""
 
 _TRACKS, _POSES, _METADATA, _VIDEO = "_gt.txt", "_matched_poses.json", "_metadata.json", "_matched_processed.mp4"
 _PICTURE = re.compile(r"(\d{1,6})(?:_matched_processed)?_(\d{1,9})", re.ASCII)

@@ -45,9 +45,21 @@ def test_flights_are_read_with_species_and_a_straight_down_view(data: Path) -> N
     boar = d.images[0].instances[1]
     assert (boar.category, boar.source_id, boar.extra) == ("wild boar", 1, {"gender": 0, "age": 2, "visibility": 1})
     assert boar.box_xyxy.tolist() == [25, 6, 37, 14]
-    assert d.notes["rows"] == {"flights": 2, "frames": 3, "objects": 4, "read": 4, "unlabelled": 0}
+    assert d.notes["rows"] == {"flights": 2, "frames": 3, "objects": 4, "read": 4, "no_animal": 0, "unlabelled": 0}
     only = detection.read(data, detection.Reading(splits=["test"]))
     assert [i.id for i in only.images] == ["12_102"] and only.categories == d.categories
+
+
+def test_species_in_other_languages_have_the_names_of_the_published_tracks(data: Path) -> None:
+    box = {"x_min": 1, "y_min": 2, "x_max": 9, "y_max": 9}
+    numbers = {"Steinwild": "Q168327", "Wildschwein": "Q58697", "Stein": "Q10738", "Marder": "Q0"}
+    given = [{"species": name, "wikidata_id": number, "bbox": box} for name, number in numbers.items()]
+    top = change(data, "7")
+    top["frames"]["100"]["annotations"] = given
+    change(data, "7", frames=top["frames"])
+    d = detection.read(data)
+    assert [o.category for o in d.images[0].instances] == ["alpine ibex", "wild boar", "Marder"]
+    assert d.notes["rows"]["no_animal"] == 1
 
 
 def test_bad_annotations_are_left_out(data: Path) -> None:
