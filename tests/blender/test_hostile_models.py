@@ -13,7 +13,7 @@ from PIL import Image
 from infrablend.assets import model_files
 from infrablend.assets.model_files.blend import read_blend
 from infrablend.cli import main
-from infrablend.execution.confinement import landlock_version
+from infrablend.core.landlock import landlock_version
 from infrablend.pipeline import models, request
 from tests.hostile_models import write_gltf
 

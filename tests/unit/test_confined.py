@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core.landlock import landlock_version
 from infrablend.execution.confined import ConfinedLimits, ConfinedOutcome, run_confined
-from infrablend.execution.confinement import landlock_version
 
 REACH = """
 import json, os, socket

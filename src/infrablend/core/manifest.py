@@ -21,6 +21,9 @@ from infrablend.errors import OutputError, Problem
 REPLACED = "replaced"
 """Folder for files that somebody changed after InfraBlend wrote them and that a later call had to write again."""
 
+JOURNAL = ".files.jsonl"
+"""Usual name of the file of a manifest."""
+
 Content = tuple[int, str]
 """Size in bytes and SHA-256 of a file."""
 
@@ -61,6 +64,11 @@ class Manifest:
     def paths(self) -> list[str]:
         """Paths that were written or begun, sorted."""
         return sorted(self._contents)
+
+    @property
+    def written(self) -> list[str]:
+        """Paths that this process has written, sorted."""
+        return sorted(self._written)
 
     def read(self) -> Manifest:
         """Add what the file of the manifest contains; a line that was cut off by a kill is left out."""
@@ -124,10 +132,11 @@ class Manifest:
             self._stream = None
 
     def begin(self, paths: Iterable[str]) -> None:
-        """Record paths that other processes are going to write."""
+        """Record paths that other processes are going to write, unless the manifest has them already."""
         for path in paths:
-            self._contents.setdefault(path, set())
-            self._write({"path": path})
+            if path not in self._contents:
+                self._contents[path] = set()
+                self._write({"path": path})
         self._flush()
 
     def before_write(self, path: Path) -> None:
@@ -148,7 +157,7 @@ class Manifest:
         if content is None:  # the writer reports it
             return
         if os.path.lexists(path) and not self.is_own(name) and self._content(path) != content:
-            self.move_aside(name)
+            self._keep_aside(name)
         if content not in self._contents.setdefault(name, set()):
             self._contents[name].add(content)
             self._write({"path": name, "size": content[0], "sha256": content[1]})
@@ -207,6 +216,29 @@ class Manifest:
         Raises:
             OutputError: It cannot be moved, or is in a linked folder.
         """
+        target = self._new_place_aside(name)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            (self.root / name).rename(target)
+        except OSError as error:
+            raise output_error(target, error) from error
+        new = target.relative_to(self.root).as_posix()
+        self.moved[new] = name
+        return new
+
+    def _keep_aside(self, name: str) -> None:
+        """Put a file that is about to be replaced aside, so that one of its name is there at every moment."""
+        source, target = self.root / name, self._new_place_aside(name)
+        with contextlib.suppress(OSError):
+            if stat.S_ISREG(source.lstat().st_mode):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.link(source, target)
+                self.moved[target.relative_to(self.root).as_posix()] = name
+                return
+        self.move_aside(name)
+
+    def _new_place_aside(self, name: str) -> Path:
+        """Return a free path in the folder for replaced files."""
         if self._through_link(name):
             raise OutputError(
                 f"{self.root / name}: exists in a linked folder, and InfraBlend did not write it, or it was changed; "
@@ -217,14 +249,7 @@ class Manifest:
         while os.path.lexists(target):
             number += 1
             target = self._aside / f"{name}.{number}"
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            (self.root / name).rename(target)
-        except OSError as error:
-            raise output_error(target, error) from error
-        new = target.relative_to(self.root).as_posix()
-        self.moved[new] = name
-        return new
+        return target
 
     def drop_equal(self) -> None:
         """Delete files that were moved aside if what was written in their place is the same."""
@@ -249,8 +274,11 @@ class Manifest:
             for new, name in sorted(self.moved.items(), key=lambda item: item[1])
         ]
 
-    def remove_own(self) -> list[str]:
+    def remove_own(self, keep: Iterable[str] = ()) -> list[str]:
         """Delete the files that InfraBlend wrote and nobody changed, and folders that this leaves empty.
+
+        Args:
+            keep: Paths to leave as they are.
 
         Returns:
             Paths of the manifest that are kept because their files were changed.
@@ -258,9 +286,11 @@ class Manifest:
         Raises:
             OutputError: A file cannot be deleted.
         """
-        kept = []
+        kept, left_alone = [], {*keep}
         for name in self.paths:
             path = self.root / name
+            if name in left_alone:
+                continue
             try:
                 if self.is_own(name):
                     path.unlink()
@@ -283,6 +313,16 @@ class Manifest:
             if not part.is_symlink() and part.is_file() and not self._through_link(name):
                 with contextlib.suppress(OSError):
                     part.unlink()
+
+    def forget_missing(self) -> None:
+        """Forget the files that are no longer there, and write the file of the manifest again without them."""
+        self._contents = {n: c for n, c in self._contents.items() if os.path.lexists(self.root / n)}
+        lines = []
+        for name in self.paths:
+            contents = sorted(self._contents[name])
+            lines += [json.dumps({"path": name, "size": n, "sha256": d}, sort_keys=True) for n, d in contents]
+            lines += [] if contents else [json.dumps({"path": name})]
+        write_text(self._file, "".join(f"{line}\n" for line in lines))
 
     def reset(self) -> None:
         """Forget all entries and empty the file of the manifest."""

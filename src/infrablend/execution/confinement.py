@@ -20,13 +20,14 @@ import sys
 import traceback
 from pathlib import Path
 
+from infrablend.core.landlock import CREATE_RULESET, landlock_version
+
 # Exit code of a process that cannot import the function.
 NO_START = 97
 
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
-# System calls 444 to 446 have these numbers on every architecture.
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
-_GET_VERSION = 1
+# These system calls have the same numbers on every architecture.
+_ADD_RULE, _RESTRICT_SELF = 445, 446
 _RULE_PATH_BENEATH = 1
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 # Rights over files per version of Landlock: 1 has 13, 2 adds links between folders, 3 truncation, 5 device commands.
@@ -65,13 +66,6 @@ def main(function: str, folder: str, parent_pid: int, memory_bytes: int) -> None
     os._exit(0)  # Blender may hang or crash while it ends
 
 
-def landlock_version() -> int:
-    """Return the version of Landlock that the kernel offers; 0 without it."""
-    if sys.platform != "linux":
-        return 0
-    return max(0, int(_libc().syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _GET_VERSION)))
-
-
 def confine(folder: Path) -> int:
     """Give up access to all files except `folder` and libraries; return the version of Landlock, 0 if there is none."""
     version = landlock_version()
@@ -82,7 +76,7 @@ def confine(folder: Path) -> int:
     # The kernel accepts a shorter structure from callers that know fewer fields.
     fields = [rights, *([_TCP] if version >= 4 else []), *([_SCOPES] if version >= 6 else [])]
     attributes = (ctypes.c_uint64 * len(fields))(*fields)
-    ruleset = libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(ctypes.sizeof(attributes)), 0)
+    ruleset = libc.syscall(CREATE_RULESET, attributes, ctypes.c_size_t(ctypes.sizeof(attributes)), 0)
     if ruleset < 0:
         return 0
     reading = _EXECUTE | _READ_FILE | _READ_DIR

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,8 +12,7 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.files import part_path, write_bytes, write_json, write_text
-from infrablend.core.output import OutputFolder
+from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
 from infrablend.evaluation.classes import evaluated_classes
@@ -34,6 +34,7 @@ from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image
 from infrablend.formats.base import shorten
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.detection_source import PREDICTIONS, DetectionSource, choose_task
+from infrablend.pipeline.evaluation_folder import PAGE, PLOTS, EvaluationFolder
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.report.evaluation import draw_plots, evaluation_page
@@ -41,10 +42,6 @@ from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
-PAGE, PLOTS = "evaluation.html", "plots"
-_OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
-# What a killed call leaves of a file that it was writing.
-_PARTS = frozenset(part_path(Path(name)).name for name in _OWN)
 _SHOWN = 5
 _LEAST_AP = 0.001
 
@@ -88,7 +85,8 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
-    entries = _check_out(out, overwrite)
+    folder = EvaluationFolder(out)
+    folder.require_usable(overwrite)
     other = None if against is None else read_evaluation(against)
     problems: list[Problem] = []
     source = DetectionSource(weights, device, problems)
@@ -99,9 +97,10 @@ def evaluate_detector(
     if other is not None:
         require_same(other[0], conditions, against or out)
 
-    with _output(out).claimed():
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(folder.claimed())
         predictions = source.on(prepared.images, settings.image_size, on_image, problems)
-        _clear(out, entries)
+        stack.enter_context(folder.writing())
         write_predictions(out / PREDICTIONS, predictions)
         case = prepared.case(predictions)
         problems += _count_detections(predictions, case, prepared.counts)
@@ -149,6 +148,7 @@ def evaluate_detector(
             write_bytes(out / PLOTS / name, data)
         write_text(out / PAGE, evaluation_page(facts, plots))
         write_json(out / RECORD, facts)  # last, because it marks the evaluation as complete
+        problems += folder.problems()
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
 
@@ -272,23 +272,3 @@ def _by_ultralytics(case: Case) -> dict[str, Any] | None:
     from infrablend.training.metrics import ultralytics_table
 
     return ultralytics_table(case)
-
-
-# -- the folder ------------------------------------------------------------------------------------------------
-
-
-def _output(out: Path) -> OutputFolder:
-    return OutputFolder(out, "evaluation", RECORD, can_overwrite=True)
-
-
-def _check_out(out: Path, overwrite: bool) -> list[str]:
-    """Return the results already in the folder; refuse a folder whose content must not be replaced."""
-    folder = _output(out)
-    entries = folder.entries()
-    folder.require_only({*_OWN, *_PARTS}, entries)
-    return folder.require_empty(existing="overwrite" if overwrite else "refuse")
-
-
-def _clear(out: Path, entries: Sequence[str]) -> None:
-    """Delete an earlier evaluation; its detections stay until the new ones replace them."""
-    _output(out).remove(name for name in (*sorted(_PARTS), RECORD, PAGE, MATCHES, PLOTS) if name in entries)

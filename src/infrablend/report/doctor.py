@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from infrablend.core.landlock import landlock_version
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.report.system_libraries import install_command, missing_packages
 
@@ -133,7 +134,10 @@ class Trainer:
 
 @dataclass(frozen=True)
 class Machine:
-    """Facts about this machine. Free space is in bytes; None means that the folder cannot be written."""
+    """Facts about this machine. Free space is in bytes; None means that the folder cannot be written.
+
+    `landlock` is the version of Landlock that the kernel offers, 0 without it.
+    """
 
     system: str
     architecture: str
@@ -147,6 +151,7 @@ class Machine:
     free_temp_bytes: int | None
     free_shm_bytes: int | None
     trainer: Trainer = Trainer()
+    landlock: int = 0
 
 
 def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s: float = 60.0) -> Machine:
@@ -172,6 +177,7 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
         free_temp_bytes=_free_bytes(Path(temp)),
         free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
         trainer=_ask_trainer(ask_torch_s),
+        landlock=landlock_version(),
     )
 
 
@@ -184,6 +190,7 @@ def assess(machine: Machine) -> Diagnosis:
             _check_libraries(machine),
             _check_blender(machine),
             _check_devices(machine),
+            _check_confinement(machine),
             _check_torch(machine),
             _check_ultralytics(machine),
             _check_cores(machine),
@@ -252,6 +259,15 @@ def _check_devices(m: Machine) -> Check:
     if m.blender.version is None:
         return Check("Cycles devices", "warning", "unknown: Blender does not load", "fix Blender first")
     return Check("Cycles devices", "ok", "cpu only")
+
+
+def _check_confinement(m: Machine) -> Check:
+    """Check whether the process that imports a user's 3D model can be kept from all other files."""
+    if m.landlock:
+        return Check("model confinement", "ok", f"Landlock {m.landlock}: 3D models are imported without other files")
+    found = "no Landlock: the process that imports a 3D model has your permissions"
+    todo = "use only 3D models that you trust, or Linux 5.13 or newer with Landlock (in containers: allowed by seccomp)"
+    return Check("model confinement", "warning", found, todo)
 
 
 def _check_torch(m: Machine) -> Check:

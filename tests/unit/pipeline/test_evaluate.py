@@ -85,7 +85,7 @@ def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any)
 def test_written_files(saved: Path, tmp_path: Path) -> None:
     report = run(saved, tmp_path / "out")
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
-    assert files == ["evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
+    assert files == [".files.jsonl", "evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == json.loads(json.dumps(report.to_json()))
     dataset = made_up_dataset()
     objects = [i.category for image in dataset.images for i in image.instances]

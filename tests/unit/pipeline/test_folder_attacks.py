@@ -482,3 +482,26 @@ def test_numbers_that_are_too_large_are_errors_with_a_name(tmp_path: Path) -> No
     table.write_text(json.dumps([{"file": n, "pitch_deg": 10**400} for n in names]))
     ended = run("inspect", data, "--metadata", table)
     assert ended.exit_code in (0, 2) and "pitch_deg" in ended.stdout + ended.stderr, ended.output
+
+
+def test_overwritten_evaluation_keeps_what_it_did_not_write(tmp_path: Path) -> None:
+    write_detections(tmp_path)
+    out = tmp_path / "out"
+    words = ["evaluate", tmp_path / "in" / "predictions.json", tmp_path / "in" / "data", "--out", out]
+    done(*words, "--bootstrap", "0")
+    whole = tree(out)
+    (out / "evaluation.html").write_text("edited page")
+    (out / "evaluation.json").write_text("edited record")
+    (out / "plots" / "mine.png").write_text("mine")
+    (out / "plots" / sorted((out / "plots").iterdir())[0].name).write_text("edited plot")
+    ended = done(*words, "--bootstrap", "0", "--overwrite")
+    kept = {p.relative_to(out).as_posix(): p.read_text() for p in (out / "replaced").rglob("*") if p.is_file()}
+    assert sorted(kept.values()) == ["edited page", "edited plot", "edited record"]
+    assert {k: v for k, v in tree(out).items() if k in whole and k != ".files.jsonl"} == {
+        k: v for k, v in whole.items() if k != ".files.jsonl"
+    }
+    assert (out / "plots" / "mine.png").read_text() == "mine"
+    for name in (*kept, "plots/mine.png"):
+        assert name in ended.output.replace("\n", ""), name
+    done(*words, "--bootstrap", "0", "--overwrite")  # what was moved aside stays
+    assert (out / "replaced" / "evaluation.html").read_text() == "edited page"
