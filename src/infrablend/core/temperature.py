@@ -20,6 +20,9 @@ _SLOPES_K: Mapping[str, float] = {"centikelvin": 0.01, "decikelvin": 0.1}
 # A steeper scale would show a whole scene in a few levels: no radiometric picture has one.
 _MOST_SLOPE_K = 10.0
 
+# Pixels that the median of a picture is taken of.
+_SAMPLE = 100_000
+
 PLAUSIBLE_K = (173.15, 473.15)
 """Apparent temperatures, kelvin, between which the median of a picture lies, from a clear winter sky to a furnace."""
 
@@ -29,9 +32,15 @@ def implausible_median(kelvin: NDArray[Any]) -> float | None:
 
     A unit taken for another one moves it far outside: 0.04 K per count instead of 0.01 makes 1,150 K of 288 K.
     """
-    finite = kelvin[np.isfinite(kelvin)]
+    sample = kelvin.ravel()[:: max(1, kelvin.size // _SAMPLE)]
+    finite = sample[np.isfinite(sample)]
     median = float(np.median(finite)) if finite.size else math.nan
     return None if PLAUSIBLE_K[0] <= median <= PLAUSIBLE_K[1] else median
+
+
+def implausible_counts(counts: NDArray[Any], scale: TemperatureScale) -> float | None:
+    """Return the implausible median, kelvin, of a picture in counts; None if it is plausible."""
+    return implausible_median(scale.kelvin(counts.ravel()[:: max(1, counts.size // _SAMPLE)]))
 
 
 def describe_plausible() -> str:

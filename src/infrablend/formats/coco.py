@@ -201,6 +201,7 @@ def annotation_record(
     a |= _known(track_id=instance.track_id)
     a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
     a |= {k: _tidy(np.array(instance.extra[k])) for k in (TIGHT_BOX, TIGHT_OBB) if k in instance.extra}
+    a |= {"tight_box": True} if instance.extra.get("tight_box") else {}
     a |= _occlusion(instance)
     if instance.mask is not None:
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
@@ -521,6 +522,8 @@ def _read_annotations(
         extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1
+        if a.get("tight_box") is True:
+            extra["tight_box"] = True
         exact = {TIGHT_BOX: to_floats(a.get(TIGHT_BOX), 4), TIGHT_OBB: to_floats(a.get(TIGHT_OBB), 8)}
         extra |= {k: list(v) for k, v in exact.items() if v is not None and np.isfinite(v).all()}
         instances.append(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
+from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import open_picture
@@ -119,7 +119,7 @@ def _implausible(dataset: Dataset) -> list[Problem]:
             continue
         if pixels.dtype == np.uint16:
             assert image.radiometry is not None and image.radiometry.scale is not None
-            medians.append(implausible_median(image.radiometry.scale.kelvin(pixels)))
+            medians.append(implausible_counts(pixels, image.radiometry.scale))
     wrong = [m for m in medians if m is not None]
     if not wrong or len(wrong) < len(medians):
         return []

@@ -11,7 +11,7 @@ import numpy as np
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import sha256_of
-from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
+from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
 from infrablend.formats.temperatures import IMPLAUSIBLE
@@ -63,7 +63,7 @@ def require_temperatures(background: Background, scale: TemperatureScale | None)
             "use the radiometric files of the camera, or leave matching.mode out",
         )
         raise DatasetError(f"{background.path}: no temperatures", [problem])
-    median = None if scale is None else implausible_median(scale.kelvin(background.pixels))
+    median = None if scale is None else implausible_counts(background.pixels, scale)
     if median is not None:
         problem = Problem(
             background.path.name,

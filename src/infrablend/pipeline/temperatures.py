@@ -16,6 +16,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, leaves
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.finished import TEMPERATURES_FILE
+from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import ArgumentError, DatasetError, Problem
@@ -200,6 +201,7 @@ def extract_temperatures(
     """
     folder = DatasetFolder(out, "extraction of temperatures", TEMPERATURES_FILE)
     folder.require_usable(overwrite)
+    require_apart(dataset.root, out)
     stated = _stated_scale(dataset, scale)
     problems: list[Problem] = []
     layers: list[_Written] = []

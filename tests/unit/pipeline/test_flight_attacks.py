@@ -206,3 +206,9 @@ def test_pictures_of_one_name_take_the_converted_file_of_their_folder(tmp_path: 
     extracted(*options, "--overwrite")
     levels = [int(np.asarray(Image.open(p))[0, 0]) for p in sorted((tmp_path / "out/images/train").iterdir())]
     assert levels == [29_315, 29_415]
+
+
+def test_temperatures_are_not_written_into_the_folder_that_they_come_from(tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 1, "flir")
+    extracted(source, "--out", source / "out", code=2)
+    assert not (source / "out").exists()

@@ -60,3 +60,18 @@ def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) 
     assert record.facts["matching"]["air"] == "metadata"
     assert image.radiometry is not None and record.scene is not None and record.scene.weather is not None
     assert record.scene.weather.air_k == image.radiometry.air_k
+
+
+def test_tight_boxes_of_the_radiometric_world_are_no_fault(tmp_path: Path) -> None:
+    class Turned(EvenGround):
+        def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
+            corners = np.array([[130.0, 100.0], [160.0, 130.0], [130.0, 160.0], [100.0, 130.0]])
+            return super().render(plan)[0], [Label("Car", np.array([105.0, 105.0, 155.0, 155.0]), corners, 1.0, False)]
+
+    def turned(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
+        for frame in frames:
+            yield make_frame(frame, 3, Turned(), folder)
+
+    write_world(tmp_path / "flight", WorldRequest(1, 3, "radiometric"), turned)
+    assert len(detection.read(tmp_path / "flight").images[0].instances) == 1
+    assert api.check(tmp_path / "flight").problems == ()

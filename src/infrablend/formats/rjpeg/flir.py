@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend.errors import DatasetError
-from infrablend.formats.pictures import MAX_PIXELS
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, Segment, bad_file
 from infrablend.thermal.flir import Atmosphere, ObjectSettings, Planck
 
@@ -29,6 +28,8 @@ _HEAD_BYTES = 8
 _FILE_HEADER_BYTES = 0x40
 _ENTRY_BYTES = 0x20
 MAX_RECORDS = 512
+# The largest microbolometers have 1.3 million pixels, and 3.1 million after FLIR's own enlargement.
+MAX_LAYER_PIXELS = 4 * 1024 * 1024
 _RAW_DATA, _CAMERA_INFO = 0x01, 0x20
 _RAW_HEADER_BYTES = 0x20
 # The camera record of every known model is longer; shorter ones lack the last constants.
@@ -132,7 +133,7 @@ class FlirBlock:
             raise self._bad("raw-truncated", f"a raw layer of {len(data)} bytes")
         order = _byte_order(data)
         width, height = struct.unpack_from(f"{order}HH", data, 2)
-        if not 0 < width * height <= MAX_PIXELS:
+        if not 0 < width * height <= MAX_LAYER_PIXELS:
             raise self._bad("raw-size", f"a raw layer of {width}x{height} px")
         body = data[_RAW_HEADER_BYTES:]
         if body.startswith(b"\x89PNG"):

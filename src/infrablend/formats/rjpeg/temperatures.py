@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import DatasetError
-from infrablend.formats.pictures import MAX_PIXELS, open_picture
+from infrablend.formats.pictures import open_picture
 from infrablend.formats.rjpeg import dji
-from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
+from infrablend.formats.rjpeg.flir import MAX_LAYER_PIXELS, SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, bad_file, read_header
 from infrablend.thermal.flir import apparent_kelvin, object_kelvin
 
@@ -117,13 +117,13 @@ def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[
     try:
         with open_picture(path, ("TIFF",)) as picture:
             pages = int(getattr(picture, "n_frames", 1))
-            too_large = picture.width * picture.height > MAX_PIXELS
+            too_large = picture.width * picture.height > MAX_LAYER_PIXELS
             values = None if pages != 1 or too_large else np.asarray(picture, np.float64)
     except Exception as error:  # Pillow raises what it likes on broken pictures
         found = f"no TIFF that can be read ({type(error).__name__})"
         raise refuse("image-unreadable", found, "a TIFF with one temperature per pixel") from error
     if values is None:
-        found = f"{pages} pages" if pages != 1 else f"more than {MAX_PIXELS} px"
+        found = f"{pages} pages" if pages != 1 else f"more than {MAX_LAYER_PIXELS} px"
         raise refuse("image-frames" if pages != 1 else "image-too-large", found, "one picture of temperatures")
     if values.ndim != 2:
         raise refuse("image-mode", f"{values.shape[2]} channels", "one temperature per pixel")

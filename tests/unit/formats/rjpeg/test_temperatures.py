@@ -131,6 +131,7 @@ def cut(block: bytes) -> bytes:
         (lambda b: b[:0x1C] + b"\xff\xff\xff\xff" + b[0x20:], "flir-records"),
         (lambda b: b[:0x18] + b"\xff\xff\xff\xff" + b[0x1C:], "flir-records"),
         (raw_record(np.array([2, 60_000, 60_000], "<u2").tobytes(), b""), "raw-size"),
+        (raw_record(np.array([2, 4100, 4100], "<u2").tobytes().ljust(32, b"\0"), b"\x89PNG\r\n"), "raw-size"),
         (raw_record(np.array([2, 640, 512], "<u2").tobytes(), b""), "raw-truncated"),
         (raw_record(np.array([2, 160, 128], "<u2").tobytes().ljust(32, b"\0"), b"\x89PNG\r\n"), "raw-unreadable"),
     ],
