@@ -18,7 +18,7 @@ def main(run: Path) -> None:
                 x, y, w, h = a["bbox"]
                 pixels = int(mask.area(a["segmentation"]))
                 where = f"x {x:.1f}, y {y:.1f}, {w:.1f} x {h:.1f} px"
-                print(f"{images[a['image_id']]}: {names[a['category_id']]} at {where}, "  # noqa: T201
+                print(f"{images[a['image_id']]}: {names[a['category_id']]} at {where}, "
                       f"{a['visibility']:.0%} visible, mask of {pixels} px")  # fmt: skip
 
 

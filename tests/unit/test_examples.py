@@ -46,6 +46,25 @@ def test_recipes_run_and_their_labels_can_be_read(name, backgrounds, tmp_path):
     assert len(done.stdout.splitlines()) == report.counts["objects_inserted"]
 
 
+def run_example(name: str, *arguments: str) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *arguments, "--renderer", "flat"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def test_own_sampler_backgrounds_and_look():
+    lines = run_example("own_code/use_them.py").splitlines()
+    assert [line.split()[0] for line in lines] == [f"train/gradient_{k}_c0" for k in range(6)]
+    assert all(line.count("[") == 2 for line in lines)  # one object each
+
+
+def test_training_on_frames_in_memory(backgrounds):
+    pytest.importorskip("torch")
+    lines = run_example("train_while_composing.py", str(backgrounds), "--epochs", "2").splitlines()
+    assert [line.partition(",")[0] for line in lines] == ["epoch 0: 12 frames", "epoch 1: 12 frames"]
+    losses = [float(line.split("loss ")[1].split(",")[0]) for line in lines]
+    assert losses[1] < losses[0]
+
+
 @pytest.mark.blender
 def test_own_model(backgrounds, tmp_path, monkeypatch):
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))

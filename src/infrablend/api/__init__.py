@@ -66,7 +66,7 @@ if TYPE_CHECKING:
         SceneSampler,
     )
     from infrablend.pipeline.frame_selection import FrameSelection
-    from infrablend.pipeline.in_memory import Frame, Frames
+    from infrablend.pipeline.in_memory import Frame, Frames, FramesRequest
     from infrablend.pipeline.request import Execution
     from infrablend.pipeline.run import RunReport
     from infrablend.pipeline.select import Selection
@@ -78,7 +78,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BackgroundSource", "ClassChanges", "ConvertReport", "EvaluationSettings", "Execution", "ExperimentRequest",
-    "Extensions", "FetchReport", "FetchRequest", "Frame", "FrameSelection", "Frames", "Look", "LookRequest",
+    "Extensions", "FetchReport", "FetchRequest", "Frame", "FrameSelection", "Frames", "FramesRequest",
+    "Look", "LookRequest",
     "ModelAnswers", "ModelSurvey", "PlanReport", "Reading", "RealismReport", "RunReport", "SceneRequest",
     "SceneSampler", "Selection", "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport",
     "TrainRequest", "Trial", "WriteSettings", "add_model", "check", "compare_evaluations", "convert",
@@ -113,7 +114,7 @@ _MODULES = {
     "pipeline.experiments.request": "ExperimentRequest",
     "pipeline.extensions": "BackgroundSource Extensions Look LookRequest SceneRequest SceneSampler",
     "pipeline.frame_selection": "FrameSelection",
-    "pipeline.in_memory": "Frame Frames",
+    "pipeline.in_memory": "Frame Frames FramesRequest",
     "pipeline.request": "Execution",
     "pipeline.run": "RunReport",
     "pipeline.select": "Selection",

@@ -1,7 +1,7 @@
 """Protocols for the caller's own code in frames in memory: a sampler of scenes, a source of backgrounds, a look.
 
 Worker processes import the classes of these objects by name, so they have to be defined in a module that can be
-imported, not in a script or notebook.
+imported, not in a script or notebook. docs/how_to/in_memory.md has an example of each.
 """
 
 from __future__ import annotations

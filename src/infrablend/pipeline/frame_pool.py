@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,7 @@ class FrameWorkers:
 
     def __init__(self, execution: Execution) -> None:
         """Prepare the pool."""
+        self._owner = os.getpid()
         worker = WorkerSpec(FACTORY, WorkerStart(execution.renderer, execution.device, pins_cores(execution)))
         self._contexts = itertools.count()
         self._last: tuple[FrameSettings, Mapping[str, Any]] | None = None
@@ -128,5 +130,6 @@ class FrameWorkers:
         return composed
 
     def close(self) -> None:
-        """End the workers."""
-        self._pool.close()
+        """End the workers, unless they are those of the process that this one was forked from."""
+        if os.getpid() == self._owner:
+            self._pool.close()
