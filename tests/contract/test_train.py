@@ -20,14 +20,19 @@ import numpy as np
 import pytest
 import typer
 from PIL import Image
+from typer.testing import CliRunner
 
 from infrablend import api
+from infrablend.cli.app import build_app
+from infrablend.core.files import write_bytes, write_json
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
+from infrablend.pipeline import train as pipeline_train
 from infrablend.pipeline.training import process
 from infrablend.pipeline.training.requirements import choose_device, require_arguments
 from infrablend.realism import nets
 from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
+from infrablend.training.files import DAMAGED, WEIGHTS, open_manifest
 from infrablend.training.presets import PRESETS
 from infrablend.training.request import choose_preset
 from infrablend.training.trainer import ShuffledPasses
@@ -89,12 +94,13 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
     with monkeypatch.context() as patch:
-        patch.setattr(process, "remove_working_files", lambda out: None)
+        patch.setattr(pipeline_train, "remove_working_files", lambda out, manifest: None)
         report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
     record = json.loads((tmp_path / "out" / "train.json").read_text())
     assert record["losses"]
     # Killed after the last epoch, before the record was finished: the checkpoint has all that the record needs.
-    (tmp_path / "out" / "train.json").write_text(json.dumps(without_end(record)))
+    with open_manifest(tmp_path / "out").recording():
+        write_json(tmp_path / "out" / "train.json", without_end(record))
     train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
     resumed = json.loads((tmp_path / "out" / "train.json").read_text())
     assert without_times(resumed) == without_times(record)
@@ -109,7 +115,8 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     assert seen
     assert seen[-1].total == record["prepared"]["images"]
     # No copy of the data stays behind, and nothing outside the folder was written.
-    assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "train.log", "weights.pt"]
+    left = [".files.jsonl", "job.json", "train.json", "train.log", "weights.pt"]
+    assert sorted(p.name for p in report.out.iterdir()) == left
     # The weights alone, away from train.json, still carry the scale of the training: tiles at native resolution.
     moved = shutil.copy(report.weights, tmp_path / "detector.pt")
     detector = api.evaluate(moved, data, tmp_path / "test", device="cpu").metrics["detector"]
@@ -346,9 +353,11 @@ def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
         for event in said:
             take(event)
         job = json.loads(Path(command[-1]).read_text())
-        (Path(job["out"]) / "checkpoint.new").write_bytes(b"x")
+        out = Path(job["out"])
+        (out / "checkpoint.new").write_bytes(b"x")
         if weights_there:
-            (Path(job["out"]) / "weights.pt").write_bytes(b"x")
+            with open_manifest(out).recording():
+                write_bytes(out / WEIGHTS, b"x")
         return code, stopped
 
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
@@ -367,7 +376,7 @@ def test_interruption_after_the_last_task_has_no_effect(tmp_path, monkeypatch):
     assert report.record["sessions"][0]["end"] == "end"
     assert report.record["batch"] == 3
     assert "there are 3 images" in report.record["note"]
-    assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "weights.pt"]
+    assert sorted(p.name for p in report.out.iterdir()) == [".files.jsonl", "job.json", "train.json", "weights.pt"]
 
 
 def test_interruption_reports_the_progress(tmp_path, monkeypatch):
@@ -407,6 +416,30 @@ def test_a_record_that_cannot_be_read_starts_again_when_asked(tmp_path, monkeypa
     (tmp_path / "mine" / "train.json").write_text("")
     with pytest.raises(OutputError, match="not a training"):
         train(data, tmp_path / "mine", existing="overwrite", **SMOKE)
+
+
+def test_overwriting_keeps_edited_and_foreign_files_and_reports_them(tmp_path, monkeypatch):
+    data, out = yolo(tmp_path / "data", {"train": 2}), tmp_path / "out"
+    events(monkeypatch, END)
+    command = ["train", str(data), "--out", str(out), "--preset", "smoke", "--weights", "scratch", "--device", "cpu"]
+    assert CliRunner().invoke(build_app(), command).exit_code == 0
+    kept = ("job.json", "train.json", "weights.pt")
+    for name in kept:
+        (out / name).write_bytes(b" " + (out / name).read_bytes())
+    (out / "note.txt").write_text("mine")
+    (out / "run").mkdir()
+    (out / "run" / "mine.png").write_text("mine")
+    ended = CliRunner().invoke(build_app(), [*command, "--overwrite"])
+    assert ended.exit_code == 0, ended.output
+    for name in (*kept, "run/mine.png"):
+        assert (out / "replaced" / name).is_file(), name
+        assert f"{name}: changed after InfraBlend wrote it" in ended.stderr, ended.stderr
+    assert (out / "note.txt").read_text() == "mine"
+    assert json.loads((out / "train.json").read_text())["status"] == "complete"
+    again = CliRunner().invoke(build_app(), [*command, "--overwrite"])
+    assert again.exit_code == 0
+    assert "replaced" not in again.stderr
+    assert sorted(p.name for p in (out / "replaced").iterdir()) == sorted([*kept, "run"])
 
 
 def test_resuming_needs_the_same_data_but_not_the_same_path(tmp_path, monkeypatch):
@@ -455,7 +488,7 @@ def test_a_checkpoint_contains_the_progress_and_is_moved_away_if_damaged(ultraly
             trainer._last_checkpoint(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"])))
             == trainer.Reached()
         )
-        assert (tmp_path / trainer.DAMAGED).read_bytes() == broken
+        assert (tmp_path / DAMAGED).read_bytes() == broken
         assert not checkpoint.exists()
         assert said.pop()[0] == "damaged"
     assert not (tmp_path / "run").exists()  # nothing is left that cannot be resumed

@@ -323,6 +323,9 @@ class Manifest:
             lines += [json.dumps({"path": name, "size": n, "sha256": d}, sort_keys=True) for n, d in contents]
             lines += [] if contents else [json.dumps({"path": name})]
         write_text(self._file, "".join(f"{line}\n" for line in lines))
+        if self._stream is not None:  # which would go on in the file that was replaced
+            self._stream.close()
+            self._stream = self._file.open("a", encoding="utf-8")
 
     def reset(self) -> None:
         """Forget all entries and empty the file of the manifest."""

@@ -91,7 +91,7 @@ def _file_of(path: Path) -> Path:
         ModelError: The folder is neither, or its training is not finished.
     """
     from infrablend.pipeline.training.folder import RECORD as TRAINING
-    from infrablend.training.trainer import WEIGHTS
+    from infrablend.training.files import WEIGHTS
 
     of_folder = (path / file for file in (PREDICTIONS, WEIGHTS) if (path / file).is_file())
     file = next(of_folder, None) if path.is_dir() else path

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,12 +28,14 @@ from infrablend.pipeline.training.folder import (
     begin_training,
     output_folder,
     remove_working_files,
+    report_moved,
     require_same,
 )
 from infrablend.pipeline.training.plan import plan_of
 from infrablend.pipeline.training.process import run_trainer
 from infrablend.pipeline.training.requirements import choose_device, require_arguments, require_space
-from infrablend.training import trainer, weights
+from infrablend.training import weights
+from infrablend.training.files import WEIGHTS, open_manifest
 from infrablend.training.request import TrainRequest
 
 
@@ -84,8 +88,11 @@ def train_dataset(
     device = choose_device(request.device)
     require_arguments(preset)
     wanted, left_out = select_training_data(dataset, preset, task, request.classes, request.agc)
-    with output_folder(out).claimed():
-        record = begin_training(out, existing)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(output_folder(out).claimed())
+        manifest = open_manifest(out)
+        stack.callback(report_moved, manifest)
+        record = begin_training(out, existing, manifest)
         asked = {
             "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
             "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
@@ -95,21 +102,28 @@ def train_dataset(
             asked["agc"] = request.agc.model_dump()
         if record is not None:
             require_same(out, record, asked)
-            if record["status"] == "complete" and (out / trainer.WEIGHTS).is_file():
-                remove_working_files(out)  # of a call that was killed between its record and this
-                return TrainReport(out, out / trainer.WEIGHTS, record)
+            if record["status"] == "complete" and (out / WEIGHTS).is_file():
+                remove_working_files(out, manifest)  # of a call that was killed between its record and this
+                return TrainReport(out, out / WEIGHTS, record)
         if record is None or record.get("prepared") is None:
             require_space(out, plan_of(wanted, preset, device, request.seed).disk_bytes)
             start = weights.find_start(request.weights, preset, task)
+            stack.enter_context(manifest.recording())
             record = {
                 "infrablend": __version__, "status": "running", **asked, "left_out": left_out, "sessions": [],
                 "machine": _machine_facts(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
             write_json(out / RECORD, record, durable=True)
-            record["prepared"] = write_training_data(wanted, out, preset, task, request)
+            record["prepared"] = write_training_data(wanted, manifest, preset, task, request)
             write_json(out / RECORD, record, durable=True)
+        else:
+            stack.enter_context(manifest.recording())
+        if os.path.lexists(out / WEIGHTS) and not manifest.is_own(WEIGHTS):
+            manifest.move_aside(WEIGHTS)
         record = run_trainer(out, record, preset, task, device, request.seed, on_progress)
-        return TrainReport(out, out / trainer.WEIGHTS, record)
+        manifest.read()  # the training process has added its weights
+        remove_working_files(out, manifest)
+        return TrainReport(out, out / WEIGHTS, record)
 
 
 def _machine_facts(device: str) -> dict[str, Any]:

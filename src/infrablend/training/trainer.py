@@ -20,16 +20,22 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import replace_atomically
-from infrablend.core.output import OutputFolder
+from infrablend.core.files import replace_atomically, write_text
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
+from infrablend.training.files import (
+    CHECKPOINT,
+    DAMAGED,
+    NEW_CHECKPOINT,
+    RUN,
+    ULTRALYTICS,
+    WEIGHTS,
+    open_manifest,
+    remove_folders,
+)
 from infrablend.training.scale import MARK
 
-CHECKPOINT = "checkpoint.pt"
-DAMAGED = "checkpoint.damaged.pt"
-WEIGHTS = "weights.pt"
 REACHED = "infrablend_reached"
 """Entry of a checkpoint with the progress, as the fields of `Reached`."""
 
@@ -81,7 +87,7 @@ class Job:
 
     def write(self, path: Path) -> None:
         """Write the file that `main` reads."""
-        path.write_text(json.dumps(asdict(self), indent=1, sort_keys=True), "utf-8")
+        write_text(path, json.dumps(asdict(self), indent=1, sort_keys=True))
 
 
 @dataclass(frozen=True)
@@ -187,7 +193,7 @@ def main(arguments: list[str]) -> int:
 
 def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
-    configure_ultralytics(out / "ultralytics")
+    configure_ultralytics(out / ULTRALYTICS)
     import numpy as np
     import torch
     import ultralytics
@@ -200,7 +206,7 @@ def _train(job: Job, say: Any) -> None:
     base = {"detect": yolo.detect.DetectionTrainer, "obb": yolo.obb.OBBTrainer,
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
-    checkpoint, weights = out / CHECKPOINT, out / WEIGHTS
+    checkpoint = out / CHECKPOINT
     begun = _last_checkpoint(checkpoint, torch, say)
 
     class Trainer(trainer_with_passes(base, job, begun.epochs)):  # type: ignore[misc]
@@ -219,8 +225,8 @@ def _train(job: Job, say: Any) -> None:
     overrides: dict[str, Any] = {
         "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
         "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
-        "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": "run",
-        "exist_ok": True, "verbose": False, "save_dir": str(out / "run"), **job.arguments,
+        "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": RUN,
+        "exist_ok": True, "verbose": False, "save_dir": str(out / RUN), **job.arguments,
     }  # fmt: skip
     if job.model.endswith(".yaml"):
         overrides["pretrained"] = False
@@ -271,7 +277,7 @@ def _train(job: Job, say: Any) -> None:
         losses = {k: round(float(v), 5) for k, v in (t.tloss or {}).items()}
         batch = t.train_loader.batch_size
         reached = Reached(t.epoch + 1, bool(t.stop), dict(loaded), losses, batch, t.batch_size != job.batch)
-        with replace_atomically(checkpoint, beside=checkpoint.with_suffix(".new"), durable=True) as temporary:
+        with replace_atomically(checkpoint, beside=out / NEW_CHECKPOINT, durable=True) as temporary:
             state_of_epoch = torch.load(t.last, map_location="cpu", weights_only=False)
             torch.save({**state_of_epoch, REACHED: asdict(reached)}, temporary)
         say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=batch, losses=losses,
@@ -288,15 +294,16 @@ def _train(job: Job, say: Any) -> None:
             stack.enter_context(_bfloat16_forward(torch))
         if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
-    best = out / "run" / "weights" / "best.pt"
-    torch_utils.strip_optimizer(
-        best if job.patience and best.is_file() else checkpoint,
-        weights,
-        updates={
-            MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
-            REACHED: None,
-        },
-    )
+    best = out / RUN / "weights" / "best.pt"
+    with open_manifest(out).recording(), replace_atomically(out / WEIGHTS) as temporary:
+        torch_utils.strip_optimizer(
+            best if job.patience and best.is_file() else checkpoint,
+            temporary,
+            updates={
+                MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
+                REACHED: None,
+            },
+        )
     reached = _read_checkpoint(checkpoint, torch)
     say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
         batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
@@ -325,7 +332,7 @@ def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
         raise
     except Exception as error:  # unpickling can raise anything
         checkpoint.replace(checkpoint.with_name(DAMAGED))
-        OutputFolder(checkpoint.parent, "training").remove(["run"])
+        remove_folders(open_manifest(checkpoint.parent), [RUN])
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
         say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
         return Reached()

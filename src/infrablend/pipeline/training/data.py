@@ -9,21 +9,22 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes
 from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.format_table import writer_for_task
+from infrablend.core.manifest import Manifest
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import deep_mode, is_deep
 from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.eight_bit import eight_bit_copies
-from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES, output_folder
+from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES
 from infrablend.training import presets, tiles
+from infrablend.training.files import remove_folders
 from infrablend.training.presets import Preset
 from infrablend.training.request import TrainRequest
 
@@ -165,11 +166,11 @@ def most_tiles(preset: Preset, split: str) -> int:
 
 
 def write_training_data(
-    dataset: Dataset, out: Path, preset: Preset, task: str, request: TrainRequest
+    dataset: Dataset, manifest: Manifest, preset: Preset, task: str, request: TrainRequest
 ) -> dict[str, Any]:
-    """Write the data for the trainer to `out/data`, and return their counts."""
-    folder, seed = output_folder(out), request.seed
-    folder.remove([DATA, TILES, EIGHT_BIT])  # of a call that was killed here
+    """Write the data for the trainer to the folder `data` of a training, and return their counts."""
+    out, seed = manifest.root, request.seed
+    remove_folders(manifest, [DATA, TILES, EIGHT_BIT])  # of a call that was killed here
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images, _ = eight_bit_copies(images, out / EIGHT_BIT, request.agc)
@@ -194,7 +195,7 @@ def write_training_data(
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
     name = writer_for_task(task).name
     written = writing.write(name, out / DATA, images, categories)
-    folder.remove([TILES, EIGHT_BIT])
+    remove_folders(manifest, [TILES, EIGHT_BIT])
     fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
     if fatal:
         problems = [Problem(name, k, f"{n} labels would be lost", "none",

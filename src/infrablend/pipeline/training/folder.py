@@ -4,48 +4,80 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, part_path
+from infrablend import __version__
+from infrablend.core.files import load_json, part_path, write_json
+from infrablend.core.manifest import JOURNAL, REPLACED, Manifest
 from infrablend.core.output import Existing, OutputFolder, require_existing
 from infrablend.errors import OtherSettingsError, OutputError, Problem
-from infrablend.training import trainer
+from infrablend.training.files import (
+    CHECKPOINT,
+    DAMAGED,
+    LOG,
+    NEW_CHECKPOINT,
+    RUN,
+    ULTRALYTICS,
+    WEIGHTS,
+    remove_folders,
+)
 
 RECORD = "train.json"
-LOG = "train.log"
 JOB = "job.json"
 DATA = "data"
 TILES = "tiles"
 EIGHT_BIT = "8bit"
-# What only an unfinished training needs, in the order to delete it.
-WORKING_FILES = (
-    DATA, TILES, EIGHT_BIT, "run", "ultralytics", trainer.CHECKPOINT, Path(trainer.CHECKPOINT).with_suffix(".new").name,
-)  # fmt: skip
+# What only an unfinished training needs.
+WORKING_FOLDERS = (DATA, TILES, EIGHT_BIT, RUN, ULTRALYTICS)
+WORKING_FILES = (*WORKING_FOLDERS, CHECKPOINT, NEW_CHECKPOINT)
+_OVERWRITTEN = "overwritten"
+_SHOWN = 10
 
 log = logging.getLogger(__name__)
 
 
-def begin_training(out: Path, existing: Existing) -> dict[str, Any] | None:
+def begin_training(out: Path, existing: Existing, manifest: Manifest) -> dict[str, Any] | None:
     """Return the record of the earlier call to continue, or None after emptying the folder."""
     record, damaged = earlier_training(out, existing)
     if record is not None and existing == "resume":
         return record
     if damaged:
-        log.warning("%s: cannot be read; the training starts again", out / RECORD)
+        log.warning("%s: cannot be read, or was being replaced; the training starts again", out / RECORD)
     if record is not None or damaged:
-        # The record goes last: an overwrite that is interrupted can be repeated.
-        output_folder(out).remove([*WORKING_FILES, trainer.DAMAGED, trainer.WEIGHTS, LOG, JOB, RECORD])
+        # The record stays until that of the new training replaces it: an interrupted overwrite can be repeated.
+        with manifest.recording():
+            write_json(out / RECORD, {"infrablend": __version__, "status": _OVERWRITTEN})
+        remove_folders(manifest, WORKING_FOLDERS)
+        output_folder(out).remove([CHECKPOINT, NEW_CHECKPOINT, DAMAGED, LOG])
+        for name in (WEIGHTS, JOB):
+            manifest.delete_own(name)
+            if os.path.lexists(out / name):
+                manifest.move_aside(name)
+        manifest.forget_missing()
     return None
 
 
-def remove_working_files(out: Path) -> None:
+def remove_working_files(out: Path, manifest: Manifest) -> None:
     """Delete what a finished training no longer needs; if that fails, warn, because the weights are complete."""
     try:
-        output_folder(out).remove(WORKING_FILES)
+        remove_folders(manifest, WORKING_FOLDERS)
+        output_folder(out).remove([CHECKPOINT, NEW_CHECKPOINT])
+        manifest.forget_missing()
     except OutputError as error:
         log.warning("%s; the training is complete, and what is left in %s can be deleted", error, out)
+
+
+def report_moved(manifest: Manifest) -> None:
+    """Log a warning per file that was moved aside."""
+    manifest.drop_equal()
+    problems = manifest.problems()
+    for problem in problems[:_SHOWN]:
+        log.warning("%s", problem)
+    if len(problems) > _SHOWN:
+        log.warning("%d more files were moved to %s", len(problems) - _SHOWN, manifest.root / REPLACED)
 
 
 def output_folder(out: Path) -> OutputFolder:
@@ -57,7 +89,7 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
     """Return an earlier call's record and whether it is damaged; refuse both without `resume` or `overwrite`."""
     require_existing(existing)
     path = out / RECORD
-    entries = output_folder(out).entries(ignore=[part_path(path).name])
+    entries = output_folder(out).entries(ignore=[part_path(path).name, JOURNAL, part_path(Path(JOURNAL)).name])
     if not entries:
         return None, False
     try:
@@ -66,10 +98,12 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
     except (OSError, ValueError):
         ours, record = False, None
     damaged = not ours and RECORD in entries and JOB in entries
+    if ours and record is not None and record["status"] == _OVERWRITTEN:
+        record, damaged = None, True
     if not ours and not damaged:
         raise output_folder(out).refuse_not_ours()
     if existing == "refuse":
-        what = f"{RECORD} cannot be read" if damaged else record["status"] if record else "?"
+        what = f"{RECORD} cannot be read, or was being replaced" if damaged else record["status"] if record else "?"
         raise OutputError(
             f'{out}: contains a training ({what}). Use --resume (existing="resume" in Python) to '
             f'{"start it again" if damaged else "continue it"}, --overwrite (existing="overwrite" in Python) to '

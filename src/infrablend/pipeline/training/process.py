@@ -18,8 +18,9 @@ from infrablend.core.files import output_error, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.execution.interrupt import Interruption
-from infrablend.pipeline.training.folder import DATA, JOB, LOG, RECORD, remove_working_files
+from infrablend.pipeline.training.folder import DATA, JOB, RECORD
 from infrablend.training import trainer
+from infrablend.training.files import LOG
 from infrablend.training.presets import Preset
 
 log = logging.getLogger(__name__)
@@ -91,7 +92,6 @@ def run_trainer(
         )
     if not done:
         raise _failure(out, code, last.get("error"), preset)
-    remove_working_files(out)
     return record
 
 
