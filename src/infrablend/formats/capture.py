@@ -8,7 +8,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 from infrablend.core.dataset import TimeOfDay
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, read_text
+from infrablend.formats.csv_text import comma_of, delimiter_of
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg")
@@ -24,6 +25,8 @@ _KEYS = ("file", "stem", "sequence")
 FURTHER = ("captured", "altitude_from", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
 ALTITUDE_ORIGINS = ("take-off", "laser")
 """Heights that the aircraft measured, which need no correction for the errors of published tables."""
+# Key of the cells of a row beyond the last column.
+_SURPLUS = "\0"
 _RANGES = (
     ("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres"), ("hfov_deg", 0.1, 170.0, "degrees"),
 )  # fmt: skip
@@ -188,7 +191,7 @@ def read_table(path: Path) -> CaptureTable:
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []
-    unknown = sorted(columns - {*_KEYS, *_FIELDS, *FURTHER})
+    unknown = sorted(columns - {*_KEYS, *_FIELDS, *FURTHER, _SURPLUS, ""})
     if unknown:
         found = f"unknown columns {', '.join(unknown)}, ignored"
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))
@@ -196,7 +199,9 @@ def read_table(path: Path) -> CaptureTable:
     for where, row in rows:
         key = next((v for k in _KEYS if (v := str(row.get(k) or "").strip())), "")
         capture, fault = _capture(row)
-        if not key:
+        if _SURPLUS in row:
+            fault = ("table-value", f"{len(row[_SURPLUS])} cell(s) more than columns", "a cell for each column")
+        elif not key:
             fault = ("table-value", "no file, stem or sequence", "the name of a picture or sequence")
         elif fault is None and key in captures:
             fault = ("table-duplicate", f"a second row for {key!r}", "one row for each")
@@ -209,14 +214,37 @@ def read_table(path: Path) -> CaptureTable:
 
 
 def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return the rows of a table with commas, semicolons or tabs; numbers may have decimal commas."""
     text, problem = read_text(path, path.name, "a CSV table")
     if problem is None:
         try:
-            reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-            return [(f"line {reader.line_num}", {(k or "").strip(): v for k, v in row.items()}) for row in reader]
+            delimiter = delimiter_of(text)
+            reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=delimiter)
+            lines = [(f"line {reader.line_num}", cells) for cells in reader if cells]
         except csv.Error as error:
             problem = Problem(path.name, "table-unreadable", str(error), "a CSV table")
+        else:
+            titles = [c.strip() for c in lines[0][1]] if lines else []
+            twice = sorted({c for c in titles if c and titles.count(c) > 1})
+            if not twice:
+                return _records(titles, lines[1:], comma_of([cells for _, cells in lines[1:]], delimiter))
+            found = f"column(s) {', '.join(twice)} more than once"
+            problem = Problem(path.name, "table-columns", found, "each column once", "remove the wrong one")
     raise DatasetError(f"{path}: cannot be read", [problem])
+
+
+def _records(
+    titles: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]], comma: str
+) -> list[tuple[str, dict[str, Any]]]:
+    numbers = {name for name, *_ in _RANGES}
+    records = []
+    for where, cells in lines:
+        row: dict[str, Any] = dict(zip(titles, cells, strict=False))
+        row |= {k: v.replace(",", comma) for k, v in row.items() if k in numbers}
+        if any(c.strip() for c in cells[len(titles) :]):
+            row[_SURPLUS] = cells[len(titles) :]
+        records.append((where, row))
+    return records
 
 
 def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:

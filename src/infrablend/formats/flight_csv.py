@@ -22,6 +22,7 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.csv_text import comma_of, delimiter_of
 from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places
 from infrablend.formats.log_text import read_log_text
 
@@ -30,12 +31,7 @@ _UNIT = re.compile(r"[\s]*[(\[]\s*([A-Za-z/ ]+?)\s*[)\]]\s*$")
 _METRES = {"m": 1.0, "meters": 1.0, "metres": 1.0, "meter": 1.0, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048}
 _SECONDS = {"millisecond": 1e-3, "milliseconds": 1e-3, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
 _FLY_TIME = re.compile(r"(?:(\d+)\s*h)?\s*(?:(\d+)\s*m)?\s*(\d+(?:\.\d+)?)\s*s", re.ASCII)
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+", re.ASCII)
-_DECIMAL_POINT = re.compile(r"[-+]?\d+\.\d+", re.ASCII)
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+", re.ASCII)
 _DAY_S = 86_400
-# Rows that are searched for decimal points and commas.
-_SAMPLE = 200
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d{1,6})?)\s*([AaPp][Mm])?", re.ASCII)
 _DAY = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})", re.ASCII)
 _RECORDING = {"1", "true", "yes", "starting", "recording", "started"}
@@ -133,7 +129,7 @@ def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:
     """Return the kind of log, its columns by name without unit, and its rows, padded to the header."""
     try:
         text = read_log_text(path)
-        delimiter = _delimiter(text)
+        delimiter = delimiter_of(text, _HEADER_LINES)
         lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
     except csv.Error as error:
         problem = Problem(path.name, "log-layout", f"no CSV table ({error})", "a flight log", "export the log again")
@@ -155,12 +151,6 @@ def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:
     raise DatasetError(f"{path}: not a flight log of a known kind", [problem])
 
 
-def _delimiter(text: str) -> str:
-    """Return what separates the columns: what occurs most often in the first lines, comma, semicolon or tab."""
-    start = "\n".join(text[:20_000].splitlines()[:_HEADER_LINES])
-    return max(",;\t", key=start.count)
-
-
 def _name_and_unit(title: str) -> tuple[str, str]:
     unit = _UNIT.search(title)
     return (title[: unit.start()] if unit else title).strip().lower(), unit[1].lower() if unit else ""
@@ -170,7 +160,7 @@ def _columns(
     titles: Sequence[str], names: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], delimiter: str
 ) -> dict[str, _Column]:
     """Return the columns by name; of equal names the first that has values."""
-    comma = _comma(rows[:: max(1, len(rows) // _SAMPLE)], delimiter)
+    comma = comma_of(rows, delimiter)
     places: dict[str, list[int]] = {}
     for index, (name, _) in enumerate(names):
         places.setdefault(name, []).append(index)
@@ -181,15 +171,6 @@ def _columns(
         chosen = filled[0]
         columns[name] = _Column(chosen, titles[chosen].strip(), names[chosen][1], comma, len(others) > 1)
     return columns
-
-
-def _comma(rows: Sequence[Sequence[str]], delimiter: str) -> str:
-    """Return what stands for a comma in numbers: nothing where it separates thousands, else a decimal point."""
-    cells = [cell.strip() for row in rows for cell in row]
-    if any(_DECIMAL_POINT.fullmatch(c) for c in cells):
-        return ""
-    decimal = any(_DECIMAL_COMMA.fullmatch(c) and not _THOUSANDS.fullmatch(c) for c in cells)
-    return "." if decimal or delimiter != "," else ""
 
 
 def _times(

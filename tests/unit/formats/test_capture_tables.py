@@ -1,0 +1,55 @@
+"""Tables of pitch and height as spreadsheets of different countries write them, through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from infrablend.cli.app import build_app
+from tests.flights import plain_jpeg
+
+TABLE = "file,pitch_deg,altitude_m\na.jpg,45.5,1200.5\n"
+
+
+def inspected(folder: Path, table: str, code: int = 0) -> dict[str, Any]:
+    plain_jpeg(folder / "a.jpg")
+    (folder / "metadata.csv").write_bytes(table.encode())
+    result = CliRunner().invoke(build_app(), ["-q", "inspect", "--json", str(folder)])
+    assert result.exit_code == code, result.output
+    data: dict[str, Any] = json.loads(result.stdout)
+    return data
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        TABLE,
+        TABLE.replace(",", ";"),
+        TABLE.replace(",", ";").replace(".5", ",5"),
+        TABLE.replace(",", "\t"),
+        TABLE.replace("1200.5", '"1,200.5"'),
+        "\ufeff" + TABLE.replace("\n", "\r\n"),
+        TABLE + "b;c;d;e;f;g;h.jpg,1,2\n",
+    ],
+    ids=["plain", "semicolons", "decimal commas", "tabs", "thousands", "a mark and CRLF", "semicolons in names"],
+)
+def test_separators_and_commas(table: str, tmp_path: Path) -> None:
+    coverage = json.dumps(inspected(tmp_path, table)["coverage"])
+    assert "45.5" in coverage and "1200.5" in coverage
+
+
+@pytest.mark.parametrize(
+    ("table", "code", "words"),
+    [
+        (TABLE.replace("altitude_m", "altitude_m,altitude_m"), 2, "column(s) altitude_m more than once"),
+        (TABLE.replace("1200.5", "1200.5,7,8"), 0, "2 cell(s) more than columns"),
+        (TABLE.replace("1200.5", "nan"), 0, "altitude_m 'nan'"),
+        (TABLE.replace("45.5", "-91"), 0, "pitch_deg '-91'"),
+    ],
+)
+def test_tables_that_contradict_themselves_are_named(table: str, code: int, words: str, tmp_path: Path) -> None:
+    assert words in str(inspected(tmp_path, table, code)["problems"])
