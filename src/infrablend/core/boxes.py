@@ -93,6 +93,13 @@ def polygon_area(polygon_xy: FloatArray) -> float:
     return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
+def clockwise(corners_xy: FloatArray) -> FloatArray:
+    """Return the corners (4, 2) of a convex outline in any order clockwise on screen, from the first one on."""
+    x, y = (corners_xy - corners_xy.mean(axis=0)).T
+    order = np.argsort(np.arctan2(y, x), kind="stable")
+    return np.asarray(corners_xy[np.roll(order, -int(np.flatnonzero(order == 0)[0]))])
+
+
 def _well_inside(points_xy: FloatArray, directions: int) -> NDArray[np.bool_]:
     """Mark points well inside the polygon of the extreme points in evenly spread directions.
 

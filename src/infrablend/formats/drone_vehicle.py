@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import box_of_points, corners_of_box, polygon_area
+from infrablend.core.boxes import box_of_points, clockwise, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
@@ -211,8 +211,7 @@ def _instances(
             state.problems.append(Problem(here, "annotation-layout", "no box", expected, "correct the annotation"))
             continue
         corners = corners - offset
-        if polygon_area(corners) < 0:
-            corners = corners[[0, 3, 2, 1]]
+        corners = clockwise(corners)
         box, problem = check_box(box_of_points(corners).tolist(), size_wh, here)
         if box is None:
             state.counts["outside"] += problem is not None and problem.code == "box-outside"

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from infrablend.annotation.classes import rename_classes
+from infrablend.compositing.mapping import measure_levels
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
@@ -28,12 +29,15 @@ from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
+from infrablend.formats.images import load_background
+from infrablend.formats.temperatures import is_deep
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
 from infrablend.pipeline.models import ready_model
+from infrablend.pipeline.plan import LEVELS_SAMPLE
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.rerender import recipe_json
 from infrablend.realism.class_comparison import (
@@ -142,6 +146,7 @@ def measure_populations(
             f"{dataset.root}: {len(lost)} of the backgrounds of {run} are missing, e.g. {lost[0]}; "
             "expected the dataset that the run was made from. Give it with --against"
         )
+    _require_one_depth(backgrounds, real)
     chosen = _categories(run, real, records, request.categories)
     splits = set(SPLITS) if request.real else {r.frame_id.split("/")[0] for r in records}
     originals = {
@@ -153,7 +158,7 @@ def measure_populations(
         run,
         recipe.model_dump_json(),
         measured,
-        _run_levels(records),
+        _run_levels(records, list(backgrounds.values())),
         about["machine"]["renderer"],
         about["machine"]["device"],
         not request.in_process,
@@ -233,13 +238,35 @@ def _categories(
     return tuple(both)
 
 
-def _run_levels(records: Sequence[FrameRecord]) -> tuple[float, float]:
-    """Return the dataset's levels as the run measured them; 8-bit pictures do not need them."""
+def _run_levels(records: Sequence[FrameRecord], backgrounds: Sequence[ImageRecord]) -> tuple[float, float]:
+    """Return the dataset's levels as the run measured them, or those of backgrounds with temperatures.
+
+    8-bit pictures do not need them.
+    """
     for r in records:
         levels = r.facts.get("matching", {}).get("levels") or (r.facts.get("sensor") or {}).get("limits")
         if levels:
             return float(levels[0]), float(levels[1])
-    return _EIGHT_BIT
+    sample = backgrounds[:: max(1, len(backgrounds) // LEVELS_SAMPLE)][:LEVELS_SAMPLE]
+    pictures = [load_background(i.path, i.size_wh).pixels for i in sample if is_deep(i)]
+    return measure_levels(pictures) if pictures else _EIGHT_BIT
+
+
+def _require_one_depth(backgrounds: Mapping[str, ImageRecord], real: Dataset) -> None:
+    """Refuse real objects in pictures of another depth, whose levels mean something else.
+
+    Raises:
+        DatasetError: One side has 8-bit pictures, and the other 16-bit ones.
+    """
+    first = next((i for i in real.images if i.instances), None)
+    if first is None or not backgrounds:
+        return
+    inserted = is_deep(next(iter(backgrounds.values())))
+    if inserted != is_deep(first):
+        found = f"{8 + 8 * is_deep(first)}-bit pictures, and {8 + 8 * inserted}-bit ones in the run"
+        todo = "compare a run on 8-bit pictures, or give real objects in 16-bit pictures with --real"
+        problem = Problem(real.root.name, "image-depth", found, "pictures of the same depth", todo)
+        raise DatasetError(f"{real.root}: levels that cannot be compared", [problem])
 
 
 def _random_subset(objects: Sequence[Measured], most: int) -> list[Measured]:

@@ -64,6 +64,15 @@ def test_the_white_border_is_taken_off(bordered: Path) -> None:
     assert (rows["objects"], rows["read"], rows["outside"], rows["unknown"], rows["cropped"]) == (7, 4, 1, 1, 1)
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 3, 2, 1), (0, 2, 1, 3), (0, 1, 3, 2), (0, 3, 1, 2), (0, 2, 3, 1)])
+def test_corners_in_any_order_give_one_outline(order: tuple[int, ...], bordered: Path) -> None:
+    corners = [(300, 200), (340, 210), (335, 230), (295, 220)]
+    text = polygon(*(v for k in order for v in corners[k]))
+    (bordered / "val" / "vallabelr" / "00001.xml").write_text(f"<annotation>{text}</annotation>")
+    (image,) = detection.read(bordered).images
+    assert image.instances[0].corners_xy.tolist() == [[200, 100], [240, 110], [235, 130], [195, 120]]
+
+
 def test_the_border_can_be_kept(bordered: Path) -> None:
     (image,) = detection.read(bordered, Reading(options={"border": "keep"})).images
     assert image.size_wh == (840, 712) and image.path.parent.name == "valimgr"

@@ -99,3 +99,13 @@ def test_16_bit_colour_is_not_cut_to_8_bits_in_silence(channels: int, kind: int,
     source.mkdir()
     (source / "a.png").write_bytes(png(np.stack(layers, 2), kind))
     assert "16-bit colour or alpha, read in 8 bits" in run("check", source)
+
+
+def test_objects_in_16_bits_are_not_compared_with_real_ones_in_8(tmp_path: Path, write_tiny_hit_uav: Any) -> None:
+    source = data(tmp_path / "in", centikelvin(0))
+    fields = {"matching.mode": "radiometric", "data.unit": "centikelvin", "camera.calibrate": False}
+    execution = api.Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-car", source, tmp_path / "out", settings=fields, execution=execution)
+    real = write_tiny_hit_uav(tmp_path / "real", ("normal_json",))
+    text = run("realism", tmp_path / "out", "--against", source, "--real", real, "--no-steps", code=2)
+    assert "8-bit pictures, and 16-bit ones in the run" in text
