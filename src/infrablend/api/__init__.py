@@ -37,7 +37,18 @@ if TYPE_CHECKING:
     from infrablend.api.detectors import compare_evaluations, evaluate, plan_train, train
     from infrablend.api.experiments import experiment, list_experiments, plan_experiment
     from infrablend.api.in_memory import frames, try_recipe, watch_recipe
-    from infrablend.api.runs import PlanReport, generate, plan, preview, preview_ground, realism, realism_page, rerender
+    from infrablend.api.runs import (
+        PlanReport,
+        exclude,
+        generate,
+        include,
+        plan,
+        preview,
+        preview_ground,
+        realism,
+        realism_page,
+        rerender,
+    )
     from infrablend.api.shipped import (
         add_model,
         describe_model,
@@ -53,6 +64,7 @@ if TYPE_CHECKING:
     from infrablend.formats.reading import Reading
     from infrablend.formats.writing import WriteSettings
     from infrablend.pipeline.add_model import ModelAnswers, ModelSurvey
+    from infrablend.pipeline.choose import ChoiceReport
     from infrablend.pipeline.compare_objects import RealismReport
     from infrablend.pipeline.convert import ClassChanges, ConvertReport
     from infrablend.pipeline.evaluation_settings import EvaluationSettings
@@ -77,17 +89,79 @@ if TYPE_CHECKING:
     from infrablend.training.request import TrainRequest
 
 __all__ = [
-    "BackgroundSource", "ClassChanges", "ConvertReport", "EvaluationSettings", "Execution", "ExperimentRequest",
-    "Extensions", "FetchReport", "FetchRequest", "Frame", "FrameSelection", "Frames", "FramesRequest",
-    "Look", "LookRequest",
-    "ModelAnswers", "ModelSurvey", "PlanReport", "Reading", "RealismReport", "RunReport", "SceneRequest",
-    "SceneSampler", "Selection", "SourceEntry", "SplitReport", "SplitRule", "TrainPlan", "TrainReport",
-    "TrainRequest", "Trial", "WriteSettings", "add_model", "check", "compare_evaluations", "convert",
-    "describe_model", "describe_source", "diagnose", "evaluate", "experiment", "extract_frames",
-    "extract_temperatures", "fetch", "frames", "generate", "inspect", "list_experiments", "list_models",
-    "list_recipes", "list_sources", "make_world", "plan", "plan_experiment", "plan_train", "preview",
-    "preview_ground", "profile", "read_dataset", "realism", "realism_page", "rerender", "show_model", "show_recipe",
-    "split", "survey_model", "train", "try_recipe", "watch_recipe", "write_infrared_effect",
+    "BackgroundSource",
+    "ChoiceReport",
+    "ClassChanges",
+    "ConvertReport",
+    "EvaluationSettings",
+    "Execution",
+    "ExperimentRequest",
+    "Extensions",
+    "FetchReport",
+    "FetchRequest",
+    "Frame",
+    "FrameSelection",
+    "Frames",
+    "FramesRequest",
+    "Look",
+    "LookRequest",
+    "ModelAnswers",
+    "ModelSurvey",
+    "PlanReport",
+    "Reading",
+    "RealismReport",
+    "RunReport",
+    "SceneRequest",
+    "SceneSampler",
+    "Selection",
+    "SourceEntry",
+    "SplitReport",
+    "SplitRule",
+    "TrainPlan",
+    "TrainReport",
+    "TrainRequest",
+    "Trial",
+    "WriteSettings",
+    "add_model",
+    "check",
+    "compare_evaluations",
+    "convert",
+    "describe_model",
+    "describe_source",
+    "diagnose",
+    "evaluate",
+    "exclude",
+    "experiment",
+    "extract_frames",
+    "extract_temperatures",
+    "fetch",
+    "frames",
+    "generate",
+    "include",
+    "inspect",
+    "list_experiments",
+    "list_models",
+    "list_recipes",
+    "list_sources",
+    "make_world",
+    "plan",
+    "plan_experiment",
+    "plan_train",
+    "preview",
+    "preview_ground",
+    "profile",
+    "read_dataset",
+    "realism",
+    "realism_page",
+    "rerender",
+    "show_model",
+    "show_recipe",
+    "split",
+    "survey_model",
+    "train",
+    "try_recipe",
+    "watch_recipe",
+    "write_infrared_effect",
 ]  # fmt: skip
 
 # Names by the module that defines them. Each is imported on first use, so that one command does not load the others.
@@ -99,7 +173,7 @@ _MODULES = {
     "api.detectors": "compare_evaluations evaluate plan_train train",
     "api.experiments": "experiment list_experiments plan_experiment",
     "api.in_memory": "frames try_recipe watch_recipe",
-    "api.runs": "PlanReport generate plan preview preview_ground realism realism_page rerender",
+    "api.runs": "PlanReport exclude generate include plan preview preview_ground realism realism_page rerender",
     "api.shipped": (
         "add_model describe_model diagnose list_models list_recipes show_model show_recipe survey_model "
         "write_infrared_effect"
@@ -108,6 +182,7 @@ _MODULES = {
     "formats.reading": "Reading",
     "formats.writing": "WriteSettings",
     "pipeline.add_model": "ModelAnswers ModelSurvey",
+    "pipeline.choose": "ChoiceReport",
     "pipeline.compare_objects": "RealismReport",
     "pipeline.convert": "ClassChanges ConvertReport",
     "pipeline.evaluation_settings": "EvaluationSettings",

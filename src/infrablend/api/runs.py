@@ -12,6 +12,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.pipeline.choose import BY_HAND, ChoiceReport, FrameChoice, choose_frames
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
@@ -92,6 +93,34 @@ def rerender(
     """
     folder = None if data is None else Path(data)
     return rerender_frame(Path(run), frame_id, None if out is None else Path(out), folder, overwrite=overwrite)
+
+
+def exclude(
+    run: str | Path, frames: Sequence[str] = (), *, review: str | Path | None = None, reason: str = BY_HAND,
+    purge: bool = False, data: str | Path | None = None, on_progress: OnProgress | None = None,
+) -> ChoiceReport:  # fmt: skip
+    """Leave frames of a finished run out of its labels, splits, card and counts; their files move to `run/excluded`.
+
+    Args:
+        run: Folder of the run.
+        frames: Ids of frames (`test/a_c0`), or of backgrounds for all of their frames.
+        review: File with accepted and rejected frames: rejected ones are left out, accepted ones taken back.
+        reason: Reason for `frames`, kept in `excluded.json`.
+        purge: Delete the files of all excluded frames.
+        data: Folder of the backgrounds, if it has moved.
+        on_progress: Called after each frame that has to be rendered again.
+    """
+    choice = FrameChoice(tuple(frames), review=None if review is None else Path(review), reason=reason, purge=purge)
+    return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)
+
+
+def include(
+    run: str | Path, frames: Sequence[str] = (), *, every: bool = False, data: str | Path | None = None,
+    on_progress: OnProgress | None = None,
+) -> ChoiceReport:  # fmt: skip
+    """Take excluded frames back, `every` one of them or those with these ids; purged ones are rendered again."""
+    choice = FrameChoice(include=tuple(frames), include_all=every)
+    return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)
 
 
 def preview(

@@ -15,6 +15,7 @@ from infrablend.cli import (
     convert,
     doctor,
     evaluate,
+    exclude,
     exits,
     experiment,
     fetch,
@@ -109,6 +110,8 @@ def build_app() -> typer.Typer:
     app.command("preview")(preview.preview)
     app.command("profile")(profile.profile)
     app.command("rerender")(rerender.rerender)
+    app.command("exclude")(exclude.exclude)
+    app.command("include")(exclude.include)
     app.command("inspect")(inspect.inspect)
     app.command("check")(check.check)
     app.command("split")(split.split)

@@ -26,6 +26,8 @@ PLACED = ".ready.json"
 FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
 COMPLETE = "complete"
+EXCLUDING = "excluding"
+"""Status of a run while frames are excluded or included."""
 UNFINISHED = "folder-unfinished"
 
 # A dataset may be given by a folder inside the one with the record: `RUN/coco`, `RUN/images/train`.
@@ -93,6 +95,8 @@ def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, 
     found = "a record that cannot be read" if record is None else f"status {record.get('status')}"
     facts = {k: (record or {}).get(k, "...") for k in ("source", "format", "by", "every")}
     command = marker.command.format(root=path.parent, **facts)
+    if record is not None and record.get("status") == EXCLUDING:
+        command = f"infrablend exclude {path.parent}"
     problem = Problem(
         str(path),
         UNFINISHED,

@@ -12,6 +12,8 @@ IMAGES = "images"
 SCENES = "scenes"
 LOGS = "log"
 EIGHT_BIT = "8bit"
+EXCLUDED = "excluded"
+EXCLUDED_FILE = "excluded.json"
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class RunLayout:
     def labels(self, format_name: str) -> Path:
         """Return the folder with the labels of one format."""
         return self.root / format_name
+
+    @property
+    def excluded_file(self) -> Path:
+        """File with the frames that were left out after the run."""
+        return self.root / EXCLUDED_FILE
 
     @property
     def eight_bit(self) -> Path:

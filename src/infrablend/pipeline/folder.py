@@ -14,8 +14,9 @@ from infrablend.core.files import load_json, part_path, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import EIGHT_BIT, IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
+from infrablend.core.run_layout import EIGHT_BIT, EXCLUDED, EXCLUDED_FILE, IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
 from infrablend.errors import OutputError, Problem
+from infrablend.pipeline.excluded import excluded_files, read_choice
 from infrablend.pipeline.record import RecordError, load_record
 
 # Folders that contain nothing but what the run writes.
@@ -51,7 +52,7 @@ class RunFolder(RunLayout):
 
     def manifest(self) -> Manifest:
         """Return the manifest of the files that the run writes, unread; frames have their own records instead."""
-        ignored = (IMAGES, SCENES, LOGS, RUN_FILE, part_path(self.run_file).name)
+        ignored = (IMAGES, SCENES, LOGS, RUN_FILE, EXCLUDED, EXCLUDED_FILE, part_path(self.run_file).name)
         return Manifest(self.root, self.log_folder / MANIFEST, self.log_folder / REPLACED, ignored)
 
     def strays(self, known: Iterable[str]) -> list[str]:
@@ -148,6 +149,11 @@ class RunFolder(RunLayout):
                 frame = load_record(path)
                 manifest.add_present(f"{IMAGES}/{frame.image}", frame.image_sha256)
                 manifest.add_present(path.relative_to(self.root).as_posix())
+        for name, digest in excluded_files(self).items():
+            manifest.add_present(name, digest)
+        if os.path.lexists(self.excluded_file):
+            read_choice(self)  # raises if something else wrote it
+            manifest.add_present(EXCLUDED_FILE)
         for name in LOG_FILES:
             manifest.add_present(f"{LOGS}/{name}")
         manifest.remove_own()

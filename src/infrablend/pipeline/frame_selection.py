@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from infrablend.core.arguments import require_names, require_whole
@@ -57,6 +57,12 @@ class FrameSelection:
 
 ALL_FRAMES = FrameSelection()
 
+
+def similar(name: str, known: Collection[str]) -> str:
+    """Return the known names that are most similar to one, or the first ones, joined by commas."""
+    return ", ".join(difflib.get_close_matches(name, known, _SHOWN, 0.5) or sorted(known)[:_SHOWN])
+
+
 Names = Mapping[tuple[int, int | None], str]
 """Name of each frame by `id(image)` and configuration, see `plan.frame_names`."""
 
@@ -82,8 +88,7 @@ def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Nam
         if keys:
             found.update(keys)
             continue
-        near = difflib.get_close_matches(frame, [*known, *backgrounds], _SHOWN, 0.5) or sorted(known)[:_SHOWN]
-        expected = "the id of a frame or a background" + (f", such as {', '.join(near)}" if near else "")
+        expected = f"the id of a frame or a background, such as {similar(frame, [*known, *backgrounds])}"
         problems.append(Problem(frame, "frame-unknown", "no frame or background has this id", expected))
     if problems:
         raise ArgumentError(f"{len(problems)} of {len(wanted)} frames do not exist", problems)

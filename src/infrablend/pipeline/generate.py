@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.loading import read_recipe
 from infrablend.config.modes import DROPPED, KEPT
+from infrablend.core.file_names import real_path
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
-from infrablend.errors import OutputError
+from infrablend.errors import OutputError, Problem
 from infrablend.formats import detection
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
@@ -59,7 +62,7 @@ def prepare_run(request: RunRequest) -> RunPlan:
     if request.out is not None:
         require_apart(request.data, request.out)
     dataset = detection.read(request.data, with_scale(request.reading, loaded.recipe))
-    return make_plan(
+    plan = make_plan(
         loaded.recipe,
         dataset,
         request.seed,
@@ -67,3 +70,14 @@ def prepare_run(request: RunRequest) -> RunPlan:
         selection=request.selection,
         recipe_warnings=loaded.warnings,
     )
+    return replace(plan, request=_recorded(request, loaded.warnings))
+
+
+def _recorded(request: RunRequest, warnings: Sequence[Problem]) -> dict[str, Any]:
+    """Return how a request reads and chooses, where it is not the default, and the recipe's warnings; JSON values."""
+    reading = {k: v for k, v in asdict(request.reading).items() if v}
+    if request.reading.metadata is not None:
+        reading["metadata"] = str(real_path(Path(request.reading.metadata)))
+    selection = {k: v for k, v in asdict(request.selection).items() if v is not None}
+    found = {"reading": reading, "selection": selection, "warnings": [p.to_json() for p in warnings]}
+    return {name: value for name, value in found.items() if value}

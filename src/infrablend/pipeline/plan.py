@@ -7,7 +7,7 @@ import json
 import math
 import statistics
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,7 @@ class RunPlan:
         ignored: Original names of the categories that mark ignore regions.
         sample: Pictures from which to measure the grey levels of the dataset. They are spread over all pictures read,
             so that a run with a limit gives the same frames as a full run.
+        request: How the backgrounds were read and frames were chosen, for the run record.
     """
 
     recipe: Recipe
@@ -110,6 +111,7 @@ class RunPlan:
     key: Mapping[str, Any]
     ignored: tuple[str, ...] = ()
     sample: tuple[ImageRecord, ...] = ()
+    request: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def needs_levels(self) -> bool:

@@ -9,7 +9,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from infrablend import __version__
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
+from infrablend.core.finished import EXCLUDING
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
@@ -34,6 +35,7 @@ from infrablend.errors import (
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
 from infrablend.formats.images import output_suffix
+from infrablend.pipeline.excluded import place_frames, read_choice, write_choice
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.frame_settings import FrameDone
@@ -91,6 +93,7 @@ class RunReport:
 class _State:
     """Counts of a run, updated with each finished frame."""
 
+    excluded: int = 0
     done: int = 0
     resumed: int = 0
     inserted: int = 0
@@ -108,8 +111,9 @@ def run_plan(
     execution: Execution = DEFAULT_EXECUTION,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
+    excluded: Mapping[str, str] | None = None,
 ) -> RunReport:
-    """Render every frame of the plan, then write the label files.
+    """Render every frame of the plan that is not excluded, then write the label files.
 
     Args:
         plan: Plan of the run.
@@ -117,6 +121,7 @@ def run_plan(
         execution: Workers, device and renderer.
         existing: What to do if `out` already contains a run; `resume` keeps its finished frames.
         on_progress: Called after each frame.
+        excluded: Frames to leave out from now on, each with its reason; None keeps the choice of a resumed run.
 
     Raises:
         OutputError: The folder cannot be used, another run is writing to it, or the disk is full.
@@ -141,12 +146,18 @@ def run_plan(
         manifest = folder.manifest()
         if previous is None:
             manifest.reset()
-        folder.write_run({**header, "status": "running"})
-        state = _State()
+        kept_out = {} if previous is None else read_choice(folder)
+        folder.write_run({**header, "status": "running" if excluded is None else EXCLUDING})
+        if excluded is not None:
+            kept_out = dict(excluded)
+            write_choice(folder, kept_out)
+        state = _State(excluded=sum(f.frame_id in kept_out for f in plan.frames))
         if previous is None:
             todo = list(plan.frames)
         else:
             manifest.read().remove_parts()
+            place_frames(folder, manifest, {f.frame_id: _frame_files(plan, f) for f in plan.frames}, kept_out)
+            plan = replace(plan, frames=tuple(f for f in plan.frames if f.frame_id not in kept_out))
             todo = _remaining(plan, folder, manifest, state)
         for frame in todo:
             _make_way(plan, folder, manifest, frame)
@@ -162,11 +173,11 @@ def run_plan(
         else:
             pool = PoolSettings(workers=max(1, workers), log_path=folder.log_folder / "workers.log")
             executor = ProcessPool(worker, pool)
-        status = "complete"
+        status, stopped = "complete", "interrupted" if excluded is None else EXCLUDING
         try:
             _make_frames(executor, todo, plan, state, 1 if in_process else workers, on_progress)
         except Interrupted:
-            status = "interrupted"
+            status = stopped
         except (MissingDependencyError, RenderError):  # the renderer could not start
             if previous is None and not state.done:
                 folder.forget_start()
@@ -181,7 +192,7 @@ def run_plan(
                     manifest.remove_unwritten([*plan.recipe.output.formats, EIGHT_BIT])
                 notes = _file_notes(folder, manifest, records)
         except KeyboardInterrupt as error:
-            folder.write_run({**header, "status": "interrupted"})
+            folder.write_run({**header, "status": stopped})
             raise Interrupted(
                 f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept. "
                 "Repeat the command with --resume to write the labels."
@@ -211,7 +222,7 @@ def run_plan(
         log.info("%s: %s", status, counts)
         for note in notes:
             log.info("%s", note)
-        if status == "interrupted":
+        if status == stopped:
             raise Interrupted(
                 f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; finished ones are kept. "
                 "Repeat the command with --resume to continue."
@@ -462,6 +473,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
             "backgrounds": len(plan.dataset.images),
             "notes": dict(plan.dataset.notes),
         },
+        **({"request": dict(plan.request)} if plan.request else {}),
         "categories": [
             {"id": c.id, "name": c.name, "new": c.name in plan.new_categories, "ignore": c.ignore}
             for c in plan.categories
@@ -484,7 +496,8 @@ def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, A
         (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES
     }
     return {
-        "frames_planned": len(plan.frames),
+        "frames_planned": len(plan.frames) + state.excluded,
+        **({"frames_excluded": state.excluded} if state.excluded else {}),
         "frames": state.done + state.resumed if state.finished is None else state.finished,
         "failed_frames": len(state.failures),
         "skipped_backgrounds": len(state.skipped) + len(left_out),

@@ -1,0 +1,167 @@
+"""Excludes frames from a finished run and includes them again; labels, splits, card and counts follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.modes import recipe_from_json
+from infrablend.core.finished import COMPLETE, EXCLUDING
+from infrablend.core.tasks import OnProgress
+from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
+from infrablend.formats import detection
+from infrablend.formats.reading import Reading
+from infrablend.pipeline.excluded import purge, read_choice, read_review
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame_selection import FrameSelection, similar
+from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.request import Execution
+from infrablend.pipeline.rerender import recipe_json
+from infrablend.pipeline.run import run_plan
+from infrablend.pipeline.temperature_scale import with_scale
+
+REVIEW_FILE = "review.json"
+BY_HAND = "by hand"
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """Change of the frames of a run.
+
+    Attributes:
+        exclude: Frames to leave out, by id; or backgrounds, for all of their frames.
+        include: Frames to take back.
+        include_all: Take back all frames.
+        review: Review with accepted and rejected frames, to take back and leave out.
+        reason: Reason for the excluded frames, in `excluded.json`.
+        purge: Delete the files of all excluded frames.
+    """
+
+    exclude: Sequence[str] = ()
+    include: Sequence[str] = ()
+    include_all: bool = False
+    review: Path | None = None
+    reason: str = BY_HAND
+    purge: bool = False
+
+
+@dataclass(frozen=True)
+class ChoiceReport:
+    """Frames of a run after a change.
+
+    Attributes:
+        out: Folder of the run.
+        excluded: Excluded frames, each with its reason.
+        changed: Number of frames that were left out or taken back by this call.
+        purged_files: Number of deleted files.
+        counts: Counts of the run, as in `run.json`.
+    """
+
+    out: Path
+    excluded: Mapping[str, str]
+    changed: int
+    purged_files: int
+    counts: Mapping[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "out": str(self.out),
+            "excluded": dict(self.excluded),
+            "changed": self.changed,
+            "purged_files": self.purged_files,
+            "counts": dict(self.counts),
+        }
+
+
+def choose_frames(
+    run: Path, choice: FrameChoice, data: Path | None = None, on_progress: OnProgress | None = None
+) -> ChoiceReport:
+    """Exclude and include frames of a finished run, and write its labels, card and record again.
+
+    Frames that were purged are rendered again when they are taken back.
+
+    Args:
+        run: Folder of the run.
+        choice: Frames to exclude and include.
+        data: Folder of the backgrounds if they have moved.
+        on_progress: Called after each frame that is rendered again.
+
+    Raises:
+        ArgumentError: A frame does not exist, or none would be left.
+        OutputError: The folder is not a finished run, or another process writes to it.
+        OtherSettingsError: The backgrounds have changed.
+    """
+    folder = RunFolder(run)
+    record = folder.read_run()
+    status = record.get("status")
+    if status not in (COMPLETE, EXCLUDING):
+        raise OutputError(
+            f"{run}: an unfinished run (status {status}); expected a finished one. Finish it with its command and "
+            "--resume"
+        )
+    plan = _recorded_plan(record, data)
+    before = read_choice(folder)
+    after = _changed(before, choice, plan)
+    changed = before.keys() ^ after.keys()
+    counts: Mapping[str, Any] = record.get("counts", {})
+    if changed or after != before or status == EXCLUDING:
+        machine = record["machine"]
+        flat = machine["renderer"] == "flat"
+        execution = Execution(machine.get("workers"), machine["device"], machine["renderer"], in_process=flat)
+        try:
+            counts = run_plan(plan, run, execution, "resume", on_progress, excluded=after).counts
+        except OtherSettingsError as error:
+            raise OtherSettingsError(
+                f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
+                f"changed. Restore them, or give their folder with --data. Details: {error.message}"
+            ) from error
+    deleted = 0
+    if choice.purge:
+        with folder.output.claimed():
+            deleted = purge(folder, folder.manifest().read())
+    return ChoiceReport(run, after, len(changed), deleted, counts)
+
+
+def _changed(before: Mapping[str, str], choice: FrameChoice, plan: RunPlan) -> dict[str, str]:
+    """Return the excluded frames after a change."""
+    rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review)
+    ids: dict[str, list[str]] = {}
+    for frame in plan.frames:
+        background = frame.background
+        for name in (frame.frame_id, f"{background.split}/{background.id}", background.id):
+            ids.setdefault(name, []).append(frame.frame_id)
+    wanted = [*choice.exclude, *choice.include, *rejected, *accepted]
+    unknown = [name for name in wanted if name not in ids]
+    if unknown:
+        problems = [
+            Problem(name, "frame-unknown", "no frame of the run has this id", f"an id such as {similar(name, ids)}")
+            for name in unknown
+        ]
+        raise ArgumentError(f"{len(unknown)} of {len(wanted)} frames do not exist", problems)
+    after = {} if choice.include_all else dict(before)
+    for name in {*choice.include, *accepted}:
+        for frame_id in ids[name]:
+            after.pop(frame_id, None)
+    for name, reason in {**rejected, **dict.fromkeys(choice.exclude, choice.reason)}.items():
+        for frame_id in ids[name]:
+            after[frame_id] = after.get(frame_id, reason)
+    if len(after) >= len(plan.frames):
+        raise ArgumentError("all frames of the run would be excluded; expected at least one to stay. Delete the run")
+    return after
+
+
+def _recorded_plan(record: Mapping[str, Any], data: Path | None) -> RunPlan:
+    """Return the plan of a recorded run, made again from its backgrounds."""
+    recipe = recipe_from_json(recipe_json(dict(record)))
+    request = record.get("request") or {}
+    reading = Reading(**request.get("reading", {}))
+    dataset = detection.read(data or Path(record["data"]["root"]), with_scale(reading, recipe))
+    warnings = [Problem(**p) for p in request.get("warnings", ())]
+    plan = make_plan(
+        recipe, dataset, record["seed"], splits=reading.splits,
+        selection=FrameSelection(**request.get("selection", {})), recipe_warnings=warnings,
+    )  # fmt: skip
+    return replace(plan, request=request)

@@ -1,0 +1,133 @@
+"""Keeps frames out of a finished run: their files move to `excluded/`, and `excluded.json` holds the choice.
+
+The choice is written before anything moves. Whatever a kill leaves, the next call that finishes the run (`exclude`,
+`include` or `generate --resume`) brings the files in line with the choice.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.files import load_json, output_error, sha256_of, write_json
+from infrablend.core.manifest import Manifest, remove_empty
+from infrablend.core.run_layout import EXCLUDED, IMAGES, SCENES, RunLayout
+from infrablend.errors import OutputError
+from infrablend.pipeline.record import RecordError, load_record
+
+VERSION = 1
+
+
+def read_choice(layout: RunLayout) -> dict[str, str]:
+    """Return the excluded frames of a run, by id, each with its reason; empty if there is no choice.
+
+    Raises:
+        OutputError: The file cannot be read.
+    """
+    path = layout.excluded_file
+    if not os.path.lexists(path):
+        return {}
+    try:
+        data = load_json(path)
+        frames = data["frames"]
+        if data["version"] != VERSION or not all(isinstance(v, str) for pair in frames.items() for v in pair):
+            raise ValueError("not a choice of frames")
+        return dict(frames)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise OutputError(
+            f"{path}: cannot be read ({error}); expected the frames that `infrablend exclude` left out. Restore the "
+            "file; or remove it and repeat `infrablend exclude`, which puts all frames back first"
+        ) from error
+
+
+def write_choice(layout: RunLayout, excluded: Mapping[str, str]) -> None:
+    """Write the choice of frames."""
+    write_json(layout.excluded_file, {"version": VERSION, "frames": dict(sorted(excluded.items()))}, indent=2)
+
+
+def place_frames(
+    layout: RunLayout, manifest: Manifest, files: Mapping[str, tuple[str, str]], excluded: Iterable[str]
+) -> None:
+    """Move the files of excluded frames to `excluded/`, and those of other frames back.
+
+    Args:
+        layout: The run.
+        manifest: Its manifest, which moves files aside that are in the way.
+        files: Paths of image and record of each frame, relative to the run.
+        excluded: Ids of the excluded frames.
+    """
+    left_out, moved = {*excluded}, []
+    for frame_id, (image, record) in files.items():
+        away = frame_id in left_out
+        # Whatever is in `images/` is in a record: the image leaves first, and comes back last.
+        for name in (image, record) if away else (record, image):
+            aside = f"{EXCLUDED}/{name}"
+            source, target = (name, aside) if away else (aside, name)
+            if os.path.lexists(layout.root / source):
+                _move(layout.root, manifest, source, target)
+                moved.append(source)
+    remove_empty(layout.root, moved)
+
+
+def _move(root: Path, manifest: Manifest, source: str, target: str) -> None:
+    if os.path.lexists(root / target):
+        if _digest(root / target) == _digest(root / source):
+            (root / source).unlink()
+            return
+        manifest.move_aside(target)
+    try:
+        (root / target).parent.mkdir(parents=True, exist_ok=True)
+        (root / source).replace(root / target)
+    except OSError as error:
+        raise output_error(root / target, error) from error
+
+
+def _digest(path: Path) -> str | None:
+    return sha256_of(path) if path.is_file() and not path.is_symlink() else None
+
+
+def excluded_files(layout: RunLayout) -> dict[str, str | None]:
+    """Return the intact files in `excluded/` that the run wrote, relative to the run, images with their SHA-256."""
+    found: dict[str, str | None] = {}
+    for path in sorted((layout.root / EXCLUDED / SCENES).rglob("*.json")):
+        try:
+            record = load_record(path)
+        except RecordError:
+            continue
+        found[f"{EXCLUDED}/{IMAGES}/{record.image}"] = record.image_sha256
+        found[path.relative_to(layout.root).as_posix()] = None
+    return found
+
+
+def purge(layout: RunLayout, manifest: Manifest) -> int:
+    """Delete the files of excluded frames that nobody changed; return the number of deleted files."""
+    deleted = []
+    for name, digest in excluded_files(layout).items():
+        if manifest.add_present(name, digest):
+            manifest.delete_own(name)
+            deleted.append(name)
+    remove_empty(layout.root, deleted)
+    return len(deleted)
+
+
+def read_review(path: Path) -> tuple[dict[str, str], set[str]]:
+    """Return the rejected frames of a review, each with its reason, and the accepted ones.
+
+    Raises:
+        OutputError: The file cannot be read.
+    """
+    try:
+        frames: Mapping[str, Any] = load_json(path)["frames"]
+        verdicts = {str(k): (str(v["verdict"]), str(v.get("reason") or "review")) for k, v in frames.items()}
+        wrong = sorted({verdict for verdict, _ in verdicts.values()} - {"accept", "reject"})
+        if wrong:
+            raise ValueError(f"verdict {wrong[0]!r}")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise OutputError(
+            f"{path}: cannot be read as a review ({type(error).__name__}: {error}); expected "
+            '{"frames": {"test/a_c0": {"verdict": "reject", "reason": "too bright"}}}, with verdicts accept and reject'
+        ) from error
+    rejected = {k: reason for k, (verdict, reason) in verdicts.items() if verdict == "reject"}
+    return rejected, {k for k, (verdict, _) in verdicts.items() if verdict == "accept"}
