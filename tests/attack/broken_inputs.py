@@ -25,8 +25,9 @@ from infrablend.core.file_names import is_inside
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.models import choose_model, write_models
-from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab, write_clips, write_detections
+from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab
 from tests.attack.trees import contents, differences, snapshot
+from tests.clips import write_clips, write_detections
 from tests.fuzzing import WEIRD_JSON, WEIRD_WORDS, mutate
 from tests.samples import SAMPLES
 

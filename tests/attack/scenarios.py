@@ -12,10 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
+from tests.clips import write_clips, write_detections
 from tests.fuzzing import make_outside
 from tests.samples import SAMPLES, picture
 
@@ -79,33 +78,9 @@ def _coco(lab: Path) -> None:
     SAMPLES["coco"](lab / "in" / "data")
 
 
-def write_clips(lab: Path) -> None:
-    """Write twelve labelled pictures of two classes in three splits, large enough to train on."""
-    for k in range(12):
-        split = ("train", "train", "train", "val", "test")[k % 5]
-        path = picture(lab / "in" / "data" / "images" / split / f"clip{k // 4}_{2 * k:05}.png", k)
-        label = lab / "in" / "data" / "labels" / split / f"{path.stem}.txt"
-        label.parent.mkdir(parents=True, exist_ok=True)
-        label.write_text(f"{k % 2} 0.5 0.5 0.2 0.25\n0 0.2 0.3 0.1 0.125\n")
-    (lab / "in" / "data" / "data.yaml").write_text(
-        "path: .\ntrain: images/train\nval: images/val\ntest: images/test\nnames: {0: fox, 1: hare}\n"
-    )
-
-
 def _run(lab: Path) -> None:
     _coco(lab)
     done(lab, *generate_words(lab, lab / "in" / "run"))
-
-
-def write_detections(lab: Path) -> None:
-    write_clips(lab)
-    from infrablend.evaluation.detections import Predictions, detections, write_predictions
-
-    found = {}
-    for path in sorted((lab / "in" / "data" / "images" / "test").iterdir()):
-        found[f"test/{path.name}"] = detections([np.array([25.0, 18, 38, 30])], [0.9], [0])
-    predictions = Predictions("detect", ("fox", "hare"), found, dict.fromkeys(found, (64, 48)), {"weights": "a.pt"})
-    write_predictions(lab / "in" / "predictions.json", predictions)
 
 
 def _pictures(lab: Path) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.attack import plain_user
 from tests.attack.child import UNDISTURBED, Disturbance, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.kills import Judge, Reference, make_reference
@@ -240,6 +241,8 @@ def run(root: Path, number: int, seed: int, part: tuple[int, int]) -> Iterator[t
     for folder in root.parents[:3]:  # another user has to reach the labs
         if folder.stat().st_uid == os.geteuid() and not folder.stat().st_mode & 0o1000:
             folder.chmod(0o755)
+    if part[0] == 0:
+        yield from plain_user.run(root)
     attacks = [a for a in ATTACKS if not (a.needs_root and os.geteuid())]
     for n, name in enumerate(ATTACKED):
         reference = make_reference(SCENARIOS[name], root)

@@ -8,8 +8,7 @@ import pytest
 from PIL import Image
 
 from infrablend.cli import main
-from infrablend.core.file_names import distinct_names, file_name
-from infrablend.pipeline import evaluate, request
+from tests.flat_renderer import render_flat
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 
@@ -17,8 +16,7 @@ SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[6
 @pytest.fixture(autouse=True)
 def flat_renderer(monkeypatch, tmp_path):
     """Let the command line compute frames with the flat renderer in this process, which takes milliseconds."""
-    real = request.Execution
-    monkeypatch.setattr(request, "Execution", lambda workers, device: real(workers, device, "flat", True))
+    render_flat(monkeypatch)
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
 
 
@@ -137,6 +135,8 @@ def test_a_record_that_names_a_path_outside_the_run_is_made_again(tmp_path, path
     ],
 )
 def test_texts_from_data_give_one_part_of_a_path(tmp_path, text):
+    from infrablend.core.file_names import file_name
+
     name = file_name(text)
     (tmp_path / name).write_text("")
     assert [p.name for p in tmp_path.iterdir()] == [name]
@@ -144,6 +144,8 @@ def test_texts_from_data_give_one_part_of_a_path(tmp_path, text):
 
 
 def test_distinct_names_keep_what_is_unambiguous():
+    from infrablend.core.file_names import distinct_names, file_name
+
     assert distinct_names(["a", "b", "Person", "Person (2)"]) == ["a", "b", "Person", "Person (2)"]
     assert distinct_names(["a", "A", "a-2", "a"]) == ["a", "A-3", "a-2", "a-4"]
     assert file_name("Person (2) \u6771\u4eac") == "Person (2) \u6771\u4eac"
@@ -226,6 +228,8 @@ def test_a_recipe_may_not_name_a_class_that_labels_cannot_hold(tmp_path):
 
 
 def test_class_names_are_no_formulas_in_plots(tmp_path, monkeypatch):
+    from infrablend.pipeline import evaluate
+
     monkeypatch.setattr(evaluate, "_by_ultralytics", lambda case: None)  # it takes seconds to import
     names = ("$x^{ $", "$\\alpha$")
     data = write_coco(tmp_path / "data", names)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import functools
 import hashlib
 import json
 import os
@@ -16,8 +15,8 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
-from infrablend.pipeline import request
-from tests.attack.scenarios import write_detections
+from tests.clips import write_detections
+from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
 from tests.samples import SAMPLES
 
@@ -152,7 +151,7 @@ GENERATE = ("generate", "hit-uav-drone", "--set", "output.formats=[yolo]", "--se
 @pytest.fixture
 def flat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Render with the flat renderer, which the command line does not offer."""
-    monkeypatch.setattr(request, "Execution", functools.partial(request.Execution, renderer="flat", in_process=True))
+    render_flat(monkeypatch)
 
 
 @pytest.fixture
