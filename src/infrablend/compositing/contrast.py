@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
-from infrablend.core.boxes import boxes_mask, pixel_box
+from infrablend.core.boxes import pixel_box
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import TimeOfDay
+from infrablend.core.rings import MIN_RING_PX, ring_levels
 
-# Width of the ring: half the box's longest side, at least this, px.
-MIN_RING_PX = 3
-# Boxes nearer to the frame's edge are not measured, nor rings with fewer pixels.
+# Boxes nearer to the frame's edge are not measured.
 EDGE_PX = 3
-MIN_RING_PIXELS = 12
 
 
 @dataclass(frozen=True)
@@ -139,37 +137,6 @@ def measure_contrast(
         ring=float(np.median(ring)),
         clutter=float(ring.std()),
     )
-
-
-def ring_window(
-    box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...], min_ring_px: int = MIN_RING_PX
-) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom edge of a box and its ring, within the frame."""
-    height, width = shape_hw
-    left, top, right, bottom = pixel_box(box_xyxy, shape_hw)
-    reach = max(min_ring_px, max(right - left, bottom - top) // 2)
-    return max(left - reach, 0), max(top - reach, 0), min(right + reach, width), min(bottom + reach, height)
-
-
-def ring_levels(
-    picture: GreyImage | NDArray[np.float32],
-    box_xyxy: NDArray[np.float64],
-    others: Sequence[NDArray[np.float64]] = (),
-    min_ring_px: int = MIN_RING_PX,
-) -> NDArray[np.float64] | None:
-    """Return the levels of the free pixels around a box; None if the box is empty or too few are free.
-
-    Arguments as for `measure_contrast`; levels are the picture's own.
-    """
-    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
-    if left >= right or top >= bottom:
-        return None
-    window = ring_window(box_xyxy, picture.shape, min_ring_px)
-    x0, y0, x1, y1 = window
-    ring = ~boxes_mask((box_xyxy, *others), picture.shape, window)
-    if np.count_nonzero(ring) < MIN_RING_PIXELS:
-        return None
-    return np.asarray(picture[y0:y1, x0:x1][ring], np.float64)
 
 
 def near_edge(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> bool:

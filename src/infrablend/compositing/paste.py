@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.contrast import ring_levels
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
+from infrablend.core.rings import ring_levels
 
 # Pixels around the box in which the matte fades to nothing.
 FEATHER_PX = 2

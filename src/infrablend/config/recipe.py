@@ -11,6 +11,7 @@ its own classes for the sections that depend on it, so that a recipe has no fiel
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -25,6 +26,18 @@ from infrablend.core.temperature import TemperatureScale, Unit
 def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(set(value)) != len(value):
         raise ValueError("each item once")
+    return value
+
+
+def _five(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 5:
+        raise ValueError("five quantiles: 5, 25, 50, 75 and 95 %")
+    return tuple(value)
+
+
+def _rising(value: tuple[float, ...]) -> tuple[float, ...]:
+    if any(a > b for a, b in pairwise(value)):
+        raise ValueError("five quantiles in rising order")
     return value
 
 
@@ -282,6 +295,32 @@ class PaperPlacement(Placement):
     """Reject placements that cover ignore regions (DontCare). The paper does not."""
 
 
+Quantiles = Annotated[tuple[float, float, float, float, float], BeforeValidator(_five), AfterValidator(_rising)]
+"""5, 25, 50, 75 and 95 % quantiles."""
+
+
+class RealGround(Strict):
+    """Ground around annotated objects of a class, measured in rings half as wide as the longer side of their boxes.
+
+    `infrablend realism` reports both for real and for inserted objects.
+    """
+
+    level_grey: Quantiles
+    """5, 25, 50, 75 and 95 % quantiles of the ring's median minus the picture's median, 8-bit grey levels, warm ground
+    positive. No object is placed on ground beyond the first or the last."""
+    clutter_grey: Quantiles
+    """The same quantiles of the ring's standard deviation, 8-bit grey levels."""
+
+
+class GroundByTime(Strict):
+    """Ground around annotated objects by day and by night."""
+
+    day: RealGround | None = None
+    """Pictures taken by day."""
+    night: RealGround | None = None
+    """Pictures taken by night."""
+
+
 class MetricPlacement(Placement):
     """Placement in the view of the real camera, at its real height above the ground."""
 
@@ -295,6 +334,10 @@ class MetricPlacement(Placement):
     max_relief_grey: float = Field(12.0, ge=0)
     """Models that stand: largest standard deviation of the background under the feet, 8-bit grey levels. Trees, roof
     edges and kerbs have more than level ground. 0 turns the check off."""
+    ground: GroundByTime | None = None
+    """Models that stand: ground around real objects. Each object draws level and clutter from these distributions, and
+    looks for such a place; three quarters of the attempts later it takes any of a possible level. Without it, places
+    are uniform over the image. Pictures of unknown time of day are not restricted."""
     contrast_redraws: int = Field(4, ge=0, le=50)
     """Number of times that the objects of a frame that fail `min_contrast` are drawn again elsewhere."""
     max_noise_grey: float = Field(12.0, gt=0)

@@ -178,6 +178,7 @@ class FrameComposer:
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
             PRIORS.get(str(source.extra.get("altitude_from")), FROM_TABLE),
+            source.time_of_day,
         )
 
     def _match(

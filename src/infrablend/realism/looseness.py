@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.contrast import Contrast, ring_window
+from infrablend.compositing.contrast import Contrast
 from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.dataset import Instance
+from infrablend.core.rings import ring_window
 from infrablend.core.rng import stream
 from infrablend.realism.contrasts import ObjectContrast
 from infrablend.realism.features import Picture

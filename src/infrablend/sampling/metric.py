@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude
+from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude, RealGround
+from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.burnt_in import find_burnt_in
-from infrablend.core.camera import CameraSpec
-from infrablend.core.dataset import Instance
+from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.dataset import Instance, TimeOfDay
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
@@ -35,12 +36,15 @@ from infrablend.sampling.placement import (
     examine,
     overlaps,
 )
+from infrablend.sampling.real_ground import draw_aim, ground_around
 
 # A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
 # Side of the windows that relief is measured in, and margin around the feet, px.
 _RELIEF_WINDOW_PX = 7
 _FEET_MARGIN_PX = 3
+# Number of vertices, about, whose box is taken for an object's in the search for ground.
+_ROUGH_VERTICES = 200
 # Share of an object's height, from below, that counts as its feet.
 _FEET = 0.12
 # Share of the attempts, from the first, that place an object where it can be partly hidden, and largest number of
@@ -79,6 +83,7 @@ class Site:
         max_noise_grey: Noise above which nothing is inserted, 8-bit levels; None for no limit.
         hiding: What can hide objects in part; None for nothing.
         height_prior: What is known about `altitude_m`.
+        time_of_day: Time of day, or None if unknown.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -90,6 +95,7 @@ class Site:
     max_noise_grey: float | None = None
     hiding: Hiding | None = None
     height_prior: HeightPrior = FROM_TABLE
+    time_of_day: TimeOfDay | None = None
 
     @cached_property
     def median_level(self) -> float:
@@ -177,6 +183,7 @@ def place_metric(
     annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
     inserted = np.array([*occupied], np.float64).reshape(-1, 4)
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
+    real = _real_ground(recipe, site)
     poses: list[Pose | None] = []
     for number, item in enumerate(wanted):
         found = None
@@ -184,6 +191,7 @@ def place_metric(
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
             mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
+        aim = None if real is None or not item.model.stands else draw_aim(real, rng)
         hiding = None if item.visible_aim is None else site.hiding
         examined = 0
         for attempt in range(rules.attempts):
@@ -200,6 +208,12 @@ def place_metric(
                     tally.reject("no_occluder")
                     continue
                 examined += 1
+            if aim is not None and hiding is None:
+                # Before the exact checks, which cost far more.
+                ground = ground_around(site, _rough_box(camera, pose, item), annotated)
+                if ground is None or not aim.accepts(ground, attempt / rules.attempts, company):
+                    tally.reject("unlike_real_ground")
+                    continue
             world = item.in_world(pose)
             reason, box = examine(camera, world, item, rules)
             if reason is None:
@@ -226,6 +240,13 @@ def place_metric(
             tally.leave_out("no_place")
         poses.append(found)
     return poses
+
+
+def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
+    by_time = recipe.placement.ground
+    if by_time is None or site.time_of_day is None:
+        return None
+    return by_time.day if site.time_of_day == "day" else by_time.night
 
 
 def _kind(item: PlacementRequest) -> MetricObject:
@@ -273,6 +294,16 @@ def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.ran
     else:
         yaw, towards = low + (high - low) * heading, 2 * math.pi * turn
     return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
+
+
+def _rough_box(camera: CameraSpec, pose: Pose, item: PlacementRequest) -> FloatArray:
+    """Return the (4,) box around some of an object's vertices, cut to the frame; empty if one is behind the camera."""
+    vertices = item.mesh.vertices_m
+    some = vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
+    xy, depth_m = camera.project(object_to_world(some, pose[:3], pose[3], item.scale))
+    if (depth_m <= 0).any():
+        return np.zeros(4)
+    return clip_boxes(box_of_points(xy), camera.size_wh)
 
 
 def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:

@@ -1,0 +1,120 @@
+"""Where real objects stand: the level and the clutter of the ground around them, as an aim for inserted ones.
+
+People walk along kerbs, between parked scooters and past trees; places drawn uniformly over a picture are more often on
+an empty lawn. A detector that is trained on such places takes clutter as a sign that nothing is there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.config.recipe import RealGround
+from infrablend.core.mesh import FloatArray
+from infrablend.core.rings import ring_levels
+
+# Shares of the real objects below each of a recipe's quantiles.
+_SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+# An aim spans this share of the real objects on either side of a drawn one.
+_REACH = 0.15
+# Shares of the attempts, from the first, that look for level and clutter of the aim, and for its clutter alone.
+_BOTH = 0.5
+_CLUTTER = 0.75
+
+
+class Picture(Protocol):
+    """What `ground_around` needs of a background."""
+
+    @property
+    def pixels(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """(h, w) levels."""
+        ...
+
+    @property
+    def grey_unit(self) -> float:
+        """Levels of the picture per 8-bit level."""
+        ...
+
+    @property
+    def black_hot(self) -> bool:
+        """Whether hot is dark."""
+        ...
+
+    @property
+    def median_level(self) -> float:
+        """Median level of the picture."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Ground around a box, 8-bit levels.
+
+    Attributes:
+        level: Median of the ring around the box minus the picture's median; positive is warmer.
+        clutter: Standard deviation of the ring.
+    """
+
+    level: float
+    clutter: float
+
+
+def ground_around(picture: Picture, box_xyxy: FloatArray, annotated: FloatArray) -> Ground | None:
+    """Measure the ground around the (4,) box of an object; None if too little of it is free of (n, 4) other boxes."""
+    ring = ring_levels(picture.pixels, box_xyxy, annotated)
+    if ring is None:
+        return None
+    level = (float(np.median(ring)) - picture.median_level) / picture.grey_unit
+    return Ground(-level if picture.black_hot else level, float(ring.std()) / picture.grey_unit)
+
+
+@dataclass(frozen=True)
+class GroundAim:
+    """Ground to look for.
+
+    Attributes:
+        level: Range of levels that are aimed at.
+        clutter: Range of clutter that is aimed at.
+        possible: Range of levels that any place must have.
+    """
+
+    level: tuple[float, float]
+    clutter: tuple[float, float]
+    possible: tuple[float, float]
+
+    def accepts(self, ground: Ground, tried: float, beside: bool) -> bool:
+        """Return whether an object may stand there.
+
+        Args:
+            ground: Ground around the object's box.
+            tried: Share of the attempts that have been made, 0 to 1.
+            beside: Whether the place is beside an object that has found its ground.
+        """
+        if not self.possible[0] <= ground.level <= self.possible[1]:
+            return False
+        if beside:
+            return True
+        if tried < _CLUTTER and not self.clutter[0] <= ground.clutter <= self.clutter[1]:
+            return False
+        return tried >= _BOTH or self.level[0] <= ground.level <= self.level[1]
+
+
+def draw_aim(real: RealGround, rng: np.random.Generator) -> GroundAim:
+    """Draw a real object, and return the ground of those like it."""
+    level, clutter = (float(u) for u in rng.random(2))
+    return GroundAim(
+        _range_around(level, real.level_grey), _range_around(clutter, real.clutter_grey), _ends(real.level_grey)
+    )
+
+
+def _range_around(share: float, quantiles: tuple[float, ...]) -> tuple[float, float]:
+    low, high = np.interp([share - _REACH, share + _REACH], _SHARES, quantiles)
+    # The least and the most cluttered twentieth are as likely as any other.
+    return (-np.inf if share < _SHARES[0] else float(low), np.inf if share > _SHARES[-1] else float(high))
+
+
+def _ends(quantiles: tuple[float, ...]) -> tuple[float, float]:
+    return quantiles[0], quantiles[-1]
