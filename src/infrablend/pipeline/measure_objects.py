@@ -199,13 +199,14 @@ class ObjectMeasurer:
     ) -> Measurements:
         """Measure the objects of the wanted classes; `labels` are all labels of the picture."""
         found, where = Measurements(), Labels(picture.shape, labels)
+        level = float(np.median(picture))
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
             contrast = object_contrast(picture, instance, labels)
             if contrast is not None:
                 time = source.time_of_day or "unknown"
-                of_object = ObjectContrast(instance.category, key, time, contrast)
+                of_object = ObjectContrast(instance.category, key, time, contrast, level)
                 found.contrasts.setdefault(population, []).append(of_object)
                 extent = box_extent(picture, instance, labels, of_object)
                 if extent is not None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
@@ -69,12 +71,12 @@ def read_objects(
 
 
 def _read_picture(picture: Picture, image: ImageRecord, objects: Sequence[Instance], found: ObjectReadings) -> None:
-    key = f"{image.split}/{image.id}"
+    key, level = f"{image.split}/{image.id}", float(np.median(picture))
     for o in objects:
         contrast = None if o.truncated else object_contrast(picture, o, image.instances)
         if contrast is None:
             continue
-        of_object = ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast)
+        of_object = ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast, level)
         found.contrasts.append(of_object)
         extent = box_extent(picture, o, image.instances, of_object)
         if extent is not None:

@@ -44,12 +44,14 @@ class ObjectContrast:
         image: Key of the picture.
         time_of_day: `night`, `day` or `unknown`.
         contrast: Its contrast against the ring around its box.
+        picture_level: Median level of the picture, 8-bit levels.
     """
 
     category: str
     image: str
     time_of_day: str
     contrast: Contrast
+    picture_level: float
 
 
 def object_contrast(picture: Picture, instance: Instance, labels: Sequence[Instance]) -> Contrast | None:
@@ -165,6 +167,8 @@ def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any
         "change": _quantiles([o.contrast.change for o in objects]),
         "high_minus_ring": _quantiles([o.contrast.high - o.contrast.ring for o in objects]),
         "low_minus_ring": _quantiles([o.contrast.low - o.contrast.ring for o in objects]),
+        "ground_level": _quantiles([o.contrast.ring - o.picture_level for o in objects]),
+        "ground_clutter": _quantiles([o.contrast.clutter for o in objects]),
         "scr": _quantiles([o.contrast.scr for o in objects], (1, 5, 50), 2),
         "slope": {level: None if slope is None else slope.to_json() for level, slope in slopes.items()},
     }

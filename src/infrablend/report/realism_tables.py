@@ -22,6 +22,12 @@ _CHECKS = {
     "signed_p50": "contrast, median",
     "signed_p75": "contrast, upper quartile",
 }
+_QUANTITIES = {
+    "signed": "contrast",
+    "change": "largest change",
+    "ground_level": "ground, level above the picture's median",
+    "ground_clutter": "ground, standard deviation",
+}
 LOOSENESS_HEAD = ["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"]
 SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"]
 
@@ -38,10 +44,12 @@ def slope_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
 
 
 def quantile_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
-    """Return rows of contrast quantiles per time of day and population: signed, and of the largest change."""
+    """Return rows of quantiles per time of day and population: of contrast, and of the ground around the objects."""
     rows = []
     for time, sides in contrasts.items():
-        for key, name in (("signed", "contrast"), ("change", "largest change")):
+        for key, name in _QUANTITIES.items():
+            if key not in sides["real"]:
+                continue  # pages of earlier versions
             for side in ("real", "inserted"):
                 found = sides[side]
                 scr = [compact(found["scr"].get(f"p{q}")) for q in (1, 5, 50)] if key == "change" else [""] * 3

@@ -28,7 +28,9 @@ from infrablend.report.realism_page import add_to_page
 
 def of_level(image, ring, high, middle=None, time="night"):
     middle = high if middle is None else middle
-    return ObjectContrast("Person", image, time, Contrast(float(high), ring - 5.0, float(middle), float(ring), 3.0))
+    return ObjectContrast(
+        "Person", image, time, Contrast(float(high), ring - 5.0, float(middle), float(ring), 3.0), 100.0
+    )
 
 
 def crowd(slope, images=40, each=5, lift=60.0, time="night"):
@@ -65,9 +67,11 @@ def test_clipped_objects_and_images_with_two_objects_have_no_slope():
 
 
 def test_figures_are_quantiles_of_the_stronger_end():
-    objects = [ObjectContrast("Car", "a", "day", Contrast(120, 100 - d, 100, 100, 4)) for d in (10, 40, 60)]
+    objects = [ObjectContrast("Car", "a", "day", Contrast(120, 100 - d, 100, 100, 4), 90.0) for d in (10, 40, 60)]
     figures = contrast_figures(objects)
     assert figures["signed"]["p50"] == -40
+    assert figures["ground_level"]["p50"] == 10
+    assert figures["ground_clutter"]["p95"] == 4
     assert figures["change"]["p50"] == 40
     assert figures["scr"]["p50"] == 8
     assert figures["n"] == 3
@@ -182,7 +186,7 @@ def blob(side, margin, others=()):
 
 def extent_of(picture, label, *others):
     labels = [label, *others]
-    contrast = ObjectContrast("Person", "a", "night", object_contrast(picture, label, labels))
+    contrast = ObjectContrast("Person", "a", "night", object_contrast(picture, label, labels), 100.0)
     return box_extent(picture, label, labels, contrast)
 
 
