@@ -100,7 +100,7 @@ TIMES = ("night", "day")
 SUN_K = (3.0, 12.0)
 _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
 # By day the air is nearer to the skin's temperature, and moves more: clothes keep this share of their excess (est.).
-SHADE_SHARE = (0.15, 0.7)
+SHADE_SHARE = (-0.1, 0.5)
 # Parts of one garment absorb the same share of sunlight. Thin stockings count as skin.
 _GARMENTS: Mapping[str, tuple[str, ...]] = {
     "top": ("jacket", "sleeve", "coat_skirt", "collar", "hood"),
