@@ -99,8 +99,8 @@ TIMES = ("night", "day")
 # under clouds, too.
 SUN_K = (3.0, 12.0)
 _SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
-# By day the air is nearer to the skin's temperature, and moves more, and cloth in the shade cools towards the sky: clothes
-# keep this share of their excess (est., so that people have the dark parts of those in HIT-UAV's train split).
+# By day the air is nearer to the skin's temperature, and moves more, and cloth in the shade cools towards the sky:
+# clothes keep this share of their excess (est., so that people have the dark parts of those in HIT-UAV's train split).
 SHADE_SHARE = (-0.1, 0.5)
 # Parts of one garment absorb the same share of sunlight. Thin stockings count as skin.
 _GARMENTS: Mapping[str, tuple[str, ...]] = {
