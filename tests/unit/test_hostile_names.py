@@ -28,7 +28,8 @@ def draw(path: Path, number: int = 0) -> Path:
 
 
 def generate(data: Path, out: Path, *options: str, to: str = "coco,yolo") -> int:
-    return main(["generate", "hit-uav-drone", "--data", str(data), "--out", str(out), "--to", to, *SETTINGS, *options])
+    words = ["--data", str(data), "--out", str(out), "--set", f"output.formats=[{to}]", *SETTINGS, *options]
+    return main(["generate", "hit-uav-drone", *words])
 
 
 def names_in_coco(run: Path) -> list[str]:
