@@ -62,12 +62,21 @@ def read_srt(path: Path) -> FlightLog:
     Raises:
         DatasetError: The file cannot be read, or no block contains telemetry.
     """
-    blocks = list(_blocks(read_log_text(path)))
+    return parse_srt(read_log_text(path), path)
+
+
+def parse_srt(text: str, path: Path) -> FlightLog:
+    """Return the telemetry in the text of subtitles; `path` is the file that contains them.
+
+    Raises:
+        DatasetError: No block contains telemetry.
+    """
+    blocks = list(_blocks(text))
     found: list[tuple[float, dict[str, float], float]] = []
     names: Counter[str] = Counter()
     silent = 0
-    for seconds, text in blocks:
-        plain = _TAG.sub(" ", text[:_MAX_BLOCK])
+    for seconds, block in blocks:
+        plain = _TAG.sub(" ", block[:_MAX_BLOCK])
         # Of equal names in a block, the first counts.
         given = {
             name.lower(): float(value.replace(",", ".")) * (_FEET_M if feet else 1.0)

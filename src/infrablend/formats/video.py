@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
+from infrablend.formats.log_text import MAX_LOG_BYTES
 from infrablend.formats.pictures import MAX_PIXELS
 
 SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lrv", ".lrf")
@@ -21,6 +22,8 @@ SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lr
 _CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,flv,asf,mxf,ogg,nut,ivf,mjpeg,wav"
 # Formats with interleaved planes, and those with the same values in planes of their own.
 _PLANES = {"nv12": "yuv420p", "nv21": "yuv420p", "yuyv422": "yuv422p", "uyvy422": "yuv422p"}
+# Codecs of subtitles as text: FFmpeg's names; `mov_text` is the one of MP4.
+_TEXT_SUBTITLES = ("mov_text", "subrip", "srt", "text")
 # Encoders of grey pictures leave the colour planes at their middle, give or take rounding.
 _NEUTRAL = 2
 
@@ -159,6 +162,8 @@ class Video:
         if not stamps:
             found, todo = "a video stream without frames", "copy the file from the card again"
             raise _refuse(self.path, "video-none", found, "at least one frame", todo)
+        begin = min((s for s in stamps if s is not None), default=0)
+        self._begin_s = float(begin * (self._stream.time_base or 0))
         base, rate = self._stream.time_base, self._stream.average_rate or self._stream.guessed_rate
         known = sorted(s for s in stamps if s is not None)
         if len(known) == len(stamps) and base:
@@ -169,6 +174,30 @@ class Video:
             found, todo = "frames without times, and no frame rate", "convert it to MP4 or MKV"
             raise _refuse(self.path, "video-times", found, "a container with times", todo)
         return Timeline(np.arange(len(stamps)) / float(rate), {})
+
+    def subtitles(self) -> str:
+        """Return the first track of text subtitles as the text of an SRT file, timed from the first frame, or "".
+
+        Tracks beyond `MAX_LOG_BYTES` are cut there; one that cannot be read ends at the fault.
+        """
+        container, _ = self._open()
+        blocks: list[str] = []
+        left = MAX_LOG_BYTES
+        with container, contextlib.suppress(self._av.error.FFmpegError):
+            tracks = [s for s in container.streams.subtitles if s.codec_context is not None]
+            track = next((s for s in tracks if s.codec_context.name in _TEXT_SUBTITLES), None)
+            if track is None:
+                return ""
+            codec = track.codec_context.name
+            for packet in container.demux(track):
+                data = bytes(packet)
+                left -= len(data)
+                if left < 0:
+                    break
+                if data and packet.pts is not None and packet.time_base:
+                    seconds = max(0.0, float(packet.pts * packet.time_base) - self._begin_s)
+                    blocks.append(f"{_srt_time(seconds)} -->\n{_subtitle(data, codec)}\n")
+        return "\n".join(blocks)
 
     def __enter__(self) -> Video:
         self._container, self._stream = self._open()
@@ -280,6 +309,19 @@ def _plane(picture: Any, number: int, bits: int) -> NDArray[Any]:
     kind = np.dtype(np.uint8) if bits <= 8 else np.dtype("<u2")
     lines = np.frombuffer(plane, kind).reshape(-1, plane.line_size // kind.itemsize)
     return np.ascontiguousarray(lines[: plane.height, : plane.width])
+
+
+def _subtitle(data: bytes, codec: str) -> str:
+    """Return the text of one subtitle packet; those of MP4 have a length before the text, and styles after it."""
+    if codec == "mov_text":
+        data = data[2 : 2 + int.from_bytes(data[:2], "big")]
+    coding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    return data.decode(coding, "replace").replace("\0", "")
+
+
+def _srt_time(seconds: float) -> str:
+    whole, thousandths = divmod(round(seconds * 1000), 1000)
+    return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d},{thousandths:03d}"
 
 
 def _created(container: Any, stream: Any) -> datetime | None:

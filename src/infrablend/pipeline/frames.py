@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.finished import FRAMES_FILE
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import ArgumentError, DatasetError, Problem
-from infrablend.formats.dji_srt import read_srt
+from infrablend.formats.dji_srt import parse_srt, read_srt
 from infrablend.formats.flight import time_of_day
 from infrablend.formats.flight_csv import read_flight_csv
 from infrablend.formats.flight_log import FIELDS, Coverage, FlightLog, Sampled, sample
@@ -111,7 +111,7 @@ class FlightFacts:
     """What the user says about the flights.
 
     Attributes:
-        log: Log for all videos; None takes the subtitles beside each video, if there are any.
+        log: Log for all videos; None takes the subtitles beside each video or else in it, if there are any.
         use_log: False to extract without telemetry.
         clock: What is known about the clocks.
         time_of_day: Day or night, for the table; None takes it from the sun where time and place are known.
@@ -202,6 +202,7 @@ class _Plan:
     sequence: str
     numbers: NDArray[np.int64]
     aligned: Aligned | None
+    remarks: tuple[Problem, ...] = ()
 
 
 def extract_frames(
@@ -270,6 +271,20 @@ def find_subtitles(video: Path) -> Path | None:
     return None
 
 
+def _own_subtitles(video: Video) -> tuple[FlightLog | None, tuple[Problem, ...]]:
+    """Return the log of the subtitles beside a video, or else in it; warnings if those in it hold no telemetry."""
+    beside = find_subtitles(video.path)
+    if beside is not None:
+        return read_log(beside), ()
+    text = video.subtitles()
+    if not text:
+        return None, ()
+    try:
+        return parse_srt(text, video.path), ()
+    except DatasetError as error:
+        return None, tuple(replace(p, severity="warning") for p in error.problems)
+
+
 def read_log(path: Path) -> FlightLog:
     """Read a log of any known kind.
 
@@ -288,8 +303,7 @@ def _plans(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts) -> 
     plans = []
     for path, name in zip(videos, names, strict=True):
         video = Video(path)
-        beside = find_subtitles(path) if common is None and flight.use_log else None
-        log = common if beside is None else read_log(beside)
+        log, remarks = (common, ()) if common is not None or not flight.use_log else _own_subtitles(video)
         aligned = None if log is None else align(log, video.timeline, video.created, flight.clock)
         numbers = choice.numbers(video.timeline.times_s)
         if not numbers.size:
@@ -297,7 +311,7 @@ def _plans(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts) -> 
             expected = f"times within the video's {video.timeline.duration_s:.1f} s"
             problem = Problem(path.name, "frames-none", found, expected, "change --start and --end")
             raise DatasetError(f"{path}: no frame to extract", [problem])
-        plans.append(_Plan(video, name, numbers, aligned))
+        plans.append(_Plan(video, name, numbers, aligned, remarks))
     return plans
 
 
@@ -401,7 +415,7 @@ def _problems(
     plan: _Plan, written: Sequence[tuple[Frame, str, bool]], sampled: Sampled | None
 ) -> list[Problem]:  # fmt: skip
     where = plan.video.path.name
-    problems = plan.video.problems()
+    problems = [*plan.remarks, *plan.video.problems()]
     lost = len(plan.numbers) - len(written)
     if lost:
         found = f"{lost} of {len(plan.numbers)} chosen frame(s) cannot be decoded"
@@ -449,7 +463,7 @@ def _missing(clips: Sequence[Clip]) -> list[Problem]:
         if not lacking:
             continue
         names = _joined([_NEEDED[name][0] for name in lacking])
-        source = f"no {names} in {clip.log['name']}" if clip.log else f"no log beside the video: no {names}"
+        source = f"no {names} in {clip.log['name']}" if clip.log else f"no log beside or in the video: no {names}"
         options = ["--hfov DEGREES"] * ("hfov_deg" in lacking) + ["a log that has it (--log)"] * (
             lacking != ["hfov_deg"]
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,45 @@ def test_subtitles_of_each_second_are_interpolated(tmp_path: Path) -> None:
         and "camera.altitude" not in text
     )
     assert [float(r["altitude_m"]) for r in rows(out)][:4] == [20.0, 21.5, 23.0, 24.5]
+
+
+def subtitled(path: Path, text: str, codec: str) -> Path:
+    """Write three seconds of video with a track of subtitles, one a second."""
+    styles = b"[Script Info]\n[V4+ Styles]\nFormat: Name, Fontname, Fontsize\nStyle: Default,Arial,16\n[Events]\n"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height = SIZE_WH
+        stream.pix_fmt = "yuv420p"
+        track = container.add_stream(codec)
+        track.codec_context.subtitle_header = styles
+        grey = np.full(SIZE_WH[::-1], 90, np.uint8)
+        for _ in range(30):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="gray").reformat(format="yuv420p")))
+        container.mux(stream.encode())
+        for k in range(3):
+            data = text.format(height=60 + k).encode()
+            packet = av.Packet((len(data).to_bytes(2, "big") if codec == "mov_text" else b"") + data)
+            packet.stream, packet.time_base = track, Fraction(1, 1000)
+            packet.pts = packet.dts = 1000 * k
+            packet.duration = 1000
+            container.mux(packet)
+    return path
+
+
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "mov_text"), ("a.mkv", "subrip")])
+def test_subtitles_in_the_video_are_read(tmp_path: Path, name: str, codec: str) -> None:
+    out = tmp_path / "out"
+    text = "[rel_alt: {height}.0 abs_alt: 300.0] [gb_yaw: 1.0 gb_pitch: -40.0 gb_roll: 0.0]"
+    assert "matched by times" in done(subtitled(tmp_path / name, text, codec), "--every", "1s", "--out", out)
+    assert [(float(r["pitch_deg"]), float(r["altitude_m"])) for r in rows(out)] == [(40, 60), (40, 61), (40, 62)]
+
+
+def test_captions_without_telemetry_are_reported(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = run(subtitled(tmp_path / "a.mp4", "a caption {height}", "mov_text"), "--every", "1s", "--out", out)
+    assert text.exit_code == 0, text.output
+    problems = json.loads((out / "frames.json").read_text("utf-8"))["problems"]
+    assert {"log-layout", "telemetry-missing"} <= {p["code"] for p in problems}
 
 
 def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
