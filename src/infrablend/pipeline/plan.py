@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shlex
 import statistics
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -211,7 +212,7 @@ def make_plan(
         elif (isinstance(recipe.matching, RadiometricMatching) or isinstance(recipe.output.agc, FixedAgc)) and (
             image.radiometry is None or not image.radiometry.scale
         ):
-            problems.append(_scale_missing(image, recipe))
+            problems.append(_scale_missing(image, recipe, dataset))
         else:
             usable.append(image)
     if not usable:
@@ -335,9 +336,19 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
     )
 
 
-def _scale_missing(image: ImageRecord, recipe: Recipe) -> Problem:
+def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:
     """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
     needed = "matching.mode radiometric" if isinstance(recipe.matching, RadiometricMatching) else "output.agc fixed"
+    if "camera" in image.extra and any(p.code == "image-radiometric" for p in dataset.problems):
+        layers = f"{dataset.root.resolve().name}_k"
+        return Problem(
+            image.name,
+            "no-temperature-scale",
+            f"only the grey levels of a camera's own file are read, and {needed} needs temperatures",
+            "the radiometric layers as a dataset of 16-bit pictures",
+            f"run infrablend temperatures {shlex.quote(str(dataset.root))} --out {shlex.quote(layers)} (counts of DJI "
+            f"also need a scale, such as --slope and --offset), then generate with --data {shlex.quote(layers)}",
+        )
     return Problem(
         image.name,
         "no-temperature-scale",

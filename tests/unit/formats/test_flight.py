@@ -12,6 +12,7 @@ import pytest
 
 from infrablend import api
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.errors import DatasetError
 from infrablend.formats import flight as flight_data
 from infrablend.formats.rjpeg.writing import Maker
 from tests.flights import START, flight, plain_jpeg, shot
@@ -117,6 +118,15 @@ def test_a_folder_of_radiometric_pictures_gets_a_hint(maker: Maker, tmp_path: Pa
         f"3 of 3 pictures are radiometric ({maker.upper()})" in found.found
         and "the temperatures are not used" in found.todo
     )
+
+
+def test_radiometric_insertion_into_camera_files_names_the_command(tmp_path: Path) -> None:
+    data = flight(tmp_path / "a flight", 2)
+    settings = {"matching.mode": "radiometric", "placement.mode": "metric", "appearance.mode": "physical"}
+    with pytest.raises(DatasetError) as caught:
+        api.plan("hit-uav-person", data, settings=settings)
+    (_, last) = [p for p in caught.value.problems if p.code == "no-temperature-scale"]
+    assert f"infrablend temperatures '{data}' --out 'a flight_k'" in last.todo and "--slope" in last.todo
 
 
 def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
