@@ -77,6 +77,8 @@ if TYPE_CHECKING:
         SceneRequest,
         SceneSampler,
     )
+    from infrablend.pipeline.extraction.choice import FrameChoice
+    from infrablend.pipeline.extraction.plan import FlightFacts
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.in_memory import Frame, Frames, FramesRequest
     from infrablend.pipeline.request import Execution
@@ -99,7 +101,9 @@ __all__ = [
     "Extensions",
     "FetchReport",
     "FetchRequest",
+    "FlightFacts",
     "Frame",
+    "FrameChoice",
     "FrameSelection",
     "Frames",
     "FramesRequest",
@@ -188,6 +192,8 @@ _MODULES = {
     "pipeline.evaluation_settings": "EvaluationSettings",
     "pipeline.experiments.request": "ExperimentRequest",
     "pipeline.extensions": "BackgroundSource Extensions Look LookRequest SceneRequest SceneSampler",
+    "pipeline.extraction.choice": "FrameChoice",
+    "pipeline.extraction.plan": "FlightFacts",
     "pipeline.frame_selection": "FrameSelection",
     "pipeline.in_memory": "Frame Frames FramesRequest",
     "pipeline.request": "Execution",

@@ -21,7 +21,9 @@ from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
 from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.frames import FlightFacts, FrameChoice, FramesReport
+    from infrablend.pipeline.extraction.choice import FrameChoice
+    from infrablend.pipeline.extraction.plan import FlightFacts
+    from infrablend.pipeline.extraction.report import FramesReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.temperatures import CountScale, TemperaturesReport
     from infrablend.report.checking import CheckReport

@@ -12,7 +12,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.choose import BY_HAND, ChoiceReport, FrameChoice, choose_frames
+from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
@@ -110,7 +110,9 @@ def exclude(
         data: Folder of the backgrounds, if it has moved.
         on_progress: Called after each frame that has to be rendered again.
     """
-    choice = FrameChoice(tuple(frames), review=None if review is None else Path(review), reason=reason, purge=purge)
+    choice = ExclusionRequest(
+        tuple(frames), review=None if review is None else Path(review), reason=reason, purge=purge
+    )
     return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)
 
 
@@ -119,7 +121,7 @@ def include(
     on_progress: OnProgress | None = None,
 ) -> ChoiceReport:  # fmt: skip
     """Take excluded frames back, `every` one of them or those with these ids; purged ones are rendered again."""
-    choice = FrameChoice(include=tuple(frames), include_all=every)
+    choice = ExclusionRequest(include=tuple(frames), include_all=every)
     return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)
 
 

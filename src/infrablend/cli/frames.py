@@ -11,7 +11,7 @@ from infrablend.cli.options import JsonOption, comma_list
 from infrablend.cli.profile import Time
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.frames import Clip
+    from infrablend.pipeline.extraction.report import Clip
 
 
 def frames(
@@ -62,7 +62,8 @@ def frames(
     from infrablend.cli.results import print_json, print_problems, print_result
     from infrablend.core.finished import FRAMES_FILE
     from infrablend.formats.log_alignment import Clock
-    from infrablend.pipeline.frames import FlightFacts, FrameChoice
+    from infrablend.pipeline.extraction.choice import FrameChoice
+    from infrablend.pipeline.extraction.plan import FlightFacts
 
     flight = FlightFacts(
         log, not no_log, Clock(offset, log_start), None if time is None else time.value, hfov,

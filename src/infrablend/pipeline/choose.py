@@ -27,7 +27,7 @@ BY_HAND = "by hand"
 
 
 @dataclass(frozen=True)
-class FrameChoice:
+class ExclusionRequest:
     """Change of the frames of a run.
 
     Attributes:
@@ -77,7 +77,7 @@ class ChoiceReport:
 
 
 def choose_frames(
-    run: Path, choice: FrameChoice, data: Path | None = None, on_progress: OnProgress | None = None
+    run: Path, choice: ExclusionRequest, data: Path | None = None, on_progress: OnProgress | None = None
 ) -> ChoiceReport:
     """Exclude and include frames of a finished run, and write its labels, card and record again.
 
@@ -125,7 +125,7 @@ def choose_frames(
     return ChoiceReport(run, after, len(changed), deleted, counts)
 
 
-def _changed(before: Mapping[str, str], choice: FrameChoice, plan: RunPlan) -> dict[str, str]:
+def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan) -> dict[str, str]:
     """Return the excluded frames after a change."""
     rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review)
     ids: dict[str, list[str]] = {}

@@ -1,0 +1,122 @@
+"""What to extract from each video, and the log that belongs to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.arguments import require_names
+from infrablend.core.dataset import TimeOfDay
+from infrablend.core.file_names import distinct_names, file_name
+from infrablend.errors import ArgumentError, DatasetError, Problem
+from infrablend.formats.dji_srt import parse_srt, read_srt
+from infrablend.formats.flight_csv import read_flight_csv
+from infrablend.formats.flight_log import FlightLog
+from infrablend.formats.log_alignment import NO_CLOCK, Aligned, Clock, align
+from infrablend.formats.video import Video
+from infrablend.pipeline.extraction.choice import FrameChoice
+
+
+@dataclass(frozen=True)
+class FlightFacts:
+    """What the user says about the flights.
+
+    Attributes:
+        log: Log for all videos; None takes the subtitles beside each video or else in it, if there are any.
+        use_log: False to extract without telemetry.
+        clock: What is known about the clocks.
+        time_of_day: Day or night, for the table; None takes it from the sun where time and place are known.
+        hfov_deg: Field of view across the width of the video, for the table; None if unknown.
+        names: Names of the sequences, one per video; empty to use the videos' names.
+    """
+
+    log: Path | None = None
+    use_log: bool = True
+    clock: Clock = NO_CLOCK
+    time_of_day: TimeOfDay | None = None
+    hfov_deg: float | None = None
+    names: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        require_names("names", self.names)
+        if self.hfov_deg is not None and not 0.1 <= self.hfov_deg <= 170:
+            raise ArgumentError(f"hfov_deg: found {self.hfov_deg}, expected 0.1 to 170 degrees")
+
+
+@dataclass(frozen=True, eq=False)
+class ClipPlan:
+    """What to extract from one video.
+
+    Attributes:
+        video: The video.
+        sequence: Name of its sequence.
+        numbers: Numbers of the frames to take.
+        aligned: Log with the times of the video; None without one.
+        remarks: Problems of the subtitles in the video.
+    """
+
+    video: Video
+    sequence: str
+    numbers: NDArray[np.int64]
+    aligned: Aligned | None
+    remarks: tuple[Problem, ...] = ()
+
+
+def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts) -> list[ClipPlan]:
+    """Open all videos and logs, before anything is written.
+
+    Raises:
+        DatasetError: A video or log cannot be read, the log is that of another flight, or no frame is chosen.
+    """
+    if flight.names and len(flight.names) != len(videos):
+        raise ArgumentError(f"names: found {len(flight.names)}, expected one for each of {len(videos)} video(s)")
+    names = distinct_names([file_name(n) for n in (flight.names or [v.stem for v in videos])])
+    common = read_log(flight.log) if flight.log is not None and flight.use_log else None
+    plans = []
+    for path, name in zip(videos, names, strict=True):
+        video = Video(path)
+        log, remarks = (common, ()) if common is not None or not flight.use_log else _own_subtitles(video)
+        aligned = None if log is None else align(log, video.timeline, video.created, flight.clock)
+        numbers = choice.numbers(video.timeline.times_s)
+        if not numbers.size:
+            found = f"no frame between {choice.start or 'the start'} and {choice.end or 'the end'}"
+            expected = f"times within the video's {video.timeline.duration_s:.1f} s"
+            problem = Problem(path.name, "frames-none", found, expected, "change --start and --end")
+            raise DatasetError(f"{path}: no frame to extract", [problem])
+        plans.append(ClipPlan(video, name, numbers, aligned, remarks))
+    return plans
+
+
+def find_subtitles(video: Path) -> Path | None:
+    """Return the subtitle file beside a video, of the same name in upper or lower case, or None."""
+    for suffix in (".SRT", ".srt", ".Srt"):
+        if (path := video.with_suffix(suffix)).is_file():
+            return path
+    return None
+
+
+def _own_subtitles(video: Video) -> tuple[FlightLog | None, tuple[Problem, ...]]:
+    """Return the log of the subtitles beside a video, or else in it; warnings if those in it hold no telemetry."""
+    beside = find_subtitles(video.path)
+    if beside is not None:
+        return read_log(beside), ()
+    text = video.subtitles()
+    if not text:
+        return None, ()
+    try:
+        return parse_srt(text, video.path), ()
+    except DatasetError as error:
+        return None, tuple(replace(p, severity="warning") for p in error.problems)
+
+
+def read_log(path: Path) -> FlightLog:
+    """Read a log of any known kind.
+
+    Raises:
+        DatasetError: It cannot be read, or is of no known kind.
+    """
+    return read_srt(path) if path.suffix.lower() == ".srt" else read_flight_csv(path)
