@@ -152,3 +152,16 @@ def test_a_3d_file_must_be_a_regular_file(tmp_path, capsys, name):
     (folder / "thing.yaml").write_text(DESCRIPTION.format(json.dumps(name)))
     assert main(["models", "show", str(folder / "thing.yaml"), "--out", str(tmp_path / "a.png")]) == 2
     assert "does not exist" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("instead", ["pipe", "endless", "folder"])
+def test_a_description_must_be_a_regular_file(tmp_path, capsys, instead):
+    description = tmp_path / "thing.yaml"
+    if instead == "pipe":
+        os.mkfifo(description)
+    elif instead == "endless":
+        description.symlink_to("/dev/zero")
+    else:
+        description.mkdir()
+    assert main(["models", "show", str(description), "--out", str(tmp_path / "a.png")]) == 2
+    assert "thing.yaml: cannot be read" in capsys.readouterr().err

@@ -37,6 +37,7 @@ from pydantic_core import PydanticKnownError
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.model_files import ModelFiles, find_model_files, is_regular_file
+from infrablend.core.files import read_regular
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
@@ -139,7 +140,7 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
         ModelError: The YAML is invalid; the error lists every wrong field.
     """
     try:
-        data = read_yaml(path.read_text("utf-8"))
+        data = read_yaml(read_regular(path).decode("utf-8"))
     except (OSError, ValueError) as error:
         raise ModelError(
             f"model {path}: cannot be read ({error}); expected a YAML file (docs/how_to/own_model.md)"
@@ -172,7 +173,7 @@ def is_description(model: str) -> bool:
 def description_digest(path: Path) -> str:
     """Return a digest of a user's model: its YAML, its 3D file, and every file that this refers to."""
     _, file = read_description(path)
-    return hashlib.sha256(path.read_bytes() + find_model_files(file).digest.encode()).hexdigest()
+    return hashlib.sha256(read_regular(path) + find_model_files(file).digest.encode()).hexdigest()
 
 
 def geometry_file(file: Path) -> Path:

@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import shutil
+import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -158,15 +159,31 @@ DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, Arithmet
 """What reading fields of a record raises if the file or a field is missing, damaged or of another type."""
 
 
+def read_regular(path: Path) -> bytes:
+    """Return the content of a regular file.
+
+    Records are read from folders that anybody may have edited: a pipe would never end, nor would a link to `/dev/zero`.
+
+    Raises:
+        OSError: The file is missing, cannot be read, or is no regular file.
+    """
+    # A pipe would block here without O_NONBLOCK, which Windows does not have.
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        return stream.read()
+
+
 def load_json(path: Path) -> Any:
     """Return the JSON value in a file.
 
     Raises:
-        OSError: The file cannot be read.
+        OSError: The file is missing, cannot be read, or is no regular file.
         ValueError: It is not JSON, or nested too deeply.
     """
     try:
-        return json.loads(path.read_text("utf-8"))
+        return json.loads(read_regular(path).decode("utf-8"))
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
 

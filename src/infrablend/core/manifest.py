@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from infrablend.core.files import observed_by, output_error, part_path, sha256_of, write_text
+from infrablend.core.files import observed_by, output_error, part_path, read_regular, sha256_of, write_text
 from infrablend.errors import OutputError, Problem
 
 REPLACED = "replaced"
@@ -73,7 +73,7 @@ class Manifest:
     def read(self) -> Manifest:
         """Add what the file of the manifest contains; a line that was cut off by a kill is left out."""
         try:
-            lines = self._file.read_text("utf-8", errors="replace").splitlines()
+            lines = read_regular(self._file).decode("utf-8", "replace").splitlines()
         except OSError:
             return self
         for line in lines:

@@ -17,7 +17,7 @@ from typing import IO, Any
 from urllib.parse import urlsplit, urlunsplit
 
 from infrablend import __version__
-from infrablend.core.files import output_error, write_json
+from infrablend.core.files import output_error, read_regular, write_json
 from infrablend.errors import FetchError, InfraBlendError, Interrupted, Problem
 
 log = logging.getLogger(__name__)
@@ -164,7 +164,7 @@ def _size(path: Path) -> int:
 def _known(url: str, part: Path) -> tuple[_Remote | None, int]:
     """Return the remote file and the bytes that an earlier call left; (None, 0) if they cannot be resumed."""
     try:
-        remote = _Remote(**json.loads(_validator_file(part).read_text("utf-8")))
+        remote = _Remote(**json.loads(read_regular(_validator_file(part))))
     except (OSError, ValueError, TypeError):
         return None, 0
     here = _size(part)

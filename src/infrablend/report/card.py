@@ -18,7 +18,7 @@ import yaml
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.file_names import real_path
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import read_regular, write_bytes, write_json, write_text
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json
@@ -525,7 +525,7 @@ def _digest(text: str) -> str:
 def is_own(path: Path) -> bool:
     """Return True for a card that nobody has edited since InfraBlend wrote it."""
     try:
-        text = path.read_text("utf-8")
+        text = read_regular(path).decode("utf-8").replace("\r\n", "\n")
     except (OSError, ValueError):
         return False
     body, mark, _ = text.rpartition("\n" + _OWN.partition("{digest}")[0])

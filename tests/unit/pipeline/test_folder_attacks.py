@@ -504,3 +504,19 @@ def test_overwritten_evaluation_keeps_what_it_did_not_write(tmp_path: Path) -> N
         assert name in ended.output.replace("\n", ""), name
     done(*words, "--bootstrap", "0", "--overwrite")  # what was moved aside stays
     assert (out / "replaced" / "evaluation.html").read_text() == "edited page"
+
+
+@pytest.mark.parametrize("instead", ["endless", "pipe"])
+def test_record_that_is_no_regular_file_is_made_again(instead: str, words: list[object], made: Path) -> None:
+    record = record_of(made)
+    content = record.read_bytes()
+    record.unlink()
+    if instead == "pipe":
+        os.mkfifo(record)
+    else:
+        record.symlink_to("/dev/zero")
+    assert run("preview", made, "--out", made.parent / "sheet.png").exit_code in (0, 2)
+    ended = run(*words, "--resume")
+    assert ended.exit_code == 0, ended.output
+    assert not record.is_symlink() and record.is_file()
+    assert record.read_bytes() == content
