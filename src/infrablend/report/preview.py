@@ -27,6 +27,7 @@ from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
+from infrablend.formats.annotation_files import leaves_folder
 from infrablend.report.picture_mark import CONTACT_SHEET, software_of
 
 Draw = Literal["boxes", "obb", "masks"]
@@ -415,6 +416,8 @@ def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
 
 
 def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
+    if leaves_folder(path):
+        raise DatasetError(f"{path}: a link out of its folder, not a file of this run. Run `generate --resume`.")
     try:
         document = load_json(path)
         names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
