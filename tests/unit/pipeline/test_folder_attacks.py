@@ -522,11 +522,12 @@ def test_record_that_is_no_regular_file_is_made_again(instead: str, words: list[
     assert record.read_bytes() == content
 
 
-def test_preview_follows_no_label_file_out_of_the_run(made: Path, tmp_path: Path) -> None:
-    labels = next((made / "coco").rglob("train.json"))
+def test_preview_follows_no_label_file_out_of_the_run(words: list[object], tmp_path: Path) -> None:
+    done(*words, "--set", "output.formats=[coco]")
+    labels = next((tmp_path / "run" / "coco").rglob("train.json"))
     outside = tmp_path / "outside.json"
     shutil.move(labels, outside)
     labels.symlink_to(outside)
-    ended = run("preview", made, "--out", tmp_path / "sheet.png")
+    ended = run("preview", tmp_path / "run", "--out", tmp_path / "sheet.png")
     assert ended.exit_code == 2, ended.output
     assert "a link out of its folder" in " ".join(ended.stderr.split())
