@@ -8,26 +8,14 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.pipeline import choose, request
+from tests.command_line import done, run
 from tests.killing import run_until_killed
 from tests.samples import SAMPLES
 
 FRAME = "train/0_60_30_0_00001_c0"
-
-
-def run(*words: object) -> Result:
-    return CliRunner().invoke(build_app(), ["-q", *(str(w) for w in words)])
-
-
-def done(*words: object) -> Result:
-    ended = run(*words)
-    assert ended.exit_code == 0, ended.output
-    return ended
 
 
 def refused(*words: object) -> str:

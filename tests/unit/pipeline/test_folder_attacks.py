@@ -11,24 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
-from infrablend.cli.app import build_app
 from tests.clips import write_detections
+from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
 from tests.samples import SAMPLES
-
-
-def run(*words: object) -> Result:
-    return CliRunner().invoke(build_app(), ["-q", *(str(w) for w in words)])
-
-
-def done(*words: object) -> Result:
-    ended = run(*words)
-    assert ended.exit_code == 0, ended.output
-    return ended
 
 
 def killed(renames: int, *words: object) -> None:
