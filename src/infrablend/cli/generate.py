@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.completion import complete_recipe, complete_written_formats
+from infrablend.cli.completion import complete_written_formats
 from infrablend.cli.options import (
     Device,
     DeviceOption,
@@ -16,6 +16,7 @@ from infrablend.cli.options import (
     JsonOption,
     MetadataOption,
     ReadingOption,
+    RecipeArgument,
     SeedOption,
     SplitsOption,
     WorkersOption,
@@ -31,14 +32,7 @@ if TYPE_CHECKING:
 
 def generate(
     ctx: typer.Context,
-    recipe: Annotated[
-        str,
-        typer.Argument(
-            metavar="RECIPE",
-            help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
-            autocompletion=complete_recipe,
-        ),
-    ],
+    recipe: RecipeArgument,
     data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write the run to.")],
     limit: Annotated[int | None, typer.Option(min=1, help="Use only the first N backgrounds in sorted order.")] = None,

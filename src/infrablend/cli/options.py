@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.completion import complete_read_format
+from infrablend.cli.completion import complete_read_format, complete_recipe
 
 if TYPE_CHECKING:
     from infrablend.core.output import Existing
@@ -27,6 +27,14 @@ class Device(StrEnum):
     ONEAPI = "oneapi"
 
 
+RecipeArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RECIPE",
+        help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
+        autocompletion=complete_recipe,
+    ),
+]
 DeviceOption = Annotated[Device, typer.Option(help="Device that Cycles renders on; auto uses a GPU if there is one.")]
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Number of worker processes [default: one per core].")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.completion import complete_recipe
 from infrablend.cli.options import (
     Device,
     DeviceOption,
@@ -17,6 +16,7 @@ from infrablend.cli.options import (
     JsonOption,
     MetadataOption,
     ReadingOption,
+    RecipeArgument,
     SeedOption,
     SplitsOption,
     make_reading,
@@ -32,14 +32,7 @@ DEFAULT_OUT = Path("try.png")
 
 def try_recipe(
     ctx: typer.Context,
-    recipe: Annotated[
-        str,
-        typer.Argument(
-            metavar="RECIPE",
-            help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
-            autocompletion=complete_recipe,
-        ),
-    ],
+    recipe: RecipeArgument,
     data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
     frame: Annotated[
         str | None,

@@ -14,7 +14,7 @@ import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from infrablend.core.file_names import MAX_NAME_BYTES
 from infrablend.errors import OutputError, Problem
@@ -159,19 +159,35 @@ DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, Arithmet
 """What reading fields of a record raises if the file or a field is missing, damaged or of another type."""
 
 
-def read_regular(path: Path) -> bytes:
-    """Return the content of a regular file.
+class NotRegularError(OSError):
+    """A pipe or device where a regular file is expected."""
 
-    Records are read from folders that anybody may have edited: a pipe would never end, nor would a link to `/dev/zero`.
+
+@contextlib.contextmanager
+def open_regular(path: Path) -> Iterator[BinaryIO]:
+    """Open a regular file for reading.
+
+    Anybody may have edited the folder that it is in: a pipe would never end, nor would a link to `/dev/zero`.
 
     Raises:
-        OSError: The file is missing, cannot be read, or is no regular file.
+        NotRegularError: It is no regular file.
+        OSError: It is missing or cannot be read.
     """
     # A pipe would block here without O_NONBLOCK, which Windows does not have.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(handle, "rb") as stream:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise OSError(errno.EINVAL, "not a regular file", str(path))
+            raise NotRegularError(errno.EINVAL, "not a regular file", str(path))
+        yield stream
+
+
+def read_regular(path: Path) -> bytes:
+    """Return the content of a regular file.
+
+    Raises:
+        OSError: The file is missing, cannot be read, or is no regular file.
+    """
+    with open_regular(path) as stream:
         return stream.read()
 
 

@@ -35,7 +35,7 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
         if data["version"] != VERSION or not all(isinstance(v, str) for pair in frames.items() for v in pair):
             raise ValueError("not a choice of frames")
         return dict(frames)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise OutputError(
             f"{path}: cannot be read ({error}); expected the frames that `infrablend exclude` left out. Restore the "
             "file; or remove it and repeat `infrablend exclude`, which puts all frames back first"
@@ -124,7 +124,7 @@ def read_review(path: Path) -> tuple[dict[str, str], set[str]]:
         wrong = sorted({verdict for verdict, _ in verdicts.values()} - {"accept", "reject"})
         if wrong:
             raise ValueError(f"verdict {wrong[0]!r}")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise OutputError(
             f"{path}: cannot be read as a review ({type(error).__name__}: {error}); expected "
             '{"frames": {"test/a_c0": {"verdict": "reject", "reason": "too bright"}}}, with verdicts accept and reject'

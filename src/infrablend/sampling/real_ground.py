@@ -7,14 +7,16 @@ an empty lawn. A detector that is trained on such places takes clutter as a sign
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from infrablend.config.recipe import RealGround
 from infrablend.core.mesh import FloatArray
 from infrablend.core.rings import ring_levels
+
+if TYPE_CHECKING:
+    from infrablend.sampling.metric import Site
 
 # Shares of the real objects below each of a recipe's quantiles.
 _SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -23,30 +25,6 @@ _REACH = 0.15
 # Shares of the attempts, from the first, that look for level and clutter of the aim, and for its clutter alone.
 _BOTH = 0.5
 _CLUTTER = 0.75
-
-
-class Picture(Protocol):
-    """What `ground_around` needs of a background."""
-
-    @property
-    def pixels(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """(h, w) levels."""
-        ...
-
-    @property
-    def grey_unit(self) -> float:
-        """Levels of the picture per 8-bit level."""
-        ...
-
-    @property
-    def black_hot(self) -> bool:
-        """Whether hot is dark."""
-        ...
-
-    @property
-    def median_level(self) -> float:
-        """Median level of the picture."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -62,13 +40,13 @@ class Ground:
     clutter: float
 
 
-def ground_around(picture: Picture, box_xyxy: FloatArray, annotated: FloatArray) -> Ground | None:
+def ground_around(site: Site, box_xyxy: FloatArray, annotated: FloatArray) -> Ground | None:
     """Measure the ground around the (4,) box of an object; None if too little of it is free of (n, 4) other boxes."""
-    ring = ring_levels(picture.pixels, box_xyxy, annotated)
+    ring = ring_levels(site.pixels, box_xyxy, annotated)
     if ring is None:
         return None
-    level = (float(np.median(ring)) - picture.median_level) / picture.grey_unit
-    return Ground(-level if picture.black_hot else level, float(ring.std()) / picture.grey_unit)
+    level = (float(np.median(ring)) - site.median_level) / site.grey_unit
+    return Ground(-level if site.black_hot else level, float(ring.std()) / site.grey_unit)
 
 
 @dataclass(frozen=True)
@@ -105,16 +83,11 @@ class GroundAim:
 def draw_aim(real: RealGround, rng: np.random.Generator) -> GroundAim:
     """Draw a real object, and return the ground of those like it."""
     level, clutter = (float(u) for u in rng.random(2))
-    return GroundAim(
-        _range_around(level, real.level_grey), _range_around(clutter, real.clutter_grey), _ends(real.level_grey)
-    )
+    possible = real.level_grey[0], real.level_grey[-1]
+    return GroundAim(_range_around(level, real.level_grey), _range_around(clutter, real.clutter_grey), possible)
 
 
 def _range_around(share: float, quantiles: tuple[float, ...]) -> tuple[float, float]:
     low, high = np.interp([share - _REACH, share + _REACH], _SHARES, quantiles)
     # The least and the most cluttered twentieth are as likely as any other.
     return (-np.inf if share < _SHARES[0] else float(low), np.inf if share > _SHARES[-1] else float(high))
-
-
-def _ends(quantiles: tuple[float, ...]) -> tuple[float, float]:
-    return quantiles[0], quantiles[-1]

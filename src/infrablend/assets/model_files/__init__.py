@@ -22,7 +22,7 @@ from infrablend.assets.model_files.reference import (
     UnreadableFileError,
     UnsupportedContentError,
 )
-from infrablend.core.files import output_error
+from infrablend.core.files import NotRegularError, open_regular, output_error
 from infrablend.errors import ModelError, Problem
 
 MAX_BYTES = 2**30
@@ -216,14 +216,12 @@ def _read(main: Path, path: Path, name: str) -> bytes:
         ModelError: It is not one, cannot be read, or is too large.
     """
     try:
-        # A pipe would block here without O_NONBLOCK.
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        with os.fdopen(handle, "rb") as stream:
-            found = os.fstat(handle)
-            if not stat.S_ISREG(found.st_mode):
-                raise ModelError(f"model file {main}: {name} is no regular file; expected one")
-            if found.st_size > MAX_BYTES:
-                raise too_large(main, f"{name} has {found.st_size >> 20} MB")
+        with open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size > MAX_BYTES:
+                raise too_large(main, f"{name} has {size >> 20} MB")
             return stream.read(MAX_BYTES + 1)
+    except NotRegularError as error:
+        raise ModelError(f"model file {main}: {name} is no regular file; expected one") from error
     except OSError as error:
         raise ModelError(f"model file {path}: cannot be read ({error.strerror or error})") from error
