@@ -19,7 +19,7 @@ pytest = .venv/bin/python -m pytest
 parallel = -n $(TEST_WORKERS) --dist loadgroup --no-loadscope-reorder
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 
-.PHONY: help setup train tools demo test check bench lock reference clean
+.PHONY: help setup train studio tools demo test check bench lock reference clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -30,8 +30,12 @@ setup: ## Install everything, locked, into .venv; does nothing the second time
 train: setup ## Install torch and Ultralytics into .venv: infrablend train (shows the download size first)
 	@scripts/train_env.sh
 
-tools: train ## Also install other libraries that load our datasets, into .venv-tools
+studio: setup ## Install NiceGUI into .venv: infrablend studio
+	@scripts/studio_env.sh
+
+tools: train studio ## Also install what only tests need: libraries that load our datasets, a driver for Chromium
 	@scripts/tools_env.sh
+	@scripts/studio_env.sh browser
 
 demo: setup ## Render drones into a small virtual thermal world; the last line is the path of the picture
 	@scripts/demo.sh

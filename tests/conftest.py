@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -79,6 +80,24 @@ def tools_python() -> Path:
     if not python.exists():
         _skip_or_fail(f"{NEEDS} .venv-tools: run `make tools`, which first shows the download size")
     return python
+
+
+@pytest.fixture(scope="session")
+def nicegui() -> None:
+    """Skip the test where NiceGUI is not installed; fail it where it should be."""
+    if find_spec("nicegui") is None:
+        _skip_or_fail(f"{NEEDS} NiceGUI: run `make studio`")
+
+
+@pytest.fixture(scope="session")
+def chromium(nicegui: None) -> str:
+    """Return the path of Chromium; skip the test without it or without Playwright, which drives it."""
+    if find_spec("playwright") is None:
+        _skip_or_fail(f"{NEEDS} Playwright: run `make tools`")
+    found = shutil.which("chromium")
+    if found is None:  # an operating system's package, which set-up cannot always install
+        pytest.skip(f"{NEEDS} CHROMIUM: apt-get install chromium; the studio's pages are not tested without it")
+    return found
 
 
 def _skip_or_fail(message: str) -> NoReturn:

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA_SUFFIXES = {".jinja", ".json", ".npz", ".typed", ".yaml"}
+DATA_SUFFIXES = {".css", ".jinja", ".js", ".json", ".npz", ".typed", ".yaml"}
 pytestmark = pytest.mark.slow
 
 

@@ -29,6 +29,7 @@ from infrablend.cli import (
     recipes,
     rerender,
     split,
+    studio,
     temperatures,
     train,
     try_recipe,
@@ -123,6 +124,7 @@ def build_app() -> typer.Typer:
     app.command("temperatures")(temperatures.temperatures)
     app.command("world")(world.world)
     app.command("fetch")(fetch.fetch)
+    app.command("studio")(studio.studio)
     app.command("doctor")(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
         (

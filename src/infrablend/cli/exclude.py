@@ -39,7 +39,8 @@ def exclude(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.pipeline.choose import BY_HAND, REVIEW_FILE
+    from infrablend.pipeline.choose import BY_HAND
+    from infrablend.pipeline.review import REVIEW_FILE
 
     with shown_progress(session, "excluding") as on_progress:
         report = api.exclude(

@@ -22,7 +22,6 @@ from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.run import run_plan
 from infrablend.pipeline.temperature_scale import with_scale
 
-REVIEW_FILE = "review.json"
 BY_HAND = "by hand"
 
 

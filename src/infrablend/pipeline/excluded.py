@@ -9,13 +9,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.files import load_json, output_error, sha256_of, write_json
 from infrablend.core.manifest import Manifest, remove_empty
 from infrablend.core.run_layout import EXCLUDED, IMAGES, SCENES, RunLayout
 from infrablend.errors import OutputError
 from infrablend.pipeline.record import RecordError, load_record
+from infrablend.pipeline.review import read_verdicts
 
 VERSION = 1
 
@@ -118,16 +118,6 @@ def read_review(path: Path) -> tuple[dict[str, str], set[str]]:
     Raises:
         OutputError: The file cannot be read.
     """
-    try:
-        frames: Mapping[str, Any] = load_json(path)["frames"]
-        verdicts = {str(k): (str(v["verdict"]), str(v.get("reason") or "review")) for k, v in frames.items()}
-        wrong = sorted({verdict for verdict, _ in verdicts.values()} - {"accept", "reject"})
-        if wrong:
-            raise ValueError(f"verdict {wrong[0]!r}")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(
-            f"{path}: cannot be read as a review ({type(error).__name__}: {error}); expected "
-            '{"frames": {"test/a_c0": {"verdict": "reject", "reason": "too bright"}}}, with verdicts accept and reject'
-        ) from error
-    rejected = {k: reason for k, (verdict, reason) in verdicts.items() if verdict == "reject"}
-    return rejected, {k for k, (verdict, _) in verdicts.items() if verdict == "accept"}
+    verdicts = read_verdicts(path)
+    rejected = {k: v.reason or "review" for k, v in verdicts.items() if v.word == "reject"}
+    return rejected, {k for k, v in verdicts.items() if v.word == "accept"}

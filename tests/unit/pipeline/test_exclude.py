@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.pipeline import choose, request
+from infrablend.pipeline import request, review
 from tests.command_line import done, run
 from tests.killing import run_until_killed
 from tests.samples import SAMPLES
@@ -202,4 +202,4 @@ def test_the_recorded_request_is_read_again(made: Path, words: list[object], tmp
     }
     done("exclude", out, ids(out)[0])
     assert len(ids(out)) == 1
-    assert choose.REVIEW_FILE == "review.json"
+    assert review.REVIEW_FILE == "review.json"

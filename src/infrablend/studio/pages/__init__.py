@@ -1,0 +1,33 @@
+"""All pages and routes of the studio."""
+
+from __future__ import annotations
+
+from nicegui import app, ui
+from starlette.requests import Request
+from starlette.responses import RedirectResponse
+
+from infrablend.studio.pages import layout, losses, review, run_routes
+from infrablend.studio.session import Session
+
+
+def add_pages(session: Session) -> None:
+    """Register the pages and routes for what is open."""
+    layout.share_style()
+
+    @app.get("/")
+    def first_page() -> RedirectResponse:
+        return RedirectResponse(next(iter(layout.pages_of(session))))
+
+    run = session.run
+    if run is not None:
+        run_routes.add_routes(run)
+
+        @ui.page("/review")
+        def review_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/review", "Review"):
+                review.build(run, dict(request.query_params))
+
+        @ui.page("/losses")
+        def losses_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/losses", "Lost labels"):
+                losses.build(run)

@@ -1,0 +1,75 @@
+"""The frame around every page: title, navigation, theme; and errors in words."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from nicegui import app, ui
+from starlette.requests import Request
+
+from infrablend.errors import InfraBlendError, format_problems
+from infrablend.studio.session import Session
+
+THEME_COOKIE = "infrablend_theme"
+_STYLE = Path(__file__).with_name("studio.css")
+
+
+def share_style() -> None:
+    """Add the style to every page."""
+    app.colors(primary="#0b63c5", secondary="#566070", positive="#1c7c3c", negative="#b3261e")
+    ui.add_css(_STYLE, shared=True)
+
+
+def pages_of(session: Session) -> dict[str, str]:
+    """Return the names of the pages that have something to show, by path."""
+    found: dict[str, str] = {}
+    if session.run is not None:
+        found |= {"/review": "Review", "/losses": "Lost labels"}
+    return found
+
+
+@contextlib.contextmanager
+def page_frame(session: Session, request: Request, path: str, title: str) -> Iterator[None]:
+    """Build the frame of a page; the block builds its content, and its `InfraBlendError` is shown in words."""
+    theme = request.cookies.get(THEME_COOKIE)
+    dark = ui.dark_mode({"dark": True, "light": False}.get(theme or ""))
+    ui.page_title(f"{title} - {session.title} - InfraBlend studio")
+    ui.query("html").props("lang=en")
+    with ui.element("header").classes("studio-bar"):
+        ui.html("<h1>InfraBlend studio</h1>", sanitize=False)
+        with ui.element("nav").props('aria-label="Pages"'):
+            for target, name in pages_of(session).items():
+                link = ui.link(name, target)
+                if target == path:
+                    link.props("aria-current=page")
+        ui.label(session.title).classes("faint")
+        ui.space()
+
+        def switch() -> None:
+            dark.value = not dark.value if dark.value is not None else True
+            word = "dark" if dark.value else "light"
+            ui.run_javascript(f"document.cookie='{THEME_COOKIE}={word}; path=/; max-age=31536000; SameSite=Strict'")
+
+        ui.button("Light or dark", on_click=switch).props("flat dense no-caps")
+    with ui.element("main").classes("studio-page"):
+        try:
+            yield
+        except InfraBlendError as error:
+            show_error(error)
+
+
+def show_error(error: InfraBlendError) -> None:
+    """Show what is wrong, and what to do."""
+    ui.label(error_text(error)).classes("studio-error").props("role=alert")
+
+
+def error_text(error: InfraBlendError) -> str:
+    """Return an error with its problems, a line each."""
+    return "\n".join([error.message, *format_problems(error.problems)])
+
+
+def tell(error: InfraBlendError) -> None:
+    """Show an error as a notification that stays until it is closed."""
+    ui.notify(error_text(error), type="negative", multi_line=True, timeout=0, close_button="Close")

@@ -1,0 +1,302 @@
+"""The review of a run: a grid of its frames, and one frame at a time by keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+from urllib.parse import urlencode
+
+from nicegui import ui
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments, KeyEventArguments
+
+from infrablend.errors import InfraBlendError
+from infrablend.pipeline.review import Verdict
+from infrablend.studio.frame_index import SORTS, FrameRow, View
+from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.pages.layout import tell
+from infrablend.studio.verdicts import REASONS
+
+_WORDS = {"accept": "accepted", "reject": "rejected"}
+_LIMITS = {"size_px": "Size, px", "visibility": "Visible share", "contrast": "Contrast, grey levels"}
+_MOST_CROPS = 6
+
+
+class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[call-arg]
+    """The grid of frames; it reads its rows from `source`."""
+
+    def __init__(self, source: str) -> None:
+        """Show the rows at an address."""
+        super().__init__()
+        self._props["source"] = source
+
+    def show(self, source: str) -> None:
+        """Show other rows."""
+        self._props["source"] = source
+        self.update()
+
+
+def build(run: OpenedRun, query: Mapping[str, str]) -> None:
+    """Show the grid; `query` has the view, and `frame` the number of a frame to open."""
+    ReviewPage(run, View.from_query(query)).build(query.get("frame", ""))
+
+
+class ReviewPage:
+    """The review in one browser tab."""
+
+    def __init__(self, run: OpenedRun, view: View) -> None:
+        """Begin with a view; nothing is built yet."""
+        self._run = run
+        self._view = view
+        self._order: list[int] = []
+        self._number: int | None = None
+        self._boxes = True
+        self._advance = True
+
+    def build(self, frame: str = "") -> None:
+        """Build the page; open the frame with this number."""
+        self._run.rows  # noqa: B018  # read before the order of frames is asked for
+        self._list = ui.column().classes("w-full gap-2")
+        with self._list:
+            self._build_filters()
+            self._grid = FrameGrid(self._source())
+            self._grid.on("open", self._opened)
+        self._detail = ui.column().classes("w-full gap-2")
+        self._detail.set_visibility(False)
+        ui.keyboard(self._key, ignore=["input", "select", "textarea"])
+        self._count_frames()
+        if frame.isdecimal() and int(frame) < len(self._run.rows):
+            self._show(int(frame))
+
+    # ---- the list
+
+    def _build_filters(self) -> None:
+        rows, view = self._run.rows, self._view
+        classes = sorted({name for row in rows for name in row.classes})
+        with ui.element("div").classes("studio-row"):
+            self._select("Sort by", SORTS, view.sort, "sort")
+            ui.switch("Largest first", value=view.descending, on_change=lambda e: self._change(descending=e.value))
+            options = {"": "Any class", **{name: name for name in classes}, "none": "No inserts"}
+            self._select("Class", options, view.category, "category")
+            times = {"": "Any time", "day": "Day", "night": "Night", "unknown": "Unknown"}
+            self._select("Time of day", times, view.time_of_day, "time_of_day")
+            verdicts = {"": "Any verdict", "open": "Open", "accept": "Accepted", "reject": "Rejected"}
+            self._select("Verdict", verdicts, view.verdict, "verdict")
+            ui.switch("With warnings", value=view.warned, on_change=lambda e: self._change(warned=e.value))
+            text = ui.input("Name contains", value=view.text, on_change=lambda e: self._change(text=e.value or ""))
+            text.props("dense outlined debounce=250").classes("w-40")
+            with ui.expansion("Limits").props("dense"), ui.element("div").classes("studio-row"):
+                for name, title in _LIMITS.items():
+                    for end, word in enumerate(("least", "most")):
+                        box = ui.number(
+                            f"{title}, {word}", on_change=lambda e, n=name, k=end: self._limit(n, k, e.value)
+                        )
+                        box.props("dense outlined debounce=250").classes("w-44")
+        self._counted = ui.label().props("role=status")
+
+    def _select(self, title: str, options: Mapping[str, str], value: str, field: str) -> None:
+        chosen = ui.select(
+            dict(options), label=title, value=value if value in options else next(iter(options)),
+            on_change=lambda e: self._change(**{field: e.value}),
+        )  # fmt: skip
+        chosen.props(f'dense outlined options-dense aria-label="{title}"').classes("min-w-32")
+
+    def _limit(self, name: str, end: int, value: float | None) -> None:
+        limits = {n: [low, high] for n, low, high in self._view.limits}
+        limits.setdefault(name, [None, None])[end] = value
+        self._change(limits=tuple((n, low, high) for n, (low, high) in limits.items() if (low, high) != (None, None)))
+
+    def _change(self, **fields: Any) -> None:
+        self._view = replace(self._view, **fields)
+        self._grid.show(self._source())
+        self._count_frames()
+
+    def _source(self) -> str:
+        return "/run/rows?" + urlencode(self._view.to_query())
+
+    def _count_frames(self) -> None:
+        review, rows = self._run.review, self._run.rows
+        self._order = self._view.apply(rows, review.words)
+        counts = review.counts()
+        self._counted.set_text(
+            f"{len(self._order)} of {len(rows)} frames shown; {counts['accept']} accepted, {counts['reject']} rejected"
+        )
+
+    def _opened(self, event: GenericEventArguments) -> None:
+        self._show(int(event.args["n"]))
+
+    # ---- one frame
+
+    def _show(self, number: int) -> None:
+        self._number = number
+        row = self._run.row(number)
+        self._list.set_visibility(False)
+        self._detail.set_visibility(True)
+        self._detail.clear()
+        with self._detail:
+            self._build_frame(number, row)
+
+    def _build_frame(self, number: int, row: FrameRow) -> None:
+        at = self._order.index(number) if number in self._order else None
+        with ui.element("div").classes("studio-row"):
+            self._button("All frames", self._back, "Esc")
+            self._button("Previous", lambda: self._step(-1), "\u2190")
+            self._button("Next", lambda: self._step(1), "\u2192")
+            ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
+            ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
+            ui.switch("Next after a verdict", value=self._advance, on_change=lambda e: self._set_advance(e.value))
+        with ui.element("div").classes("frame-view"):
+            with ui.element("div"):
+                self._picture = ui.element("img").classes("picture")
+                self._picture.props["alt"] = f"Frame {row.id}"
+                self._set_picture(number, row)
+            with ui.element("section").props('aria-label="Frame"').classes("studio-card"):
+                self._build_verdict(number, row)
+                self._build_facts(row)
+        if at is not None:  # fetched ahead: the next picture then shows at once
+            for near in self._order[at + 1 : at + 3]:
+                ahead = ui.element("link").props("rel=prefetch as=image")
+                ahead.props["href"] = self._picture_address(near, self._run.row(near))
+
+    def _build_verdict(self, number: int, row: FrameRow) -> None:
+        ui.html(f"<h2>{'Verdict'}</h2>", sanitize=False)
+        verdict = self._run.review.of(row.id)
+        word = "none yet" if verdict is None else _WORDS[verdict.word]
+        reason = f": {verdict.reason}" if verdict is not None and verdict.reason else ""
+        shown = ui.label(word + reason).classes("verdict").props("role=status")
+        shown.props["data-verdict"] = "" if verdict is None else verdict.word
+        shown.props["data-frame"] = row.id
+        with ui.element("div").classes("studio-row"):
+            self._button("Accept", lambda: self._decide(Verdict("accept")), "A")
+            self._button("Reject", lambda: self._decide(Verdict("reject")), "R")
+            self._button("Undo", self._undo, "U")
+        ui.html("<h3>Reject because it is</h3>", sanitize=False)
+        with ui.element("div").classes("studio-row"):
+            for k, text in enumerate(REASONS, 1):
+                self._button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
+        own = ui.input("Another reason").props("dense outlined").classes("w-full")
+        own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
+
+    def _build_facts(self, row: FrameRow) -> None:
+        facts = {
+            "Name": row.id,
+            "Inserts": ", ".join(row.classes) + (f" ({row.inserted})" if row.inserted else "none"),
+            "Smallest": _with_unit(row.size_px, "px"),
+            "Visible": None if row.visibility is None else f"{100 * row.visibility:.0f} %",
+            "Contrast": _with_unit(row.contrast, "grey levels"),
+            "Pitch": _with_unit(row.pitch_deg, "\u00b0"),
+            "Height": _with_unit(row.altitude_m, "m"),
+            "Time": row.time_of_day,
+            "Lost labels": str(len(row.removed)) if row.removed else None,
+        }
+        ui.html("<h3>Frame</h3>", sanitize=False)
+        with ui.element("dl").classes("facts"):
+            for name, value in facts.items():
+                if value:
+                    with ui.element("dt"):
+                        ui.label(name)
+                    with ui.element("dd"):
+                        ui.label(value)
+        for text in row.warnings:
+            ui.label(text).classes("warn")
+        if row.boxes:
+            ui.html("<h3>Enlarged</h3>", sanitize=False)
+            with ui.element("div").classes("crops"):
+                for k in range(min(len(row.boxes), _MOST_CROPS)):
+                    crop = ui.element("img")
+                    crop.props["alt"] = f"Insert {k + 1}, enlarged"
+                    crop.props["src"] = f"/run/crop/{self._number}/{k}.png?d={row.digest[:12]}"
+
+    @staticmethod
+    def _button(text: str, on_click: Any, key: str) -> None:
+        # Without a focus of its own, so that keys go on to work after a click.
+        with ui.button(on_click=on_click).props("no-caps dense outline").classes("px-2"):
+            ui.label(text)
+            ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
+
+    def _picture_address(self, number: int, row: FrameRow) -> str:
+        return f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}"
+
+    def _set_picture(self, number: int, row: FrameRow) -> None:
+        self._picture.props["src"] = self._picture_address(number, row)
+        self._picture.update()
+
+    def _draw_boxes(self, on: bool) -> None:
+        self._boxes = on
+        if self._number is not None:
+            self._set_picture(self._number, self._run.row(self._number))
+
+    def _set_advance(self, on: bool) -> None:
+        self._advance = on
+
+    def _back(self) -> None:
+        number, self._number = self._number, None
+        self._detail.clear()
+        self._detail.set_visibility(False)
+        self._list.set_visibility(True)
+        self._count_frames()
+        self._grid.run_method("load")
+        self._grid.run_method("reveal", number)
+
+    def _step(self, by: int) -> None:
+        if self._number is None:
+            return
+        if self._number not in self._order:
+            self._back()
+            return
+        at = self._order.index(self._number) + by
+        if 0 <= at < len(self._order):
+            self._show(self._order[at])
+
+    def _decide(self, verdict: Verdict) -> None:
+        if self._number is None:
+            return
+        try:
+            self._run.review.decide(self._run.row(self._number).id, verdict)
+        except InfraBlendError as error:
+            tell(error)
+            return
+        last = self._order[-1:] == [self._number]
+        if self._advance and not last:
+            self._step(1)
+        else:
+            self._show(self._number)
+        ui.notify(f"{_WORDS[verdict.word]}{': ' + verdict.reason if verdict.reason else ''}", timeout=900)
+
+    def _undo(self) -> None:
+        try:
+            frame_id = self._run.review.undo()
+        except InfraBlendError as error:
+            tell(error)
+            return
+        if frame_id is None:
+            ui.notify("Nothing to undo")
+            return
+        number = next((n for n, row in enumerate(self._run.rows) if row.id == frame_id), None)
+        if number is not None:
+            self._show(number)
+        ui.notify(f"Undone: {frame_id}", timeout=900)
+
+    def _key(self, event: KeyEventArguments) -> None:
+        held = event.modifiers
+        if not event.action.keydown or held.ctrl or held.meta or held.alt or self._number is None:
+            return
+        name = event.key.name.lower() if len(event.key.name) == 1 else event.key.name
+        actions = {
+            "a": lambda: self._decide(Verdict("accept")),
+            "r": lambda: self._decide(Verdict("reject")),
+            "u": self._undo,
+            "b": lambda: self._draw_boxes(not self._boxes),
+            "ArrowRight": lambda: self._step(1),
+            "ArrowLeft": lambda: self._step(-1),
+            "Escape": self._back,
+        }
+        for k, text in enumerate(REASONS, 1):
+            actions[str(k)] = lambda t=text: self._decide(Verdict("reject", t))  # type: ignore[misc]
+        if name in actions:
+            actions[name]()
+
+
+def _with_unit(value: float | None, unit: str) -> str | None:
+    return None if value is None else f"{value:.1f} {unit}".replace(".0 ", " ")

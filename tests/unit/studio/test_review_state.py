@@ -1,0 +1,170 @@
+"""Rows, views and verdicts of the studio, without a browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from infrablend.core.run_layout import RunLayout
+from infrablend.errors import DatasetError, OutputError
+from infrablend.pipeline.review import Verdict, read_verdicts
+from infrablend.studio.frame_index import UNREADABLE, FrameRow, View, read_rows
+from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.verdicts import Review
+from tests.studio_runs import frame_record, write_run
+
+ROWS = (
+    FrameRow("test/a", classes=("drone",), size_px=40, visibility=1, contrast=9, time_of_day="day", inserted=1),
+    FrameRow("test/b", size_px=None, time_of_day=None, warnings=("low",)),
+    FrameRow(
+        "train/c", classes=("car", "drone"), size_px=12, visibility=0.5, contrast=30, time_of_day="night", inserted=2
+    ),
+)
+
+
+def shown(verdicts: dict[str, str] | None = None, **fields: object) -> list[str]:
+    return [ROWS[n].id[-1] for n in View(**fields).apply(ROWS, verdicts or {})]
+
+
+def test_frames_are_sorted_and_those_without_the_value_come_last() -> None:
+    assert shown() == ["a", "b", "c"]
+    assert shown(descending=True) == ["c", "b", "a"]
+    assert shown(sort="size_px") == ["c", "a", "b"]
+    assert shown(sort="size_px", descending=True) == ["a", "c", "b"]
+    assert shown(sort="warnings", descending=True) == ["b", "a", "c"]
+
+
+def test_frames_are_filtered() -> None:
+    assert shown(category="car") == ["c"]
+    assert shown(category="none") == ["b"]
+    assert shown(time_of_day="unknown") == ["b"]
+    assert shown(warned=True) == ["b"]
+    assert shown(text="TRAIN") == ["c"]
+    assert shown(limits=(("contrast", 10, None),)) == ["c"]
+    assert shown(limits=(("contrast", None, 10),)) == ["a"]
+    assert shown({"test/a": "reject"}, verdict="reject") == ["a"]
+    assert shown({"test/a": "reject"}, verdict="open") == ["b", "c"]
+
+
+def test_a_view_survives_its_address() -> None:
+    view = View("contrast", True, "drone", "day", "open", True, "0_60", (("size_px", 3.5, None),))
+    assert View.from_query(view.to_query()) == view
+    assert View.from_query({"sort": "evil", "size_px_min": "nan", "other": "1"}).sort == "id"
+
+
+def test_rows_are_read_from_the_records_and_damaged_ones_are_shown(tmp_path: Path) -> None:
+    write_run(tmp_path, {"test/a_c0": frame_record("test/a_c0"), "test/b_c0": frame_record("test/b_c0")})
+    (tmp_path / "scenes/test/b_c0.json").write_text("{")
+    leaving = frame_record("test/c_c0") | {"image": "../../../etc/passwd"}
+    (tmp_path / "scenes/test/c_c0.json").write_text(json.dumps(leaving))
+    a, b, c = (row for some in read_rows(RunLayout(tmp_path)) for row in some)
+    assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
+    assert b.warnings == c.warnings == (UNREADABLE,)
+
+
+def test_every_verdict_is_in_the_file_at_once_and_can_be_undone(tmp_path: Path) -> None:
+    review = Review(tmp_path / "review.json")
+    review.decide("test/a", Verdict("accept"))
+    review.decide("test/a", Verdict("reject", "too dark"))
+    review.decide("test/b", Verdict("accept"))
+    assert read_verdicts(review.path) == {"test/a": Verdict("reject", "too dark"), "test/b": Verdict("accept")}
+    assert [review.undo(), review.undo()] == ["test/b", "test/a"]
+    assert read_verdicts(review.path) == {"test/a": Verdict("accept")}
+    assert [review.undo(), review.undo()] == ["test/a", None]
+    assert read_verdicts(review.path) == {}
+
+
+def test_verdicts_of_others_are_kept(tmp_path: Path) -> None:
+    review = Review(tmp_path / "review.json")
+    review.decide("test/a", Verdict("accept"))
+    review.path.write_text('{"frames": {"test/a": {"verdict": "reject"}, "test/z": {"verdict": "accept"}}}')
+    assert review.words["test/z"] == "accept"
+    assert review.undo() is None, "somebody else decided on this frame since"
+    review.decide("test/b", Verdict("accept"))
+    assert set(read_verdicts(review.path)) == {"test/a", "test/b", "test/z"}
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from infrablend.pipeline.review import Verdict
+from infrablend.studio.verdicts import Review
+review = Review(Path(sys.argv[1]))
+for n in range(100000):
+    review.decide(f"test/{n}", Verdict("accept" if n % 2 else "reject", "x" * 50))
+    print(n, flush=True)
+"""
+
+
+def _killed_after(child: subprocess.Popen[str], count: int) -> int:
+    """Kill a process once it has printed this number; return the last number that it has printed."""
+    assert child.stdout is not None
+    last = -1
+    for line in child.stdout:
+        last = int(line)
+        if last == count:
+            os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    return last
+
+
+def test_a_kill_loses_no_verdict(tmp_path: Path) -> None:
+    path = tmp_path / "review.json"
+    child = subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    with child.stdout:
+        last = _killed_after(child, 20)
+    found = read_verdicts(path)
+    assert {f"test/{n}" for n in range(last + 1)} <= set(found)
+
+
+def test_runs_that_cannot_be_opened_say_why(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="expected the record of a run"):
+        OpenedRun(tmp_path)
+    empty = write_run(tmp_path / "empty", {})
+    with pytest.raises(DatasetError, match="without frames"):
+        OpenedRun(empty)
+    running = write_run(tmp_path / "running", {"test/a_c0": frame_record("test/a_c0")}, status="running")
+    with pytest.raises(DatasetError, match="still being written"):
+        OpenedRun(running)
+    run = write_run(tmp_path / "run", {"test/a_c0": frame_record("test/a_c0")})
+    first = OpenedRun(run)
+    with pytest.raises(OutputError, match="another studio"):
+        OpenedRun(run)
+    first.close()
+    (run / "review.json").write_text("[]")
+    with pytest.raises(OutputError, match="as a review"):
+        OpenedRun(run)
+    (run / "review.json").unlink()
+    opened = OpenedRun(run)
+    with pytest.raises(DatasetError, match="no such frame"):
+        opened.row(1)
+    assert opened.row(0).id == "test/a_c0"
+    opened.close()
+
+
+def test_thumbnails_are_made_once_and_nothing_outside_the_run_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
+    frames = {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "ab"}
+    opened = OpenedRun(write_run(tmp_path / "run", frames))
+    row = opened.row(0)
+    first = opened.thumbnails.get(row)
+    assert first[:2] == b"\xff\xd8"
+    (tmp_path / "run/images" / row.image).unlink()
+    assert opened.thumbnails.get(row) == first, "from the cache"
+    assert not list((tmp_path / "run").rglob(".*")), "the run's folder has nothing of the studio"
+    secret = tmp_path / "secret.jpg"
+    secret.write_bytes((tmp_path / "run/images" / opened.row(1).image).read_bytes())
+    (tmp_path / "run/images" / opened.row(1).image).unlink()
+    (tmp_path / "run/images" / opened.row(1).image).symlink_to(secret)
+    with pytest.raises(DatasetError, match="link out of"):
+        opened.thumbnails.get(opened.row(1))
+    opened.close()
