@@ -11,6 +11,8 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+from tests.run_files import without_times
+
 # Parts of records that differ between equal calls.
 _TIMES = {"timing", "seconds", "sessions", "fetched", "commit", "commits"}
 _DURATION = re.compile(rb"\b\d+(\.\d+)? (s|min|h)\b")
@@ -38,7 +40,7 @@ def contents(root: Path, left_out: tuple[str, ...] = ("log/",), trained: bool = 
 
 
 def _comparable(path: Path, trained: bool) -> bytes:
-    data = path.read_bytes()
+    data = without_times(path.name, path.read_bytes())
     if path.suffix == ".json":
         with contextlib.suppress(ValueError):
             data = json.dumps(_without_times(json.loads(data)), sort_keys=True).encode()

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         preview_ground,
         realism,
         realism_page,
+        report,
         rerender,
     )
     from infrablend.api.shipped import (
@@ -157,6 +158,7 @@ __all__ = [
     "read_dataset",
     "realism",
     "realism_page",
+    "report",
     "rerender",
     "show_model",
     "show_recipe",
@@ -177,7 +179,7 @@ _MODULES = {
     "api.detectors": "compare_evaluations evaluate plan_train train",
     "api.experiments": "experiment list_experiments plan_experiment",
     "api.in_memory": "frames try_recipe watch_recipe",
-    "api.runs": "PlanReport exclude generate include plan preview preview_ground realism realism_page rerender",
+    "api.runs": "PlanReport exclude generate include plan preview preview_ground realism realism_page report rerender",
     "api.shipped": (
         "add_model describe_model diagnose list_models list_recipes show_model show_recipe survey_model "
         "write_infrared_effect"

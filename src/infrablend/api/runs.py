@@ -125,6 +125,13 @@ def include(
     return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)
 
 
+def report(run: str | Path) -> Path:
+    """Write the report of a finished run again, `run/report.html`, and return its path; `generate` writes it, too."""
+    from infrablend.pipeline.run_report import report_run
+
+    return report_run(Path(run))
+
+
 def preview(
     run: str | Path, out: str | Path, count: int = 12, draw: Sequence[Draw] = ("boxes", "obb", "masks")
 ) -> Path:

@@ -27,6 +27,7 @@ from infrablend.cli import (
     profile,
     realism,
     recipes,
+    report,
     rerender,
     split,
     studio,
@@ -109,6 +110,7 @@ def build_app() -> typer.Typer:
     app.command("try")(try_recipe.try_recipe)
     app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)
+    app.command("report")(report.report)
     app.command("profile")(profile.profile)
     app.command("rerender")(rerender.rerender)
     app.command("exclude")(exclude.exclude)

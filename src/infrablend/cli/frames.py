@@ -84,7 +84,8 @@ def frames(
 
 def _block(clip: Clip) -> str:
     """Return the lines on one video."""
-    from infrablend.cli.results import human_seconds, table
+    from infrablend.cli.results import table
+    from infrablend.report.figures import human_seconds
 
     facts = clip.facts
     width, height = facts["size_wh"]

@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from infrablend.cli.results import human_bytes, human_seconds
+from infrablend.cli.results import human_bytes
 from infrablend.core.tasks import OnProgress, Progress
+from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session

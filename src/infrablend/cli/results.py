@@ -12,6 +12,7 @@ import typer
 
 from infrablend.cli.exits import printable, problem_lines
 from infrablend.errors import Problem, format_problems
+from infrablend.report.figures import human_seconds
 
 SHOWN_WARNINGS = 5
 
@@ -108,13 +109,3 @@ def human_bytes(n: float) -> str:
             return f"{n:.0f} {unit}" if unit == "B" else f"{n:.1f} {unit}"
         n /= 1024
     return f"{n:.1f} TiB"
-
-
-def human_seconds(s: float) -> str:
-    """Format a duration, e.g. `8.2 s`, `3 min 05 s`, `2 h 10 min`."""
-    if s < 60:
-        return f"{s:.1f} s"
-    whole = round(s)
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

@@ -88,7 +88,8 @@ def train(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import human_bytes, human_seconds, print_json, print_result, table
+    from infrablend.cli.results import human_bytes, print_json, print_result, table
+    from infrablend.report.figures import human_seconds
 
     request = api.TrainRequest(
         preset=preset.value,

@@ -14,6 +14,7 @@ LOGS = "log"
 EIGHT_BIT = "8bit"
 EXCLUDED = "excluded"
 EXCLUDED_FILE = "excluded.json"
+REPORT_FILE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,11 @@ class RunLayout:
     def run_file(self) -> Path:
         """Record of the run: settings, counts, problems."""
         return self.root / RUN_FILE
+
+    @property
+    def report_file(self) -> Path:
+        """Report of the run, a page for browsers."""
+        return self.root / REPORT_FILE
 
     @property
     def log_folder(self) -> Path:

@@ -187,15 +187,8 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
 
     The estimates are the height of the camera (metric placement) and the gain (physical look).
     """
-    heights: list[bool] = []
-    gains: list[Sequence[str]] = []
-    for r in records:
-        view = None if r.scene is None else r.scene.view
-        if view is not None and view.anchors:
-            factor = view.camera_height_m / view.stated_height_m
-            heights.append(any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS))
-        # Records of earlier versions have no doubts.
-        gains += [g["doubts"] for g in r.facts.get("matching", {}).get("gain", {}).values() if "doubts" in g]
+    heights = [at_limit for r in records if (at_limit := _height_at_limit(r)) is not None]
+    gains = [doubts for r in records for doubts in _gain_doubts(r)]
     problems = []
     if heights and 5 * sum(heights) >= len(heights):
         low, high = FACTOR_BOUNDS
@@ -212,6 +205,35 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
                 Problem("matching", code, f"{what} in {count} of {len(gains)} cases", expected, todo, "warning")
             )
     return problems
+
+
+def _height_at_limit(record: FrameRecord) -> bool | None:
+    """Return whether the corrected height of the camera is at a limit; None if it was not corrected."""
+    view = None if record.scene is None else record.scene.view
+    if view is None or not view.anchors:
+        return None
+    factor = view.camera_height_m / view.stated_height_m
+    return any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
+
+
+def _gain_doubts(record: FrameRecord) -> list[Sequence[str]]:
+    """Return the doubts about each gain of a frame; records of earlier versions have none."""
+    gains = record.facts.get("matching", {}).get("gain", {})
+    return [g["doubts"] for g in gains.values() if "doubts" in g]
+
+
+def warning_codes(record: FrameRecord) -> set[str]:
+    """Return the codes of the warnings about a run that a frame contributes to, whether or not the run has them."""
+    codes = {str(w["code"]) for w in record.warnings}
+    if record.scene is not None and record.scene.draws.get("absent"):
+        codes.add("objects-absent")
+    if record.facts.get("matching", {}).get("air") == "drawn":
+        codes.add("air-drawn")
+    if _height_at_limit(record):
+        codes.add("height-at-limit")
+    if any("window" not in o for o in record.facts.get("occlusion", ())):
+        codes.add("nothing-in-front")
+    return codes | {_DOUBTS[kind][0] for kind in _DOUBTS for doubts in _gain_doubts(record) if kind in doubts}
 
 
 def summarize(

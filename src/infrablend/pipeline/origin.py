@@ -62,10 +62,10 @@ def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts
         limits.append(_NOT_RADIOMETRIC)
     if recipe.camera.pitch != "metadata":
         limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
-    return Inserts(recipe.name, seed, _recipe_yaml(recipe), dict(labels), tuple(limits))
+    return Inserts(recipe.name, seed, recipe_yaml(recipe), dict(labels), tuple(limits))
 
 
-def _recipe_yaml(recipe: Recipe) -> str:
+def recipe_yaml(recipe: Recipe) -> str:
     """Return the settings that differ from the defaults, as YAML; user models appear without their local folder."""
     data = json.loads(recipe.model_dump_json(exclude_defaults=True))
     for o in data["objects"]:

@@ -45,6 +45,7 @@ from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
+from infrablend.pipeline.run_report import write_report
 
 log = logging.getLogger(__name__)
 
@@ -184,23 +185,16 @@ def run_plan(
             raise
         made = time.monotonic()
         finished, notes = LabelSummary(), []
+        records: list[tuple[PlannedFrame, FrameRecord]] = []
         try:
             if status == "complete":
                 records = _finished_frames(plan, folder, state)
                 finished = write_formats(plan, folder, records)
                 if records:  # labels of frames that are gone
                     manifest.remove_unwritten([*plan.recipe.output.formats, EIGHT_BIT])
-                notes = _file_notes(folder, manifest, records)
-        except KeyboardInterrupt as error:
-            folder.write_run({**header, "status": stopped})
-            raise Interrupted(
-                f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept. "
-                "Repeat the command with --resume to write the labels."
-            ) from error
-        problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
-        counts = _counts(plan, state, finished)
-        folder.write_run(
-            {
+            problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
+            counts = _counts(plan, state, finished)
+            record = {
                 **header,
                 "status": status,
                 "counts": counts,
@@ -218,7 +212,16 @@ def run_plan(
                     "peak_worker_rss_mb": round(state.peak_rss_bytes / 2**20, 1),
                 },
             }
-        )
+            if status == "complete":
+                write_report(folder, record, (r for _, r in records), kept_out)
+                notes = _file_notes(folder, manifest, records)
+        except KeyboardInterrupt as error:
+            folder.write_run({**header, "status": stopped})
+            raise Interrupted(
+                f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept. "
+                "Repeat the command with --resume to write the labels."
+            ) from error
+        folder.write_run(record)
         log.info("%s: %s", status, counts)
         for note in notes:
             log.info("%s", note)

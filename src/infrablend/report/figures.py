@@ -32,3 +32,13 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]], align: Se
     """Return a Markdown table; `align` holds a column's rule, such as `---:`."""
     lines = [head, align or ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def human_seconds(s: float) -> str:
+    """Format a duration, e.g. `8.2 s`, `3 min 05 s`, `2 h 10 min`."""
+    if s < 60:
+        return f"{s:.1f} s"
+    whole = round(s)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from infrablend.report.figures import compact, decimals, interval
+from infrablend.report.figures import compact, decimals, human_seconds, interval
 
 
 def render_page(name: str, **content: Any) -> str:
@@ -17,6 +17,11 @@ def render_page(name: str, **content: Any) -> str:
     The same content gives the same bytes.
     """
     return _environment().get_template(f"{name}.html.jinja").render(**content)
+
+
+def page_part(name: str) -> str:
+    """Return the text of `templates/NAME.jinja`, such as a script."""
+    return _environment().get_template(f"{name}.jinja").render()
 
 
 @cache
@@ -29,7 +34,13 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"compact": compact, "data_uri": _data_uri, "decimals": decimals, "interval": interval}
+    environment.filters |= {
+        "compact": compact,
+        "data_uri": _data_uri,
+        "decimals": decimals,
+        "interval": interval,
+        "seconds": human_seconds,
+    }
     return environment
 
 

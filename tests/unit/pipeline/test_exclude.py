@@ -13,6 +13,7 @@ from infrablend import api
 from infrablend.pipeline import request, review
 from tests.command_line import done, run
 from tests.killing import run_until_killed
+from tests.run_files import without_times
 from tests.samples import SAMPLES
 
 FRAME = "train/0_60_30_0_00001_c0"
@@ -51,8 +52,9 @@ def made(words: list[object], tmp_path: Path) -> Path:
 
 
 def tree(root: Path) -> dict[str, bytes]:
-    """Return all files but logs; the run record without times."""
+    """Return all files but logs; the record and the report of the run without times."""
     found = {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+    found = {name: without_times(name, data) for name, data in found.items()}
     record = json.loads(found.pop("run.json"))
     del record["timing"]
     found["run.json"] = json.dumps(record, sort_keys=True).encode()

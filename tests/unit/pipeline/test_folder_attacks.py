@@ -16,6 +16,7 @@ from tests.clips import write_detections
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
+from tests.run_files import without_times
 from tests.samples import SAMPLES
 
 
@@ -30,7 +31,8 @@ def set_status(record: Path, status: str) -> None:
 
 def tree(root: Path) -> dict[str, bytes]:
     """Return all files but records and logs."""
-    found = {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+    names = [p.relative_to(root).as_posix() for p in sorted(root.rglob("*")) if p.is_file()]
+    found = {name: without_times(name, (root / name).read_bytes()) for name in names}
     return {k: v for k, v in found.items() if not k.startswith("log/") and k not in ("convert.json", "run.json")}
 
 

@@ -19,6 +19,7 @@ from infrablend.errors import DatasetError, Interrupted, MissingDependencyError,
 from infrablend.pipeline.label_files import limit_warnings
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.record import FrameRecord, read_record
+from tests.run_files import without_times
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
 SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}
@@ -74,13 +75,13 @@ def generate(data, out, **kwargs):
 
 
 def hashes(run: Path) -> dict[str, str]:
-    """Digest of every file but logs; of run.json without the timing and the machine's facts."""
+    """Digest of every file but logs; of run.json and the report without the timing and the machine's facts."""
     found = {}
     for path in sorted(p for p in run.rglob("*") if p.is_file()):
         name = path.relative_to(run).as_posix()
         if name.startswith("log/"):
             continue
-        data = path.read_bytes()
+        data = without_times(name, path.read_bytes())
         if name == "run.json":
             record = json.loads(data)
             for key in ("timing", "machine"):

@@ -1,0 +1,167 @@
+"""Writes the report of a run, `report.html`, from the records that the run wrote anyway."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.core.files import write_bytes
+from infrablend.core.finished import require_finished
+from infrablend.core.run_layout import IMAGES, RunLayout
+from infrablend.errors import DatasetError, Problem
+from infrablend.pipeline.excluded import read_choice
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.label_files import warning_codes
+from infrablend.pipeline.origin import recipe_yaml
+from infrablend.pipeline.record import FrameRecord, RecordError, load_record
+from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run.page import run_page
+
+
+def report_run(run: Path) -> Path:
+    """Write the report of a finished run again, and return its path.
+
+    Raises:
+        DatasetError: The run is not finished, or the record of a frame is damaged.
+        OutputError: The folder is not a run, another process writes to it, or it cannot be written.
+    """
+    folder = RunFolder(run)
+    record = folder.read_run()
+    require_finished(run)
+    with folder.output.claimed():
+        manifest = folder.manifest().read()
+        with manifest.recording():
+            return write_report(folder, record, _frames(folder), read_choice(folder))
+
+
+def _frames(folder: RunFolder) -> Iterable[FrameRecord]:
+    for path in folder.records():
+        try:
+            yield load_record(path)
+        except RecordError as error:
+            raise DatasetError(
+                f"{path}: {error}; expected the record of a frame. Repeat the run's command with --resume, which makes "
+                "the frame again"
+            ) from error
+
+
+def write_report(
+    layout: RunLayout, record: Mapping[str, Any], frames: Iterable[FrameRecord], excluded: Mapping[str, str]
+) -> Path:
+    """Write the report of a run and return its path.
+
+    Args:
+        layout: Folder of the run.
+        record: Record of the run.
+        frames: Records of its frames; one is in memory at a time.
+        excluded: Frames left out of the finished run, each with its reason.
+    """
+    facts = sorted((_frame_facts(r) for r in frames), key=lambda f: f.frame_id)
+    page = run_page(_run_facts(layout.root, record, facts, excluded))
+    # Names from the data may hold what UTF-8 cannot.
+    return write_bytes(layout.report_file, page.encode("utf-8", "replace"))
+
+
+def _run_facts(
+    root: Path, record: Mapping[str, Any], frames: list[FrameFacts], excluded: Mapping[str, str]
+) -> RunFacts:
+    recipe = dict(record["recipe"])
+    try:
+        recorded = upgrade_recorded(recipe)
+        recorded["output"]["formats"] = record["formats"]
+        settings = recipe_yaml(recipe_from_json(json.dumps(recorded)))
+    except (ValidationError, KeyError, TypeError, AttributeError):
+        settings = json.dumps(recipe, indent=1, sort_keys=True)
+    data = record.get("data", {})
+    return RunFacts(
+        root=root,
+        recipe=str(recipe.get("name", "")),
+        description=str(recipe.get("description") or ""),
+        settings=settings,
+        command=_command(record),
+        version=str(record["infrablend"]),
+        made=(
+            ("backgrounds", f"{data.get('backgrounds', 0)} pictures, format {data.get('format', 'unknown')}"),
+            ("seed", str(record.get("seed", ""))),
+            ("label formats", ", ".join(record.get("formats", ()))),
+        ),
+        counts=record.get("counts", {}),
+        problems=[Problem(**p) for p in record.get("problems", ())],
+        excluded=excluded,
+        timing=record.get("timing", {}),
+        machine=record.get("machine", {}),
+        frames=frames,
+    )
+
+
+def _command(record: Mapping[str, Any]) -> str:
+    """Return the command of a run; the page names no folder of this machine."""
+    words = ["infrablend", "generate", "recipe.yaml", "--data", "DATA", "--out", "RUN"]
+    words += ["--seed", str(record.get("seed", 0))]
+    request = record.get("request") or {}
+    reading, selection = request.get("reading", {}), request.get("selection", {})
+    if splits := reading.get("splits"):
+        words += ["--split", ",".join(splits)]
+    words += [w for name in ("format", "form") if name in reading for w in (f"--{name}", str(reading[name]))]
+    if metadata := reading.get("metadata"):
+        words += ["--metadata", Path(metadata).name]
+    words += [w for name, text in reading.get("options", {}).items() for w in ("--read", f"{name}={text}")]
+    words += [w for name in ("limit", "sample") if name in selection for w in (f"--{name}", str(selection[name]))]
+    if frames := selection.get("frames"):
+        words += ["--frames", ",".join(frames)]
+    return shlex.join(words)
+
+
+def _frame_facts(record: FrameRecord) -> FrameFacts:
+    background, scene = record.background, record.scene
+    pitch = background.get("pitch_deg") if scene is None else round(math.degrees(scene.camera.pitch_rad), 6)
+    width, height = background["size_wh"]
+    dropped = [str(d["reason"]) for d in record.facts.get("drops", ())]
+    if scene is not None:
+        dropped += [reason for reason, n in scene.draws.get("absent", {}).items() for _ in range(int(n))]
+    path = str(background.get("path", ""))
+    split = record.frame_id.partition("/")[0]
+    names = {str(background.get("id", "")), path, Path(path).name, f"{split}/{Path(path).name}"}
+    return FrameFacts(
+        frame_id=record.frame_id,
+        image=f"{IMAGES}/{record.image}",
+        size_wh=(int(width), int(height)),
+        background=frozenset(n for n in names if n),
+        time_of_day=background.get("time_of_day"),
+        pitch_deg=None if pitch is None else float(pitch),
+        altitude_m=background.get("altitude_m"),
+        inserts=_insert_facts(record),
+        removed=tuple(
+            RemovedLabel(str(r["category"]), str(r["reason"]), float(r["covered_share"]), bool(r.get("inserted")))
+            for r in record.removed
+        ),
+        dropped=tuple(sorted(dropped)),
+        warnings=frozenset(warning_codes(record)),
+    )
+
+
+def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:
+    measured = {c.get("object"): c for c in record.facts.get("contrast", ())}
+    found = []
+    for i in record.inserted:
+        number, distance, change = i.extra.get("object"), None, None
+        if record.scene is not None and isinstance(number, int) and number < len(record.scene.objects):
+            place = np.asarray(record.scene.objects[number].position_m)
+            distance = float(np.linalg.norm(place - record.scene.camera.position_m))
+        if (c := measured.get(number)) is not None:
+            change = min(float(c["changed"]), float(c.get("change", c["changed"])))
+        x0, y0, x1, y1 = (float(v) for v in i.box_xyxy)
+        signed = i.extra.get("contrast_grey")
+        found.append(
+            InsertFacts(i.category, (x0, y0, x1, y1), distance, change,
+                        None if signed is None else float(signed), i.visibility)
+        )  # fmt: skip
+    return tuple(found)

@@ -1,0 +1,210 @@
+"""Charts of a run as numbers that a template draws: histograms, a map of positions and shares."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from infrablend.report.figures import compact
+from infrablend.report.run.facts import FrameFacts, InsertFacts
+from infrablend.report.run.filters import Filters
+
+BINS = 12
+MAP_WH = (8, 6)
+WIDTH, HEIGHT = 420, 190
+_LEFT, _RIGHT, _TOP, _BOTTOM = 16, 16, 20, 24
+# Values that spread over more than this factor are shown in bins of growing width.
+_WIDE = 8.0
+_GROWING = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+
+Value = Callable[[InsertFacts], float | None]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of a chart, or a cell of a map.
+
+    Attributes:
+        x, y, width, height: Place in the chart.
+        count: Number that it stands for.
+        label: What it stands for, in words.
+        link: Anchor of the frames behind it; empty without any.
+        share: Count as a share of the largest one.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    count: int
+    label: str
+    link: str
+    share: float
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart.
+
+    Attributes:
+        title: Quantity and unit.
+        summary: Its most important numbers in words.
+        size_wh: Size of the drawing.
+        bars: Bars or cells.
+        ticks: Numbers below the axis, (place, text).
+        kind: `bars` or `map`.
+    """
+
+    title: str
+    summary: str
+    size_wh: tuple[float, float]
+    bars: tuple[Bar, ...]
+    ticks: tuple[tuple[float, str], ...] = ()
+    kind: str = "bars"
+
+
+def histogram(
+    frames: Sequence[FrameFacts], value: Value, title: str, filters: Filters, *, unit: str = "", share: bool = False
+) -> Chart | None:
+    """Return the histogram of a quantity of the inserted objects; None if none of them has it.
+
+    Args:
+        frames: Frames of the run.
+        value: Function that returns the quantity.
+        title: Name of the quantity.
+        filters: Lists of frames; each bar adds one.
+        unit: Unit behind numbers, such as ` px`.
+        share: Whether the quantity is a share in [0, 1], shown in percent.
+    """
+    values = [
+        (100 * v if share else v, k)
+        for k, frame in enumerate(frames)
+        for i in frame.inserts
+        if (v := value(i)) is not None and math.isfinite(v)
+    ]
+    return _histogram(values, title, filters, unit, "objects", edges=_SHARES if share else None)
+
+
+def frame_histogram(
+    frames: Sequence[FrameFacts], value: Callable[[FrameFacts], float | None], title: str, filters: Filters, unit: str
+) -> Chart | None:
+    """Return the histogram of a quantity of frames; None if none of them has it."""
+    values = [(v, k) for k, f in enumerate(frames) if (v := value(f)) is not None and math.isfinite(v)]
+    return _histogram(values, title, filters, unit, "frames")
+
+
+_SHARES = tuple(float(v) for v in range(0, 101, 10))
+
+
+def _histogram(
+    values: Sequence[tuple[float, int]],
+    title: str,
+    filters: Filters,
+    unit: str,
+    noun: str,
+    edges: Sequence[float] | None = None,
+) -> Chart | None:
+    if not values:
+        return None
+    numbers = sorted(v for v, _ in values)
+    edges = edges or bin_edges(numbers[0], numbers[-1])
+    found: list[list[int]] = [[] for _ in edges[1:]]
+    for v, k in values:
+        found[min(max(bisect_right(edges, v) - 1, 0), len(found) - 1)].append(k)
+    most = max(len(f) for f in found)
+    step = (WIDTH - _LEFT - _RIGHT) / len(found)
+    room = HEIGHT - _TOP - _BOTTOM
+    bars = []
+    for n, frames in enumerate(found):
+        label = f"{compact(edges[n])} to {compact(edges[n + 1])}{unit}"
+        height = room * len(frames) / most
+        name = f"{title}: {label}"
+        bars.append(
+            Bar(
+                round(_LEFT + n * step + 1, 2), round(HEIGHT - _BOTTOM - height, 2), round(step - 2, 2),
+                round(height, 2), len(frames), f"{label}: {counted(len(frames), noun)}", filters.add(name, frames),
+                round(len(frames) / most, 3),
+            )
+        )  # fmt: skip
+    # Numbers side by side must not touch.
+    every = 1 if len(edges) <= 10 else 2
+    ticks = tuple((round(_LEFT + n * step, 2), compact(e)) for n, e in enumerate(edges) if n % every == 0)
+    low, half, high = (compact(float(f"{_quantile(numbers, q):.3g}")) for q in (0.05, 0.5, 0.95))
+    summary = f"{counted(len(numbers), noun)}; median {half}{unit}, 5 to 95 %: {low} to {high}{unit}"
+    return Chart(title, summary, (WIDTH, HEIGHT), tuple(bars), ticks)
+
+
+def bin_edges(low: float, high: float, bins: int = BINS) -> list[float]:
+    """Return round numbers from below `low` to above `high`, at most `bins` + 2 of them."""
+    if low > 0 and high / low > _WIDE:
+        exponents = range(math.floor(math.log10(low)), math.floor(math.log10(high)) + 2)
+        steps = _GROWING if high / low < 100 else (1.0, 2.0, 5.0) if high / low < 10_000 else (1.0,)
+        edges = [float(f"{m * 10.0**e:.6g}") for e in exponents for m in steps]
+        first = max(n for n, e in enumerate(edges) if e <= low)
+        last = next(n for n, e in enumerate(edges) if e > high)
+        if last - first <= 2 * bins:
+            return edges[first : last + 1]
+    span = max(high - low, abs(low) * 1e-3, 1e-6)
+    power = 10.0 ** math.floor(math.log10(span / bins))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0, 20.0) if m * power * bins >= span)
+    start = math.floor(low / step)
+    count = max(1, math.floor(high / step) - start + 1)
+    return [float(f"{(start + n) * step:.12g}") for n in range(count + 1)]
+
+
+def position_map(frames: Sequence[FrameFacts], filters: Filters) -> Chart | None:
+    """Return a map of the frame that counts the centres of the inserted objects; None without any."""
+    columns, rows = MAP_WH
+    cells: list[list[int]] = [[] for _ in range(columns * rows)]
+    for k, frame in enumerate(frames):
+        for i in frame.inserts:
+            x0, y0, x1, y1 = i.box_xyxy
+            column = min(max(int((x0 + x1) / 2 / frame.size_wh[0] * columns), 0), columns - 1)
+            row = min(max(int((y0 + y1) / 2 / frame.size_wh[1] * rows), 0), rows - 1)
+            cells[row * columns + column].append(k)
+    most = max(len(c) for c in cells)
+    if not most:
+        return None
+    width, height = WIDTH / columns, 46.0
+    bars = []
+    for n, found in enumerate(cells):
+        row, column = divmod(n, columns)
+        place = f"row {row + 1} of {rows} from the top, column {column + 1} of {columns} from the left"
+        link = filters.add(f"Position: {place}", found)
+        bars.append(
+            Bar(
+                round(column * width + 1, 2), row * height + 1, round(width - 2, 2), height - 2, len(found),
+                f"{place}: {counted(len(found), 'objects')}", link, round(len(found) / most, 3),
+            )
+        )  # fmt: skip
+    empty = sum(not c for c in cells)
+    summary = f"centres of the boxes; {empty} of {len(cells)} cells are empty"
+    return Chart("Position in the frame", summary, (WIDTH, rows * height), tuple(bars), kind="map")
+
+
+@dataclass(frozen=True)
+class Share:
+    """One row of a chart of shares: label, count, anchor of its frames, and share of the largest one in percent."""
+
+    label: str
+    count: Any
+    link: str
+    percent: float
+
+
+def shares(counts: Sequence[tuple[str, float, str, str]]) -> list[Share]:
+    """Return the rows of a chart of shares from (label, value, text, link)."""
+    most = max((value for _, value, _, _ in counts), default=0) or 1
+    return [Share(label, text, link, round(100 * value / most, 1)) for label, value, text, link in counts]
+
+
+def counted(count: int, plural: str) -> str:
+    """Return `1 frame` or `2 frames`."""
+    return f"{count} {plural if count != 1 else plural.removesuffix('s')}"
+
+
+def _quantile(ordered: Sequence[float], q: float) -> float:
+    return ordered[min(len(ordered) - 1, int(q * len(ordered)))]
