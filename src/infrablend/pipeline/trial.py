@@ -9,7 +9,7 @@ import contextlib
 import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +123,15 @@ class Trials:
         self._levels: tuple[Dataset, tuple[float, float]] | None = None
         self._recipe: Recipe | None = None
         self._picture: Path | None = None
+
+    def again(self, *, recipe: str | Path, settings: Settings, frame: str) -> Trial:
+        """Return a frame of another recipe, or of the same one with other settings, from the same worker and data.
+
+        Raises:
+            InfraBlendError: The recipe, the data or the frame cannot be used.
+        """
+        self._request = replace(self._request, recipe=recipe, settings=settings, frame=frame)
+        return self.compose()
 
     def compose(self) -> Trial:
         """Read what has changed, and return the frame.

@@ -42,7 +42,7 @@ class OpenedRun:
         self.layout = RunFolder(folder)
         self.record: Mapping[str, Any] = self.layout.read_run()
         require_finished(folder)
-        if next((folder / SCENES).rglob("*.json"), None) is None:
+        if not self.layout.records():
             raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
         self.review = Review(folder / REVIEW_FILE)
         self._lock = self._locked()

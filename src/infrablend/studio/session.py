@@ -6,10 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.errors import ArgumentError
+from infrablend.pipeline.trial import TrialRequest
 from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.tuning import Tuning
 
 if TYPE_CHECKING:
     from infrablend.studio.server import StudioRequest
+
+
+FIRST_RECIPE = "hit-uav-drone-physical"
+"""Recipe to tune where none is given."""
 
 
 class Session:
@@ -17,6 +23,7 @@ class Session:
 
     Attributes:
         run: The opened run; None if there is none.
+        tuning: Recipe and data to tune; None without data.
     """
 
     def __init__(self, request: StudioRequest) -> None:
@@ -32,6 +39,14 @@ class Session:
             )
         self.request = request
         self.run = None if request.run is None else OpenedRun(request.run)
+        self.tuning: Tuning | None = None
+        if request.data is not None:
+            recipe = request.recipe or FIRST_RECIPE
+            self.tuning = Tuning(
+                TrialRequest(
+                    recipe, request.data, seed=request.seed, reading=request.reading, execution=request.execution
+                )
+            )
 
     @property
     def title(self) -> str:
@@ -43,5 +58,7 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self.tuning is not None:
+            self.tuning.close()
         if self.run is not None:
             self.run.close()

@@ -6,7 +6,7 @@ from nicegui import app, ui
 from starlette.requests import Request
 from starlette.responses import RedirectResponse
 
-from infrablend.studio.pages import layout, losses, review, run_routes
+from infrablend.studio.pages import layout, losses, review, run_routes, tune
 from infrablend.studio.session import Session
 
 
@@ -31,3 +31,12 @@ def add_pages(session: Session) -> None:
         def losses_page(request: Request) -> None:
             with layout.page_frame(session, request, "/losses", "Lost labels"):
                 losses.build(run)
+
+    tuning = session.tuning
+    if tuning is not None:
+        pictures = tune.add_routes()
+
+        @ui.page("/tune")
+        def tune_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/tune", "Tune"):
+                tune.TunePage(tuning, pictures).build()

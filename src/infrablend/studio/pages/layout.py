@@ -27,6 +27,8 @@ def pages_of(session: Session) -> dict[str, str]:
     found: dict[str, str] = {}
     if session.run is not None:
         found |= {"/review": "Review", "/losses": "Lost labels"}
+    if session.tuning is not None:
+        found["/tune"] = "Tune"
     return found
 
 

@@ -1,0 +1,128 @@
+"""The fields of a recipe as a form, made from the recipe's own schema: kinds, units, ranges and help texts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from infrablend.config.modes import CHOICES, Modes, fields_of, modes_of, sections_of
+from infrablend.config.recipe import Recipe
+from infrablend.core.yaml_text import read_yaml
+
+Kind = Literal["switch", "choice", "number", "whole", "range", "yaml"]
+
+SECTIONS = ("objects", "placement", "camera", "environment", "appearance", "matching", "sensor", "overlay", "occlusion",
+            "render", "labels")  # fmt: skip
+"""Sections that change a picture or its labels, in the order of the form."""
+
+_UNITS = {
+    "deg": "\u00b0", "m": "m", "mm": "mm", "k": "K", "c": "\u00b0C", "px": "px", "grey": "grey levels",
+    "grey_per_k": "grey levels per K",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FormField:
+    """A field of the form.
+
+    Attributes:
+        key: Dotted key, such as `objects.0.range_m`.
+        title: Name in the form.
+        kind: Kind of input.
+        value: Value of the recipe.
+        help: Help text, as in the reference.
+        unit: Unit; may be empty.
+        low: Least value.
+        high: Largest value.
+        choices: Words to choose from.
+    """
+
+    key: str
+    title: str
+    kind: Kind
+    value: Any
+    help: str = ""
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+    def read(self, given: Any) -> Any:
+        """Return what a browser sent as a value for the recipe; `ValueError` for text that is not YAML."""
+        if self.kind == "yaml":
+            return read_yaml(str(given))
+        if self.kind == "range":
+            return [float(v) for v in given]
+        if self.kind == "whole":
+            return int(given)
+        return float(given) if self.kind == "number" else given
+
+    @property
+    def shown(self) -> Any:
+        """The value as the input shows it."""
+        return json.dumps(self.value) if self.kind == "yaml" else self.value
+
+
+def form_of(recipe: Recipe) -> dict[str, list[FormField]]:
+    """Return the fields of a recipe by section, each item of `objects` as one; fields of other modes are left out."""
+    data = recipe.model_dump(mode="json")
+    classes = sections_of(modes_of(data))
+    found = {}
+    for section in SECTIONS:
+        schema = classes[section].model_json_schema()
+        items = enumerate(data["objects"]) if section == "objects" else [(None, data[section])]
+        for number, values in items:
+            name = section if number is None else f"{section}.{number}"
+            found[name] = [
+                _field(f"{name}.{key}", key, about, values[key])
+                for key, about in schema["properties"].items()
+                if key in values
+            ]
+    return found
+
+
+def fitting(settings: Mapping[str, Any], modes: Modes) -> dict[str, Any]:
+    """Return the settings whose fields exist in these modes."""
+    known = fields_of(modes)
+
+    def fits(key: str) -> bool:
+        section, *rest = key.split(".")
+        return (section, next((s for s in rest if not s.isdecimal()), "")) in known
+
+    return {key: value for key, value in settings.items() if fits(key)}
+
+
+def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:
+    help_text = " ".join(str(about.get("description", "")).split())
+    title = name.replace("_", " ")
+    unit = next((u for end, u in sorted(_UNITS.items(), key=lambda p: -len(p[0])) if name.endswith(f"_{end}")), "")
+    if unit:
+        title = title.removesuffix(" " + next(e for e, u in _UNITS.items() if u == unit).replace("_", " "))
+    kind, low, high, choices = _kind(key, about, value)
+    return FormField(key, title, kind, value, help_text, unit, low, high, choices)
+
+
+def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float | None, float | None, tuple[str, ...]]:
+    if key in CHOICES:
+        return "choice", None, None, CHOICES[key]
+    kind = about.get("type")
+    if kind == "boolean":
+        return "switch", None, None, ()
+    if "enum" in about:
+        return "choice", None, None, tuple(about["enum"])
+    if kind in ("number", "integer"):
+        return "whole" if kind == "integer" else "number", *_limits(about), ()
+    items: Sequence[Mapping[str, Any]] = about.get("prefixItems", ())
+    if len(items) == 2 and all(item.get("type") == "number" for item in items):
+        return "range", *_limits(items[0]), ()
+    for option in about.get("anyOf", ()):
+        # A number or nothing: a number where the recipe has one.
+        if option.get("type") in ("number", "integer") and isinstance(value, int | float):
+            return "whole" if option["type"] == "integer" else "number", *_limits(option), ()
+    return "yaml", None, None, ()
+
+
+def _limits(about: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    return about.get("minimum", about.get("exclusiveMinimum")), about.get("maximum", about.get("exclusiveMaximum"))

@@ -1,0 +1,207 @@
+"""A recipe being tuned: settings over a recipe, one frame of it at a time from a warm renderer, saved as YAML."""
+
+from __future__ import annotations
+
+import io
+import math
+import shlex
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from infrablend.config.loading import read_recipe
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.core.files import write_text
+from infrablend.errors import ArgumentError, OutputError
+from infrablend.formats import detection
+from infrablend.pipeline.temperature_scale import with_scale
+from infrablend.pipeline.trial import Trial, TrialRequest, Trials
+from infrablend.report.preview import draw_labels, to_rgb
+from infrablend.studio.pictures import Rgb, decode, enlarged
+
+ZERO_C_K = 273.15
+_CROP_PX = 240
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A frame of the recipe with its settings.
+
+    Attributes:
+        recipe: The recipe with the settings applied.
+        trial: The frame.
+    """
+
+    recipe: Recipe
+    trial: Trial
+
+    def picture(self, *, boxes: bool) -> Rgb:
+        """Return the picture, with boxes if asked for."""
+        frame = self.trial.frame
+        rgb = to_rgb(frame.pixels)
+        if not boxes:
+            return rgb
+        # Names of the original objects would hide the picture.
+        originals = draw_labels(rgb, [i for i in frame.labels if not i.inserted], ("boxes",), names=False)
+        return draw_labels(originals, frame.inserted, ("boxes",))
+
+    def crop(self, number: int) -> Rgb:
+        """Return an insert, enlarged."""
+        return _crop(to_rgb(self.trial.frame.pixels), self.trial.frame.inserted[number])
+
+    def facts(self) -> list[list[str]]:
+        """Return lines about each insert, in words: size, visibility, contrast, temperatures."""
+        frame = self.trial.frame
+        found = []
+        for label in frame.inserted:
+            width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
+            lines = [f"{label.category}, {width:.0f} x {height:.0f} px"]
+            if label.visibility is not None:
+                lines.append(f"{100 * label.visibility:.0f} % visible")
+            if "contrast_grey" in label.extra:
+                lines.append(f"contrast {label.extra['contrast_grey']:+.0f} grey levels")
+            number = label.extra.get("object")
+            if frame.scene is not None and isinstance(number, int) and number < len(frame.scene.objects):
+                parts = frame.scene.objects[number].parts
+                air = frame.scene.ambient_k
+                lines.append(
+                    f"air {air - ZERO_C_K:.1f} \u00b0C; above air: "
+                    + ", ".join(f"{name.replace('_', ' ')} {p.temperature_k - air:+.1f} K" for name, p in parts.items())
+                )
+            found.append(lines)
+        return found
+
+    def remarks(self) -> list[str]:
+        """Return what the picture rests on, in words: gain, absent objects, lost labels, warnings."""
+        record = self.trial.frame.record
+        found = gain_words(record.facts.get("matching") or {})
+        absent = {} if record.scene is None else record.scene.draws.get("absent", {})
+        found += [f"{count} not inserted: {str(why).replace('_', ' ')}" for why, count in sorted(absent.items())]
+        if record.removed:
+            found.append(f"{len(record.removed)} original label(s) removed")
+        return [*found, *(str(p) for p in self.trial.problems)]
+
+
+def gain_words(matching: Mapping[str, Any]) -> list[str]:
+    """Return the gain of a frame, and what it rests on, in words."""
+    found = []
+    for which, gain in (matching.get("gain") or {}).items():
+        value, count = gain.get("grey_per_k"), gain.get("anchors_used", 0)
+        if not isinstance(value, int | float):
+            continue
+        alone = not count or gain.get("from_prior")
+        rests = "the recipe's expectation alone" if alone else f"{count} patches of the background"
+        doubts = gain.get("doubts") or ()
+        doubt = f"; doubtful: {', '.join(str(d) for d in doubts)}" if doubts else ""
+        found.append(f"gain ({which}) {value:.1f} grey levels per kelvin, from {rests}{doubt}")
+    return found
+
+
+class Tuning:
+    """Backgrounds and a warm renderer, shared by all pages.
+
+    Attributes:
+        recipe: Name or path of the recipe at the start.
+        dataset: The backgrounds.
+        seed: Seed of the frames.
+    """
+
+    def __init__(self, request: TrialRequest) -> None:
+        """Start the renderer and read the backgrounds.
+
+        Raises:
+            InfraBlendError: The recipe or the data cannot be used.
+        """
+        self.recipe, self.data, self.seed = str(request.recipe), Path(request.data), request.seed
+        self._lock = threading.Lock()
+        self._saved: set[Path] = set()
+        self._trials = Trials(request)
+        try:
+            start = read_recipe(request.recipe).recipe
+            self.dataset: Dataset = detection.read(request.data, with_scale(request.reading, start))
+        except BaseException:
+            self._trials.close()
+            raise
+
+    @property
+    def backgrounds(self) -> tuple[ImageRecord, ...]:
+        """All backgrounds, in the order of the dataset."""
+        return self.dataset.images
+
+    def read(self, recipe: str, settings: Mapping[str, Any]) -> Recipe:
+        """Return a recipe with settings.
+
+        Raises:
+            RecipeError: With every wrong field.
+        """
+        return read_recipe(recipe, settings).recipe
+
+    def compose(self, recipe: str, settings: Mapping[str, Any], background: ImageRecord) -> Tuned:
+        """Return the first frame of a background.
+
+        Raises:
+            InfraBlendError: The recipe or the background cannot be used.
+        """
+        with self._lock:
+            checked = self.read(recipe, settings)
+            frame = f"{background.split}/{background.id}"
+            return Tuned(checked, self._trials.again(recipe=recipe, settings=dict(settings), frame=frame))
+
+    def nearest_real(self, label: Instance, time_of_day: str | None) -> Rgb | None:
+        """Return the annotated object of the same class that is most like an insert in size, enlarged.
+
+        Objects at the same time of day come first. None if the dataset has no object of the class.
+        """
+        size = _size(label)
+        best: tuple[tuple[bool, float], ImageRecord, Instance] | None = None
+        for image in self.dataset.images:
+            for other in image.instances:
+                if other.category != label.category or other.truncated:
+                    continue
+                rank = (image.time_of_day != time_of_day, abs(math.log(_size(other) / size)))
+                if best is None or rank < best[0]:
+                    best = rank, image, other
+        if best is None:
+            return None
+        return _crop(to_rgb(decode(best[1].path, "a background")), best[2])
+
+    def save(self, recipe: Recipe, path: Path, frame_id: str) -> str:
+        """Write a recipe as YAML; return the command that gives the frame from the shell.
+
+        Raises:
+            ArgumentError: The name does not end in .yaml.
+            OutputError: The file exists and was not saved here, or cannot be written.
+        """
+        if path.suffix.lower() not in (".yaml", ".yml"):
+            raise ArgumentError(f"{path}: expected the name of a file that ends in .yaml")
+        path = path.resolve()
+        if path.exists() and path not in self._saved:
+            raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
+        text = io.StringIO()
+        yaml = YAML(typ="safe", pure=True)
+        yaml.default_flow_style = None
+        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+        yaml.width = 120
+        yaml.dump(recipe.model_dump(mode="json", exclude_unset=True), text)
+        write_text(path, text.getvalue())
+        self._saved.add(path)
+        words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
+        return shlex.join(str(w) for w in words)
+
+    def close(self) -> None:
+        """End the renderer."""
+        self._trials.close()
+
+
+def _size(label: Instance) -> float:
+    return max(1e-3, float(max(label.box_xyxy[2:] - label.box_xyxy[:2])))
+
+
+def _crop(rgb: Rgb, label: Instance) -> Rgb:
+    zoom = max(1, min(8, round(_CROP_PX / (2 * _size(label)))))
+    return enlarged(rgb, [float(v) for v in label.box_xyxy], zoom)

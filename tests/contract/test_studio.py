@@ -1,0 +1,107 @@
+"""The pages of the studio in Chromium: every request stays on this machine, keys work, and a kill loses nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.studio_runs import frame_record, write_run
+
+from infrablend.pipeline.review import Verdict, read_verdicts
+
+pytestmark = pytest.mark.slow
+WAIT_MS = 60_000
+
+
+@contextmanager
+def studio(folder: Path, *words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Start the studio in a folder; yield its process and the address that it prints."""
+    command = [sys.executable, "-m", "infrablend", "-q", "studio", *map(str, words), "--no-open"]
+    environment = {**os.environ, "INFRABLEND_CACHE": str(folder / "cache")}
+    # Playwright's own loop must not keep the process's output open.
+    with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            address = process.stdout.readline().strip()
+            assert address.startswith("http://127.0.0.1:"), address
+            yield process, address
+        finally:
+            process.kill()
+
+
+@contextmanager
+def browser_page(chromium: str, **options: Any) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """Yield a page, the addresses that it asked for, and its errors."""
+    from playwright.sync_api import sync_playwright
+
+    asked: list[str] = []
+    errors: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": 1280, "height": 800}, **options).new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.on("request", lambda r: asked.append(r.url))
+        page.on("websocket", lambda w: asked.append(w.url))
+        page.on("pageerror", lambda e: errors.append(str(e)))
+        page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+        yield page, asked, errors
+        browser.close()
+
+
+def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str, tmp_path: Path) -> None:
+    frames = {f"test/f{n:04}_c0": frame_record(f"test/f{n:04}_c0") for n in range(60)}
+    run = write_run(tmp_path / "run", frames)
+    with studio(tmp_path, "--run", run) as (process, address), browser_page(chromium) as (page, asked, errors):
+        page.goto(address)
+        page.locator(".frame-cell img").first.wait_for()
+        assert "token" not in page.url
+        assert page.locator(".frame-cell").count() < 60, "only visible cells are in the page"
+        page.locator(".frame-cell").first.focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        for key, frame in (("a", "f0002"), ("r", "f0003"), ("3", "f0004")):
+            page.locator(".verdict").wait_for()
+            page.keyboard.press(key)
+            page.locator(f'.verdict[data-frame="test/{frame}_c0"]').wait_for()
+        page.keyboard.press("u")
+        page.locator('.verdict[data-frame="test/f0003_c0"][data-verdict=""]').wait_for()
+        page.keyboard.press("r")
+        page.locator('.verdict[data-frame="test/f0004_c0"]').wait_for()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert read_verdicts(run / "review.json") == {
+        "test/f0001_c0": Verdict("accept"), "test/f0002_c0": Verdict("reject"), "test/f0003_c0": Verdict("reject"),
+    }  # fmt: skip
+    base = address.partition("/?")[0]
+    assert asked and all(a.startswith((base, base.replace("http", "ws"), "data:", "blob:")) for a in asked)
+    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
+
+
+def test_a_wrong_field_is_marked_and_the_last_picture_stays(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    pytest.importorskip("bpy")
+    data = write_tiny_hit_uav(tmp_path / "data")
+    with studio(tmp_path, "hit-uav-drone", "--data", data) as (process, address), browser_page(chromium) as opened:
+        page, _, errors = opened
+        page.goto(address)
+        page.locator("img.picture[src]").wait_for()
+        first = page.get_attribute("img.picture", "src")
+        page.get_by_label("scale, to", exact=True).fill("3")
+        page.wait_for_function("s => document.querySelector('img.picture').getAttribute('src') != s", arg=first)
+        page.get_by_label("scale, from", exact=True).fill("5")
+        page.locator(".studio-error", has_text="objects.0.scale").wait_for()
+        page.locator(".q-field--error").first.wait_for()
+        page.get_by_label("scale, from", exact=True).fill("2")
+        page.locator(".studio-error", has_text="objects.0.scale").wait_for(state="hidden")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 0
+    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []

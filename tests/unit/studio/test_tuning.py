@@ -1,0 +1,123 @@
+"""The form made from a recipe's schema, and tuned frames and saved recipes, without a browser."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from infrablend import api
+from infrablend.config.loading import list_recipes, load_recipe
+from infrablend.config.modes import modes_of
+from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
+from infrablend.pipeline.request import Execution
+from infrablend.pipeline.trial import TrialRequest
+from infrablend.studio.recipe_form import FormField, fitting, form_of
+from infrablend.studio.tuning import Tuning, gain_words
+
+FLAT = Execution(renderer="flat", in_process=True)
+RECIPE = "hit-uav-drone"
+
+
+def fields(recipe: str, **settings: object) -> dict[str, FormField]:
+    return {f.key: f for section in form_of(load_recipe(recipe, settings)).values() for f in section}
+
+
+@pytest.mark.parametrize("name", list_recipes())
+def test_every_value_of_a_form_is_a_value_of_the_recipe(name: str) -> None:
+    form = fields(name)
+    settings = {key: field.read(field.shown) for key, field in form.items()}
+    recipe = load_recipe(name)
+    assert load_recipe(name, settings).model_dump() == recipe.model_dump()
+    assert all(field.help for key, field in form.items())
+
+
+def test_the_form_knows_units_ranges_and_modes() -> None:
+    metric, paper = fields("hit-uav-drone-physical"), fields(RECIPE)
+    ranged = metric["objects.0.range_m"]
+    assert (ranged.title, ranged.unit, ranged.kind, ranged.low, ranged.high) == ("range", "m", "range", 0.5, 10_000)
+    gain = metric["matching.gain_prior_grey_per_k"]
+    assert (gain.title, gain.unit, gain.kind) == ("gain prior", "grey levels per K", "number")
+    assert metric["camera.calibrate"].kind == "switch"
+    assert metric["placement.mode"].choices == ("paper", "metric")
+    assert metric["camera.pitch"].kind == "yaml"
+    assert "objects.0.range_m" not in paper and "camera.distance_m" in paper
+
+
+def test_a_change_of_mode_drops_settings_without_a_meaning() -> None:
+    modes = modes_of(load_recipe(RECIPE).model_dump(mode="json"))
+    settings = {"objects.0.range_m": [1, 2], "objects.0.scale": [1, 2], "matching.polarity": "black-hot"}
+    assert set(fitting(settings, modes)) == {"objects.0.scale", "matching.polarity"}
+
+
+@pytest.fixture(scope="module")
+def data(write_tiny_hit_uav: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tiny_hit_uav(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture
+def tuning(data: Path) -> Iterator[Tuning]:
+    made = Tuning(TrialRequest(RECIPE, data, seed=3, execution=FLAT))
+    yield made
+    made.close()
+
+
+def test_a_saved_recipe_gives_the_bytes_of_the_picture(tuning: Tuning, data: Path, tmp_path: Path) -> None:
+    settings = {"objects.0.scale": [1.5, 1.5], "camera.distance_m": [4.0, 5.0]}
+    background = tuning.backgrounds[-1]
+    tuned = tuning.compose(RECIPE, settings, background)
+    frame = tuned.trial.frame
+    path = tmp_path / "tuned.yaml"
+    command = shlex.split(tuning.save(tuned.recipe, path, frame.id))
+    assert command == ["infrablend", "try", str(path), "--data", str(data), "--frame", frame.id, "--seed", "3"]
+    again = api.try_recipe(command[2], command[4], command[6], seed=int(command[8]), execution=FLAT)
+    assert again.frame.image_bytes == frame.image_bytes
+    plain = tuning.compose(RECIPE, {}, background).trial.frame
+    assert plain.image_bytes != frame.image_bytes
+
+
+def test_a_recipe_is_saved_over_nothing_of_others(tuning: Tuning, tmp_path: Path) -> None:
+    recipe = tuning.read(RECIPE, {})
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        tuning.save(recipe, mine, "test/a_c0")
+    with pytest.raises(ArgumentError, match=r"\.yaml"):
+        tuning.save(recipe, tmp_path / "x.sh", "test/a_c0")
+    tuning.save(recipe, tmp_path / "a.yaml", "test/a_c0")
+    tuning.save(recipe, tmp_path / "a.yaml", "test/a_c0")
+    assert mine.read_text() == "mine"
+
+
+def test_wrong_fields_and_deleted_backgrounds_are_named(
+    write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    tuning = Tuning(TrialRequest(RECIPE, write_tiny_hit_uav(tmp_path / "data"), execution=FLAT))
+    background = tuning.backgrounds[0]
+    with pytest.raises(RecipeError) as error:
+        tuning.compose(RECIPE, {"objects.0.scale": [3, 1]}, background)
+    assert [p.where for p in error.value.problems] == ["objects.0.scale"]
+    tuning.compose(RECIPE, {}, background)
+    for path in (tmp_path / "data").rglob(background.path.name):
+        path.unlink()
+    with pytest.raises(DatasetError, match=background.path.name):
+        tuning.compose(RECIPE, {}, background)
+    assert tuning.compose(RECIPE, {}, tuning.backgrounds[1]).facts()
+    tuning.close()
+
+
+def test_an_insert_is_shown_beside_the_most_similar_real_object(tuning: Tuning) -> None:
+    (real,) = (i for image in tuning.backgrounds for i in image.instances if i.category == "OtherVehicle")
+    assert tuning.nearest_real(real, "day") is not None
+    drone = tuning.compose(RECIPE, {}, tuning.backgrounds[0]).trial.frame.inserted[0]
+    assert tuning.nearest_real(drone, "day") is None
+
+
+def test_the_gain_is_explained_in_words() -> None:
+    gain = {"grey_per_k": 5.94, "anchors_used": 7, "doubts": ["at_bound"]}
+    assert gain_words({"gain": {"ground": gain}}) == [
+        "gain (ground) 5.9 grey levels per kelvin, from 7 patches of the background; doubtful: at_bound"
+    ]
+    assert "expectation alone" in gain_words({"gain": {"sky": {**gain, "from_prior": True}}})[0]
