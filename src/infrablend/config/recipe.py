@@ -662,6 +662,37 @@ class Output(Strict):
     `mode` and settings."""
 
 
+# ---- Objects placed by hand
+
+
+class ObjectByHand(Strict):
+    """The place of one object in one frame; what is not stated stays as drawn, so that `{}` leaves the object alone."""
+
+    x_px: float | None = Field(None, ge=-100_000, le=100_000)
+    """Column of the object's origin in the picture, pixels from the left edge; needs `y_px`. The origin of models that
+    stand is on the ground between their feet, that of models that fly in their middle."""
+    y_px: float | None = Field(None, ge=-100_000, le=100_000)
+    """Row of the object's origin, pixels from the top edge."""
+    range_m: float | None = Field(None, gt=0, le=100_000)
+    """Distance from the camera, metres. Not for models that stand, in `placement.mode: metric`: they are where the
+    ground is."""
+    yaw_deg: float | None = Field(None, ge=-360, le=360)
+    """Heading, degrees counter-clockwise seen from above."""
+
+    @model_validator(mode="after")
+    def _whole_place(self) -> Self:
+        if (self.x_px is None) != (self.y_px is None):
+            raise ValueError("both x_px and y_px, or neither")
+        return self
+
+
+class FrameByHand(Strict):
+    """Objects of one frame that are placed by hand."""
+
+    objects: tuple[ObjectByHand, ...] = Field(min_length=1)
+    """Objects of the frame in the order in which they are drawn; further ones stay as drawn."""
+
+
 # ---- Recipe
 
 
@@ -688,6 +719,10 @@ class _Sections(Strict):
     """Which labels are written."""
     output: Output = Output()
     """Which files are written."""
+    frames: dict[str, FrameByHand] = Field(default_factory=dict)
+    """Frames whose objects are placed by hand, by id: `{test/a_c0: {objects: [{x_px: 320, y_px: 256, range_m: 30,
+    yaw_deg: 90}]}}`. Their places are not checked, and they stay however faint they are; everything else is drawn as
+    without this field."""
 
     @model_validator(mode="after")
     def _flat_without_sensor(self) -> Self:

@@ -69,6 +69,7 @@ class ObjectSpec:
         kind: Number of the recipe's entry, from 0.
         visible_aim: Visible share that structures of the background should leave; None for an object in front of them.
         shaded: Whether the sun's rays do not reach the object, by day.
+        by_hand: Whether the recipe states the object's place; it is then never moved or left out.
     """
 
     model: str
@@ -81,6 +82,7 @@ class ObjectSpec:
     kind: int = 0
     visible_aim: float | None = None
     shaded: bool = False
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,11 @@ class SceneSpec:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return asdict(self)
+        data = asdict(self)
+        for o in data["objects"]:
+            if not o["by_hand"]:
+                del o["by_hand"]
+        return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> SceneSpec:

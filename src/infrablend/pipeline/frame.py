@@ -9,6 +9,7 @@ background --> scene --> render --> overlay --> image
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from typing import Any
 
 from infrablend.annotation.labels import annotate
@@ -111,6 +112,7 @@ class FrameComposer:
         first: list[dict[str, Any]] = []
         while True:
             scene, mapping, matching_facts, faint = self._match(scene, frame, background)
+            faint = movable(scene, faint)
             hidden: list[int] = []
             if not faint:
                 sensor = self._sensor(scene, background, mapping.scale)
@@ -124,8 +126,8 @@ class FrameComposer:
                 labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
                 first = first or [i.to_json() for i in inserts]
-                hidden = too_hidden(labels, label_report, occluders, rules)
-                faint = sorted({*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
+                hidden = movable(scene, too_hidden(labels, label_report, occluders, rules))
+                faint = movable(scene, {*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
             if not faint:
                 break
             moves += 1
@@ -234,6 +236,11 @@ class FrameComposer:
         )
 
 
+def movable(scene: PlacedScene, numbers: Iterable[int]) -> list[int]:
+    """Return the numbers of those objects that are not placed by hand, sorted."""
+    return sorted(k for k in numbers if not scene.objects[k].spec.by_hand)
+
+
 def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScene:
     """Return the scene without the objects whose visible share is below `min_visibility`.
 
@@ -243,7 +250,7 @@ def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScen
     while min_visibility > 0 and scene.objects:
         labels, report = annotate(scene)
         seen = {k: i.visibility or 0.0 for k, i in zip(report.kept, labels, strict=True)}
-        low = [k for k in range(len(scene.objects)) if seen.get(k, 0.0) < min_visibility]
+        low = movable(scene, [k for k in range(len(scene.objects)) if seen.get(k, 0.0) < min_visibility])
         if not low:
             break
         # The least visible first: removing it may bring another above the limit.

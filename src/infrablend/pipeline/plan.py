@@ -25,7 +25,7 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.temperatures import IMPLAUSIBLE
 from infrablend.formats.writing import WriteSettings, unwritable
-from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
 from infrablend.pipeline.models import ready_model
 from infrablend.sampling.scene import FrameKey, require_parts
 
@@ -234,6 +234,7 @@ def make_plan(
             new.append(name)
             categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
     _require_loosened(recipe, {o.category or models[o.model].category for o in recipe.objects})
+    problems += _unknown_by_hand(recipe, images)
     frames = [
         PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
         for image in usable
@@ -382,6 +383,18 @@ def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset
         found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
         problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def _unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning per frame that the recipe places objects in and that is not among those of these backgrounds."""
+    if not recipe.frames:
+        return []
+    known = [f"{i.split}/{i.id}_c{k}" for i in images for k in range(recipe.configurations)]
+    found = "no frame of this run has this id"
+    return [
+        Problem(f"frames.{name}", "frame-unknown", found, f"an id such as {similar(name, known)}", severity="warning")
+        for name in sorted(recipe.frames.keys() - set(known))
+    ]
 
 
 def _require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:

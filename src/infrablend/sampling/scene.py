@@ -37,6 +37,7 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import ModelError
+from infrablend.sampling.by_hand import place_by_hand
 from infrablend.sampling.metric import Site, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
@@ -127,8 +128,12 @@ def sample_scene(
     else:
         labels, ignored = (site.labels, site.ignored) if site else ((), frozenset())
         camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally)
+    drawn = poses
+    poses, by_hand = place_by_hand(frame.frame_id, recipe, wanted, drawn, camera, view)
+    if found := sum(drawn[k] is None for k in by_hand):
+        tally.absent["no_place"] -= found
     objects, meshes = [], []
-    for item, pose in zip(wanted, poses, strict=True):
+    for number, (item, pose) in enumerate(zip(wanted, poses, strict=True)):
         kind, model = item.kind, item.model
         shaded = False
         if weather is not None and weather.sun is not None and site is not None and pose is not None:
@@ -150,6 +155,7 @@ def sample_scene(
                 kind=recipe.objects.index(item.kind),
                 visible_aim=item.visible_aim,
                 shaded=shaded,
+                by_hand=number in by_hand,
             )
         )
     look = recipe.appearance
@@ -178,7 +184,7 @@ def sample_scene(
             "attempts": tally.attempts,
             "first_distance_m": tally.first_distance_m,
             "rejected": dict(sorted(tally.rejected.items())),
-            "absent": dict(sorted(tally.absent.items())),
+            "absent": {reason: count for reason, count in sorted(tally.absent.items()) if count},
         },
         weather=weather,
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
