@@ -21,7 +21,7 @@ REFERENCE = ROOT / "docs" / "reference"
 # Order of the sections on the page about recipes.
 SECTIONS = (
     "data", "objects", "placement", "occlusion", "camera", "environment", "appearance", "matching", "overlay", "sensor",
-    "render", "labels", "output",
+    "render", "labels", "output", "frames",
 )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def _section(section: str) -> list[str]:
     from infrablend.config.modes import CHOICES, RADIOMETRIC, Modes, all_modes, sections_of
     from infrablend.config.recipe import Sensor
 
-    prefix = f"{section}.N." if section == "objects" else f"{section}."
+    prefix = f"{section}." + {"objects": "N.", "frames": "ID."}.get(section, "")
     modes_of_field: dict[tuple[str, str, str], list[Modes]] = {}
     fields: dict[tuple[str, str, str], FieldInfo] = {}
     for modes in all_modes():
