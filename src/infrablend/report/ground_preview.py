@@ -113,13 +113,31 @@ def _legend(width: int) -> Rgb:
 
 
 def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
-    plain = to_rgb(frame.pixels)
+    view = scene.view
+    assert view is not None
+    canvas, spacing = draw_ground(to_rgb(frame.pixels), frame.instances, scene)
+    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items()))
+    as_stated = view.camera_height_m == view.stated_height_m
+    source = f"from {rests}" if rests else "as stated" if as_stated else "no object of known size"
+    pitch = math.degrees(scene.camera.pitch_rad)
+    title = (
+        f"{frame.frame_id}   pitch {pitch:.0f}\u00b0   stated {view.stated_height_m:.0f} m, "
+        f"used {view.camera_height_m:.0f} m ({source})   grid {spacing} m"
+    )
+    return np.concatenate([text_strip(canvas.shape[1], TITLE_PX, title, 14, INK), canvas])
+
+
+def draw_ground(plain: Rgb, labels: Sequence[Instance], scene: SceneSpec) -> tuple[Rgb, int]:
+    """Return a picture with the assumed ground over it, enlarged `SCALE` times, and the spacing of its lines, metres.
+
+    People of 1.7 m stand beside labelled ones and at five places; cars stand beside labelled cars.
+    """
     canvas = np.repeat(np.repeat(plain, SCALE, 0), SCALE, 1)
     camera, view = scene.camera, scene.view
     assert view is not None
     spacing = _draw_grid(canvas, camera, view.ground_z_m)
     references = 0
-    for label in comparable(frame.instances, scene):
+    for label in comparable(labels, scene):
         x0, y0, x1, y1 = label.box_xyxy
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))
@@ -134,14 +152,7 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
     for u, v in ((0.25, 0.25), (0.75, 0.25), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)):
         if (place := ground_point(camera, u * w, v * h, view.ground_z_m)) is not None:
             _draw_cuboid(canvas, camera, place, PERSON_M, _PERSON)
-    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items()))
-    as_stated = view.camera_height_m == view.stated_height_m
-    source = f"from {rests}" if rests else "as stated" if as_stated else "no object of known size"
-    title = (
-        f"{frame.frame_id}   pitch {math.degrees(camera.pitch_rad):.0f}\u00b0   stated {view.stated_height_m:.0f} m, "
-        f"used {view.camera_height_m:.0f} m ({source})   grid {spacing} m"
-    )
-    return np.concatenate([text_strip(canvas.shape[1], TITLE_PX, title, 14, INK), canvas])
+    return canvas, spacing
 
 
 def _draw_grid(canvas: Rgb, camera: CameraSpec, ground_m: float) -> int:

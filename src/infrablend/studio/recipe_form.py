@@ -91,7 +91,7 @@ def fitting(settings: Mapping[str, Any], modes: Modes) -> dict[str, Any]:
         section, *rest = key.split(".")
         return (section, next((s for s in rest if not s.isdecimal()), "")) in known
 
-    return {key: value for key, value in settings.items() if fits(key)}
+    return {key: value for key, value in settings.items() if key != "frames" and fits(key)}
 
 
 def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:

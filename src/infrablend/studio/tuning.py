@@ -13,6 +13,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
@@ -21,6 +22,7 @@ from infrablend.errors import ArgumentError, OutputError
 from infrablend.formats import detection
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.pipeline.trial import Trial, TrialRequest, Trials
+from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.pictures import Rgb, decode, enlarged
 
@@ -40,10 +42,18 @@ class Tuned:
     recipe: Recipe
     trial: Trial
 
-    def picture(self, *, boxes: bool) -> Rgb:
-        """Return the picture, with boxes if asked for."""
+    @property
+    def has_ground(self) -> bool:
+        """Whether the frame's camera is above real ground."""
+        scene = self.trial.frame.scene
+        return scene is not None and scene.view is not None
+
+    def picture(self, *, boxes: bool, ground: bool = False) -> Rgb:
+        """Return the picture, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
         rgb = to_rgb(frame.pixels)
+        if ground and frame.scene is not None and self.has_ground:
+            return draw_ground(rgb, frame.labels, frame.scene)[0]
         if not boxes:
             return rgb
         # Names of the original objects would hide the picture.
@@ -53,6 +63,11 @@ class Tuned:
     def crop(self, number: int) -> Rgb:
         """Return an insert, enlarged."""
         return _crop(to_rgb(self.trial.frame.pixels), self.trial.frame.inserted[number])
+
+    def stands(self, number: int) -> bool:
+        """Return whether an object of the scene stands on real ground."""
+        scene = self.trial.frame.scene
+        return self.has_ground and scene is not None and load_model(scene.objects[number].model).stands
 
     def facts(self) -> list[list[str]]:
         """Return lines about each insert, in words: size, visibility, contrast, temperatures."""

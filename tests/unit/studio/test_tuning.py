@@ -14,6 +14,7 @@ from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.trial import TrialRequest
+from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
 from infrablend.studio.recipe_form import FormField, fitting, form_of
 from infrablend.studio.tuning import Tuning, gain_words
 
@@ -121,3 +122,31 @@ def test_the_gain_is_explained_in_words() -> None:
         "gain (ground) 5.9 grey levels per kelvin, from 7 patches of the background; doubtful: at_bound"
     ]
     assert "expectation alone" in gain_words({"gain": {"sky": {**gain, "from_prior": True}}})[0]
+
+
+def test_an_insert_moved_by_hand_is_where_it_was_put_and_saved_so(tuning: Tuning, tmp_path: Path) -> None:
+    background = tuning.backgrounds[-1]
+    before = tuning.compose(RECIPE, {}, background).trial.frame
+    assert before.scene is not None and can_move(before.scene)
+    x, y = origin_px(before.scene, 0)
+    frames = moved({}, before.scene, 0, Move(-40, 25, turn_deg=90, away=1.5), stands=False)
+    tuned = tuning.compose(RECIPE, {"frames": frames}, background)
+    after = tuned.trial.frame
+    assert after.scene is not None
+    assert origin_px(after.scene, 0) == pytest.approx((x - 40, y + 25), abs=0.02)
+    path = tmp_path / "moved.yaml"
+    tuning.save(tuned.recipe, path, after.id)
+    again = api.try_recipe(path, tuning.data, after.id, seed=3, execution=FLAT).frame
+    assert again.image_bytes == after.image_bytes != before.image_bytes
+    assert released(frames, after.scene, 0) == {}
+    assert tuning.compose(RECIPE, {"frames": {}}, background).trial.frame.image_bytes == before.image_bytes
+
+
+def test_the_ground_is_shown_only_where_there_is_one(tuning: Tuning) -> None:
+    paper = tuning.compose(RECIPE, {}, tuning.backgrounds[-1])
+    assert not paper.has_ground
+    assert (paper.picture(boxes=False, ground=True) == paper.picture(boxes=False)).all()
+    real = tuning.compose("hit-uav-person", {}, tuning.backgrounds[-1])
+    assert real.has_ground
+    assert real.picture(boxes=False, ground=True).shape[1] == 2 * real.picture(boxes=False).shape[1]
+    assert all(real.stands(k) for k in range(len(real.trial.frame.inserted)))

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from nicegui import app, run, ui
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
+from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
 from infrablend.studio.pages.layout import error_text
 from infrablend.studio.pictures import Rgb, to_png
 from infrablend.studio.recipe_form import FormField, fitting, form_of
@@ -52,6 +55,20 @@ def _address(pictures: Pictures, rgb: Rgb) -> str:
     while len(pictures) > _KEPT:
         pictures.popitem(last=False)
     return f"/tune/picture/{number}.png"
+
+
+class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
+    """The picture, with a handle on each insert."""
+
+    def __init__(self, alt: str) -> None:
+        """Show no picture yet."""
+        super().__init__()
+        self._props.update(source="", alt=alt, marks=[], size=[1, 1])
+
+    def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int]) -> None:
+        """Show a picture of a frame of this size."""
+        self._props.update(source=source, marks=marks, size=list(size_wh))
+        self.update()
 
 
 class TunePage:
@@ -148,9 +165,12 @@ class TunePage:
         with ui.element("div").classes("studio-row"):
             boxes = ui.switch("Boxes", value=True)
             boxes.on_value_change(lambda e: self._show_boxes(e.value))
+            self._ground_switch = ui.switch("Ground and people of 1.7 m", value=False)
+            self._ground_switch.on_value_change(lambda _: self._show_picture())
             self._state = ui.label("Starting the renderer...").classes("faint").props("role=status")
-        self._image = ui.element("img").classes("picture")
-        self._image.props["alt"] = "The frame with the recipe as it is in the form"
+        self._image = Stage("The frame with the recipe as it is in the form")
+        self._image.on("place", self._placed)
+        self._image.on("adjust", self._adjusted)
         self._error = ui.label().classes("studio-error").props("role=alert")
         self._error.set_visibility(False)
         self._facts = ui.element("div").classes("tune-facts")
@@ -162,8 +182,52 @@ class TunePage:
     def _show_picture(self) -> None:
         if self._tuned is None:
             return
-        self._image.props["src"] = _address(self._pictures, self._tuned.picture(boxes=self._boxes))
-        self._image.update()
+        tuned, ground = self._tuned, bool(self._ground_switch.value)
+        self._ground_switch.set_enabled(tuned.has_ground)
+        source = _address(self._pictures, tuned.picture(boxes=self._boxes, ground=ground))
+        height, width = tuned.trial.frame.pixels.shape[:2]
+        self._image.show(source, self._marks(tuned), (width, height))
+
+    @staticmethod
+    def _marks(tuned: Tuned) -> list[dict[str, Any]]:
+        """Return the handles: none where objects were left out, since the rest then have other numbers."""
+        scene = tuned.trial.frame.scene
+        if scene is None or not can_move(scene):
+            return []
+        found = []
+        for label in sorted(tuned.trial.frame.inserted, key=lambda i: int(i.extra.get("object", 0))):
+            number = int(label.extra.get("object", 0))
+            box = [round(float(v), 1) for v in label.box_xyxy]
+            found.append({"n": number, "name": label.category, "box": box, "origin": origin_px(scene, number)})
+        return found
+
+    def _placed(self, event: GenericEventArguments) -> None:
+        if self._tuned is None:
+            return
+        mark = self._marks(self._tuned)[int(event.args["k"])]
+        x, y = mark["origin"]
+        self._move(mark["n"], Move(float(event.args["x"]) - x, float(event.args["y"]) - y))
+
+    def _adjusted(self, event: GenericEventArguments) -> None:
+        if self._tuned is None or self._tuned.trial.frame.scene is None:
+            return
+        given = event.args
+        number = self._marks(self._tuned)[int(given["k"])]["n"]
+        if given.get("release"):
+            self._place_by_hand(released(self._settings.get("frames", {}), self._tuned.trial.frame.scene, number))
+            return
+        self._move(number, Move(float(given["dx"]), float(given["dy"]), float(given["turn"]), float(given["away"])))
+
+    def _move(self, number: int, move: Move) -> None:
+        tuned = self._tuned
+        if tuned is None or tuned.trial.frame.scene is None:
+            return
+        frames, stands = self._settings.get("frames", {}), tuned.stands(number)
+        self._place_by_hand(moved(frames, tuned.trial.frame.scene, number, move, stands=stands))
+
+    def _place_by_hand(self, frames: dict[str, Any]) -> None:
+        self._settings = {**self._settings, "frames": frames}
+        self._request()
 
     def _show_facts(self, tuned: Tuned, real: list[Rgb | None]) -> None:
         self._facts.clear()
