@@ -1,6 +1,7 @@
-"""What other libraries make of a dataset: `load_with_tools.py supervision|datumaro FORMAT FOLDER`, run by .venv-tools.
+"""What other libraries make of a dataset: `load_with_tools.py TOOL FORMAT FOLDER`, run by .venv-tools.
 
-FORMAT is a name as in `infrablend convert --to`, FOLDER what that wrote. Writes one JSON list to standard output: an
+TOOL is supervision, datumaro or datasets (Hugging Face's), FORMAT a name as in `infrablend convert --to`, FOLDER what
+that wrote. Writes one JSON list to standard output: an
 item per image, sorted, with
 
     split, stem    which image (Supervision knows no splits in VOC: empty there)
@@ -20,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 SPLITS = ("train", "val", "test")
-DATUMARO = {"coco": "coco_instances", "yolo": "yolo", "voc": "voc_detection", "dota": "dota"}
+DATUMARO = {"coco": "coco_instances", "yolo": "yolo", "voc": "voc_detection", "dota": "dota", "cvat": "cvat"}
 
 
 def with_supervision(format_: str, folder: Path) -> list[dict[str, Any]]:
@@ -89,9 +90,43 @@ def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
     return loaded
 
 
+def with_datasets(format_: str, folder: Path) -> list[dict[str, Any]]:
+    """Return the folder loaded by `datasets.load_dataset("imagefolder", ...)`."""
+    if format_ != "huggingface":
+        raise KeyError(format_)
+    import tempfile
+
+    import datasets
+    from pycocotools import mask
+
+    datasets.disable_progress_bars()
+    loaded = []
+    with tempfile.TemporaryDirectory() as cache:
+        data = datasets.load_dataset("imagefolder", data_dir=str(folder), cache_dir=cache)
+        for split, rows in data.items():
+            for row in rows:
+                image, found = row["image"], row["objects"]
+                none = [None] * len(found["bbox"])
+                oriented = found.get("oriented") or none
+                objects = []
+                for name, (x, y, w, h), obb, own, counts in zip(
+                    found["category"], found["bbox"], found.get("obb") or none, oriented,
+                    found.get("segmentation") or none, strict=True,
+                ):  # fmt: skip
+                    corners = [obb[k : k + 2] for k in range(0, 8, 2)] if own else None
+                    run_lengths = {"size": [row["height"], row["width"]], "counts": counts}
+                    area = int(mask.area(run_lengths)) if counts else None
+                    objects.append([name, x, y, x + w, y + h, corners, area])
+                assert image.size == (row["width"], row["height"])
+                stem = Path(image.filename).stem
+                name = {"validation": "val"}.get(split, split)
+                loaded.append({"split": name, "stem": stem, "size_wh": list(image.size), "objects": objects})
+    return loaded
+
+
 def main(arguments: list[str]) -> int:
     """Load and print; see the module's text."""
-    tools = {"supervision": with_supervision, "datumaro": with_datumaro}
+    tools = {"supervision": with_supervision, "datumaro": with_datumaro, "datasets": with_datasets}
     if len(arguments) != 3 or arguments[0] not in tools:
         print(__doc__, file=sys.stderr)
         return 2

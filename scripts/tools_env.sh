@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv-tools: Supervision and Datumaro, which the tests use to load our datasets.
+# Makes .venv-tools: Supervision, Datumaro and Hugging Face's datasets, which the tests use to load our datasets.
 # A second run does nothing until a requirement file changes. Needs .venv (make setup).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -16,7 +16,7 @@ want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv-tools/infrablend-tools.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && .venv-tools/bin/python -c '' 2>/dev/null; then exit 0; fi
 
-say "installing Supervision and Datumaro into .venv-tools: about 150 MB to download. To skip this: make test TOOLS=0"
+say "installing Supervision, Datumaro and datasets into .venv-tools: about 210 MB to download. To skip this: make test TOOLS=0"
 
 if [ -e .venv-tools ]; then
   [ -f .venv-tools/pyvenv.cfg ] || [ -z "$(ls -A .venv-tools)" ] || stop ".venv-tools is no environment; move it away"
@@ -30,8 +30,8 @@ install=(.venv-tools/bin/python -m pip install --quiet --disable-pip-version-che
   --only-binary :all:)
 log=build/tools-env.log
 "${install[@]}" -r requirements/tools.txt >"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
-.venv-tools/bin/python -W ignore -c 'import supervision, datumaro' >/dev/null ||
-  stop "Supervision or Datumaro does not import; the lines above show the reason"
+.venv-tools/bin/python -W ignore -c 'import supervision, datumaro, datasets' >/dev/null ||
+  stop "Supervision, Datumaro or datasets does not import; the lines above show the reason"
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

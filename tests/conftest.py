@@ -75,7 +75,7 @@ def ultralytics() -> None:
 
 @pytest.fixture(scope="session")
 def tools_python() -> Path:
-    """Return the Python of .venv-tools, which has Supervision and Datumaro; skip or fail the test without it."""
+    """Return the Python of .venv-tools, which has libraries that load datasets; skip or fail the test without it."""
     python = ROOT / ".venv-tools" / "bin" / "python"
     if not python.exists():
         _skip_or_fail(f"{NEEDS} .venv-tools: run `make tools`, which first shows the download size")

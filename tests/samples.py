@@ -25,7 +25,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
+from infrablend.formats import coco, cvat, dota, hit_uav, huggingface, label_studio, masks, voc, yolo
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -235,6 +235,11 @@ def _coco_plain(folder: Path) -> Path:
     return folder
 
 
+@sample("cvat")
+def _cvat(folder: Path) -> Path:
+    return _written(folder, lambda images, categories: cvat.write(folder, images, categories))
+
+
 @sample("dota")
 def _dota(folder: Path) -> Path:
     return _written(folder, lambda images, names: dota.write(folder, images, names))
@@ -339,6 +344,16 @@ def _hit_uav_json(folder: Path) -> Path:
 def _hit_uav_xml(folder: Path) -> Path:
     forms: tuple[hit_uav.Form, ...] = ("normal_xml", "rotate_xml")
     return _written(folder, lambda images, names: hit_uav.write(folder, images, names, forms=forms))
+
+
+@sample("huggingface")
+def _huggingface(folder: Path) -> Path:
+    return _written(folder, lambda images, categories: huggingface.write(folder, images, categories))
+
+
+@sample("label-studio")
+def _label_studio(folder: Path) -> Path:
+    return _written(folder, lambda images, categories: label_studio.write(folder, images, categories))
 
 
 @sample("masks")

@@ -18,7 +18,7 @@ from infrablend.core.format_table import NATIVE, find_writer, written_names
 
 ROOT = Path(__file__).resolve().parents[2]
 # What a library keeps of a coordinate: Datumaro two decimals, Supervision 32 bits.
-ATOL_PX = {"supervision": 1e-3, "datumaro": 0.006}
+ATOL_PX = {"supervision": 1e-3, "datumaro": 0.006, "datasets": 1e-6}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def compare(images: list[ImageRecord], loaded: dict, tool: str, *, ignored: bool
         stem = Path(image.name).stem
         found = loaded.get((image.split, stem)) or loaded["", stem]
         assert tuple(found["size_wh"]) == image.size_wh
-        boxes = [o for o in found["objects"] if tool == "supervision" or o[6] is None]
+        boxes = [o for o in found["objects"] if tool != "datumaro" or o[6] is None]
         wanted = expected_objects(image, ignored)
         assert len(boxes) == len(wanted)
         for instance in wanted:
@@ -128,6 +128,39 @@ def test_every_voc_label_is_accepted(load, run: Path, tmp_path: Path, tool: str)
     images, out = converted(run, tmp_path / "out", "voc")
     # Supervision takes VOC's corners for one-based and moves the upper left one; ours are absolute edges.
     compare(images, load(tool, "voc", out), tool, ignored=True, shift=1.0 if tool == "supervision" else 0.0)
+
+
+@pytest.mark.parametrize("folder", ["images", "huggingface"])
+def test_hugging_face_loads_every_label_of_a_run_and_of_its_folder(load, run: Path, folder: str) -> None:
+    """The pictures of a run load from where they are, with boxes, oriented boxes and masks."""
+    images = list(api.read_dataset(run, api.Reading(format="coco")).images)
+    loaded = load("datasets", "huggingface", run / folder)
+    compare(images, loaded, "datasets", ignored=True)
+    for image in images:
+        objects = loaded[image.split, Path(image.name).stem]["objects"]
+        for given, found in zip(image.instances, objects, strict=True):
+            assert found[6] == (None if given.mask is None else given.mask.area_px)
+            assert (found[5] is None) == (given.corners_xy is None)
+            if given.corners_xy is not None:
+                np.testing.assert_allclose(found[5], given.corners_xy, rtol=0, atol=1e-6)
+
+
+def test_datumaro_loads_every_rotated_box_and_mask_of_cvats_xml(load, run: Path) -> None:
+    images = list(api.read_dataset(run, api.Reading(format="coco")).images)
+    loaded = load("datumaro", "cvat", run / "cvat")
+    assert len(loaded) == len(images)
+    for image in images:
+        objects = loaded[image.split, Path(image.name).stem]["objects"]
+        masks = sorted(o[6] for o in objects if o[6] is not None)
+        assert masks == sorted(i.mask.area_px for i in image.instances if i.mask is not None)
+        boxes = [o for o in objects if o[6] is None]
+        for given, found in zip(image.instances, boxes, strict=True):
+            assert found[0] == given.category and (found[5] is None) == (given.corners_xy is None)
+            if given.corners_xy is None:
+                np.testing.assert_allclose(found[1:5], given.box_xyxy, rtol=0, atol=0.006)
+            else:
+                turns = [np.roll(given.corners_xy, k, axis=0) - np.array(found[5]) for k in range(4)]
+                assert min(np.abs(t).max() for t in turns) < 0.02
 
 
 def test_every_dota_label_is_accepted(load, run: Path, tmp_path: Path) -> None:

@@ -137,6 +137,35 @@ FORMATS: tuple[Format, ...] = (
         ),
     ),
     Format(
+        "huggingface", "infrablend.formats.huggingface", "Hugging Face's imagefolder with `metadata.jsonl`",
+        (
+            Writer(
+                "huggingface", "huggingface", "Hugging Face's imagefolder with `metadata.jsonl`",
+                lacks=frozenset(), takes=frozenset({"pictures"}),
+            ),
+        ),
+    ),
+    Format(
+        "cvat", "infrablend.formats.cvat", "CVAT's own XML, `CVAT for images 1.1`",
+        (
+            Writer(
+                "cvat", "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
+                lacks=frozenset({"boxes", "occlusion", "sequence", "temperature"}), takes=frozenset({"pictures"}),
+                table=_YOLO_TABLE,
+            ),
+        ),
+    ),
+    Format(
+        "label-studio", "infrablend.formats.label_studio", "Label Studio: tasks with rectangles, brushes, polygons",
+        (
+            Writer(
+                "label-studio", "label-studio", "Label Studio: tasks with rotated rectangles and brush masks",
+                lacks=frozenset({"boxes", "occlusion", "sequence", "temperature"}), takes=frozenset({"pictures"}),
+                table=_YOLO_TABLE,
+            ),
+        ),
+    ),
+    Format(
         "birdsai", "infrablend.formats.birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames",
         (
             Writer(
@@ -205,6 +234,11 @@ FORMATS: tuple[Format, ...] = (
             Writer(
                 "coco", "coco", "COCO JSON per split, masks as run lengths",
                 lacks=frozenset(), takes=frozenset({"ids", "pictures"}),
+            ),
+            Writer(
+                "coco-tools", "coco", "COCO JSON for annotation tools: category ids from 1, no outline without a mask",
+                lacks=frozenset(), fixed={"without_mask": "omit", "from_one": True},
+                takes=frozenset({"ids", "pictures"}),
             ),
         ),
     ),

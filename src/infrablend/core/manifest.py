@@ -36,7 +36,9 @@ class Manifest:
         moved: Files that were moved aside since the manifest was opened, by their new paths.
     """
 
-    def __init__(self, root: Path, file: Path, aside: Path, ignored: Iterable[str] = ()) -> None:
+    def __init__(
+        self, root: Path, file: Path, aside: Path, ignored: Iterable[str] = (), recorded: Iterable[str] = ()
+    ) -> None:
         """Open a manifest without reading it.
 
         Args:
@@ -44,11 +46,13 @@ class Manifest:
             file: File of the manifest.
             aside: Folder for changed files.
             ignored: First parts of paths that are not recorded, e.g. because each file there has a record of its own.
+            recorded: Paths that are recorded all the same.
         """
         self.root = root.absolute()
         self._file = file.absolute()
         self._aside = aside.absolute()
         self._ignored = {*ignored, self._file.relative_to(self.root).as_posix()}
+        self._recorded = {*recorded}
         self._contents: dict[str, set[Content]] = {}
         self._digests: dict[tuple[int, int, int, int], str] = {}
         self._written: set[str] = set()
@@ -170,7 +174,8 @@ class Manifest:
         except ValueError:
             return None
         name = relative.as_posix()
-        return None if name in self._ignored or relative.parts[0] in self._ignored else name
+        ignored = name in self._ignored or relative.parts[0] in self._ignored
+        return None if ignored and name not in self._recorded else name
 
     def _write(self, entry: Mapping[str, Any]) -> None:
         if self._stream is not None:
@@ -340,10 +345,10 @@ class Manifest:
             except OSError as error:
                 raise output_error(self.root / name, error) from error
 
-    def remove_unwritten(self, folders: Iterable[str]) -> None:
-        """Delete what earlier calls wrote to these folders and this process did not write again."""
-        wanted = {*folders}
-        names = [n for n in self.paths if n.split("/")[0] in wanted and n not in self._written]
+    def remove_unwritten(self, places: Iterable[str]) -> None:
+        """Delete what earlier calls wrote to these folders and files and this process did not write again."""
+        wanted = {*places}
+        names = [n for n in self.paths if {n, n.split("/")[0]} & wanted and n not in self._written]
         for name in names:
             self.delete_own(name)
         remove_empty(self.root, names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import join_inside
 
 RUN_FILE = "run.json"
@@ -12,6 +13,8 @@ IMAGES = "images"
 SCENES = "scenes"
 LOGS = "log"
 EIGHT_BIT = "8bit"
+PICTURE_TABLES = tuple(f"{IMAGES}/{split}/metadata.jsonl" for split in SPLITS)
+"""Tables with the labels of the pictures beside them, as Hugging Face's `imagefolder` reads them."""
 EXCLUDED = "excluded"
 EXCLUDED_FILE = "excluded.json"
 REPORT_FILE = "report.html"

@@ -69,8 +69,9 @@ def write(
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
     pictures: bool = False,
+    from_one: bool = False,
 ) -> Written:
-    """Write one file per split that has images, see `coco_files`.
+    """Write one file per split that has images, see `coco_files`; `from_one` numbers the categories from 1.
 
     With `pictures`, the files are `out/annotations/instances_<split>.json`, and the pictures are hard-linked (copied
     where that is impossible) to `out/images/<split>/`. Without, the files are `out/<split>.json`; readers then expect
@@ -81,6 +82,8 @@ def write(
         ValueError: A size, category or id is missing.
     """
     ordered = sort_images(images)
+    if from_one:
+        categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
     texts, losses = coco_files(ordered, categories, ids=ids, without_mask=without_mask, info=info)
     prefix = "annotations/instances_" if pictures else ""
     files = [write_text(out / f"{prefix}{name}", text) for name, text in texts.items()]
@@ -131,7 +134,7 @@ def coco_files(
             record |= {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
             records.append(record)
             for instance, number in zip(image.instances, numbers, strict=True):
-                a = annotation_record(instance, require_size(image), ids == "new", without_mask, losses)
+                a = annotation_record(instance, require_size(image), ids == "new", without_mask)
                 a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
                 a["iscrowd"] |= int(instance.category in ignored)
                 annotations.append(a)
@@ -184,7 +187,7 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
 
 
 def annotation_record(
-    instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask, losses: Counter[str]
+    instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask
 ) -> dict[str, Any]:
     """Return an annotation without `id`, `image_id` and `category_id`; `source_id` as in `source_id_field`."""
     x0, y0, x1, y1 = instance.box_xyxy
@@ -207,9 +210,7 @@ def annotation_record(
         if instance.mask.size_hw != (size_wh[1], size_wh[0]):
             raise ValueError(f"mask of {instance.mask.size_hw} in a frame of {size_wh}")
         a |= {"segmentation": instance.mask.to_coco(), "segmentation_from": "mask", "area": instance.mask.area_px}
-    elif without_mask == "omit":
-        losses["without_mask_omitted"] += 1
-    else:
+    elif without_mask == "polygon":
         outline = corners if corners is not None else corners_of_box(instance.box_xyxy)
         a |= {"segmentation": [_tidy(outline)], "segmentation_from": "box" if corners is None else "obb"}
         if corners is not None:

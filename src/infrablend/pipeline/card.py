@@ -12,6 +12,7 @@ from infrablend.config.agc import describe_agc
 from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, RUN_FILE, SCENES
+from infrablend.errors import Problem
 from infrablend.formats.temperatures import describe_scales
 from infrablend.pipeline.origin import origin_of, run_inserts
 from infrablend.pipeline.plan import RunPlan
@@ -25,9 +26,21 @@ REMOVAL_TEXTS: Mapping[RemovalReason, str] = {
 
 
 def run_card(
-    plan: RunPlan, counts: Mapping[str, Any], losses: Mapping[str, int], images: Sequence[ImageRecord]
+    plan: RunPlan,
+    counts: Mapping[str, Any],
+    losses: Mapping[str, int],
+    images: Sequence[ImageRecord],
+    warnings: Sequence[Problem] = (),
 ) -> Card:
-    """Return the card of a finished run; `counts` and `losses` come from its record, `images` are those written."""
+    """Return the card of a finished run.
+
+    Args:
+        plan: Plan of the run.
+        counts: Counts as in the run's record.
+        losses: Losses by format and kind, as in the record.
+        images: Images that were written.
+        warnings: Warnings about frames and labels, to be listed as known failures.
+    """
     recipe = plan.recipe
     classes = ", ".join(dict.fromkeys(o.category or plan.models[o.model].category for o in recipe.objects))
     source = origin_of(plan.dataset, images, recipe.labels.rename, counts["labels_inserted"])
@@ -54,6 +67,8 @@ def run_card(
         ),
         inserts=(*source.inserts, run_inserts(recipe, plan.seed, counts["labels_inserted"])),
         masks=any(i.mask is not None for image in images for i in image.instances),
+        failures=tuple(f"{' '.join(p.found.split())} (`{p.code}`)." for p in warnings if p.severity == "warning"),
+        load=IMAGES,
     )
 
 
@@ -110,7 +125,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
 
 def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
     groups = "".join(f"<{g}>/" for g in plan.recipe.output.group_by)
-    rows = [(f"{IMAGES}/<split>/{groups}", "pictures")]
+    rows = [(f"{IMAGES}/<split>/{groups}", "pictures"), (f"{IMAGES}/<split>/metadata.jsonl", "labels beside them")]
     rows += [(f"{name}/", "labels") for name in plan.recipe.output.formats]
     if plan.recipe.output.agc is not None:
         rows.append((f"{EIGHT_BIT}/", "the same dataset with 8-bit pictures: `images/`, and labels per format"))

@@ -14,7 +14,17 @@ from infrablend.core.files import load_json, part_path, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import EIGHT_BIT, EXCLUDED, EXCLUDED_FILE, IMAGES, LOGS, RUN_FILE, SCENES, RunLayout
+from infrablend.core.run_layout import (
+    EIGHT_BIT,
+    EXCLUDED,
+    EXCLUDED_FILE,
+    IMAGES,
+    LOGS,
+    PICTURE_TABLES,
+    RUN_FILE,
+    SCENES,
+    RunLayout,
+)
 from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.excluded import excluded_files, read_choice
 from infrablend.pipeline.record import RecordError, load_record
@@ -53,7 +63,7 @@ class RunFolder(RunLayout):
     def manifest(self) -> Manifest:
         """Return the manifest of the files that the run writes, unread; frames have their own records instead."""
         ignored = (IMAGES, SCENES, LOGS, RUN_FILE, EXCLUDED, EXCLUDED_FILE, part_path(self.run_file).name)
-        return Manifest(self.root, self.log_folder / MANIFEST, self.log_folder / REPLACED, ignored)
+        return Manifest(self.root, self.log_folder / MANIFEST, self.log_folder / REPLACED, ignored, PICTURE_TABLES)
 
     def strays(self, known: Iterable[str]) -> list[str]:
         """Return the files in the folders of the dataset that are not among the known ones, sorted."""

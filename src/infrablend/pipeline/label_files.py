@@ -16,7 +16,7 @@ from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES
 from infrablend.errors import Problem
-from infrablend.formats import writing
+from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.card import run_card
@@ -67,6 +67,10 @@ def write_formats(
         written = _write_format(name, plan, folder.root, images)
         losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
         problems += written.problems
+    # The pictures load with `datasets` from where they are.
+    beside = huggingface.write(folder.root / IMAGES, images, plan.categories, pictures=False)
+    losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
+    problems += beside.problems
     if plan.recipe.output.agc is not None and images:
         problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
     problems += frame_warnings([r for _, r in records])
@@ -79,7 +83,9 @@ def write_formats(
     problems += air_warnings([r for _, r in records])
     problems += hiding_warnings(finished.counts)
     if images:
-        problems += write_card(folder.root, run_card(plan, finished.counts, losses, images))
+        problems += write_card(
+            folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))
+        )
     # The three YOLO formats warn alike of a missing split.
     unique = tuple(dict.fromkeys(problems))
     return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
@@ -91,6 +97,7 @@ def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRec
     problems: list[Problem] = []
     for name in plan.recipe.output.formats:
         problems += _write_format(name, plan, folder.eight_bit, shown).problems
+    huggingface.write(folder.eight_bit / IMAGES, shown, plan.categories, pictures=False)
     if as_they_are:
         found = f"{as_they_are} pictures have 8 bits already, and are in {EIGHT_BIT}/ as they are"
         problems.append(Problem("output.agc", "agc-unused", found, "16-bit pictures", "leave it out", "warning"))

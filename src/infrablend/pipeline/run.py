@@ -23,7 +23,7 @@ from infrablend.core.finished import EXCLUDING
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
-from infrablend.core.run_layout import EIGHT_BIT, IMAGES, SCENES
+from infrablend.core.run_layout import EIGHT_BIT, IMAGES, PICTURE_TABLES, SCENES
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import (
     Interrupted,
@@ -191,7 +191,7 @@ def run_plan(
                 records = _finished_frames(plan, folder, state)
                 finished = write_formats(plan, folder, records)
                 if records:  # labels of frames that are gone
-                    manifest.remove_unwritten([*plan.recipe.output.formats, EIGHT_BIT])
+                    manifest.remove_unwritten([*PICTURE_TABLES, *plan.recipe.output.formats, EIGHT_BIT])
             problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
             counts = _counts(plan, state, finished)
             record = {

@@ -162,11 +162,13 @@ class Card:
         formats: Names of the formats that were written.
         losses: Number of items that a format could not hold, by `<format>.<kind>`.
         layout: Paths in the folder, each with a description.
-        images: Folder with the pictures, one subfolder per split; empty if there is none.
+        images: Folder with the pictures, one subfolder per split, `.` for the dataset's own; empty if there is none.
         made: Facts about the run, (name, value).
         inserts: Rendered objects in the pictures, of this run and of earlier ones.
         masks: True if some labels have masks.
         limits: Known limits beside those of the source and of the inserted objects, a sentence each.
+        failures: What is known to be wrong with some of the pictures or labels, a sentence each.
+        load: Path for `datasets.load_dataset("imagefolder", data_dir=...)`; empty if it does not load as one.
     """
 
     name: str
@@ -185,6 +187,8 @@ class Card:
     inserts: tuple[Inserts, ...] = ()
     masks: bool = False
     limits: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
+    load: str = ""
 
 
 # -- where the pictures came from ------------------------------------------------------------------------------------
@@ -343,6 +347,8 @@ def card_text(card: Card) -> str:
         f"---\n{yaml.safe_dump(front_matter(card), sort_keys=False, allow_unicode=True, width=1000)}---",
         f"# {card.name}",
         card.summary,
+        "## Intended use",
+        _bullets(_uses(card)),
         "## Source and licence",
         *_source(card),
         "## What was changed",
@@ -353,12 +359,14 @@ def card_text(card: Card) -> str:
         "## Files",
         _tree(card),
         *_formats(card),
+        *_loading(card),
         "## How it was made",
         "\n".join(f"* {what}: {value}" for what, value in (*card.made, ("InfraBlend", __version__))),
         *_recipes(card.inserts),
         "## How to cite",
         *_citations(card),
         *(["## Known limits", _bullets(limits)] if (limits := _limits(card)) else []),
+        *(["## Known failures", _bullets(card.failures)] if card.failures else []),
     ]
     text = "\n\n".join([parts[0], *(_without_markup(p) for p in parts[1:] if p)]) + "\n"
     return f"{text}\n{_OWN.format(digest=_digest(text))}\n"
@@ -394,6 +402,23 @@ def _recipes(inserts: Sequence[Inserts]) -> list[str]:
     return texts
 
 
+def _uses(card: Card) -> tuple[str, ...]:
+    """Return what the dataset is for and what it is not for, a sentence each."""
+    tasks = "boxes and masks" if card.masks else "boxes"
+    return (
+        f"Train and compare detectors of small objects in thermal aerial pictures; labels are {tasks}.",
+        *(("Not for stating how well a detector finds real objects of the inserted classes.",) if card.inserts else ()),
+        "Not for identifying people, and not for decisions about people without a person who checks them.",
+    )
+
+
+def _loading(card: Card) -> list[str]:
+    if not card.load:
+        return []
+    code = f'from datasets import load_dataset\n\ndata = load_dataset("imagefolder", data_dir="{card.load}")'
+    return [f"With Hugging Face's `datasets`, from this folder:\n\n```python\n{code}\n```"]
+
+
 def _limits(card: Card) -> tuple[str, ...]:
     of_inserts = (limit for one in card.inserts for limit in one.limits)
     return tuple(dict.fromkeys((*of_inserts, *card.limits, *card.source.limits)))
@@ -427,7 +452,8 @@ def _configs(card: Card) -> dict[str, Any]:
     splits = [s for s in SPLITS if card.images_per_split.get(s)]
     if not card.images or not splits:
         return {}
-    files = [{"split": {"val": "validation"}.get(s, s), "path": f"{card.images}/{s}/**"} for s in splits]
+    base = "" if card.images == "." else f"{card.images}/"
+    files = [{"split": {"val": "validation"}.get(s, s), "path": f"{base}{s}/**"} for s in splits]
     return {"configs": [{"config_name": "default", "data_files": files}]}
 
 
@@ -602,9 +628,10 @@ def dataset_card(
         formats=(to,) if to else (),
         losses={f"{to}.{kind}": n for kind, n in (losses or {}).items()},
         layout=tuple(layout),
-        images="",
+        images="" if to != "huggingface" else ".",
         inserts=origin.inserts,
         masks=holds_masks and any(i.mask is not None for image in images for i in image.instances),
+        load="." if to == "huggingface" else "",
     )
 
 

@@ -170,7 +170,7 @@ def test_unfinished_run_is_an_error_wherever_it_is_read(made: Path, tmp_path: Pa
 
 
 def test_overwritten_run_keeps_what_it_did_not_write(words: list[object], made: Path) -> None:
-    picture = sorted((made / "images").rglob("*.*"))[0]
+    picture = sorted((made / "images").rglob("*_c*.*"))[0]
     mine = [picture.with_name("mine.jpg"), made / "yolo" / "labels" / "mine.txt", made / "scenes" / ".a.part.txt"]
     for path in mine:
         path.write_text("mine")
@@ -242,7 +242,7 @@ def test_frames_of_a_background_that_broke_are_removed(
     file = next(p for p in data.rglob("*.*") if p.as_posix().endswith(background))
     file.write_bytes(file.read_bytes()[:400])
     if picture_gone:
-        sorted((made / "images").rglob("*.*"))[-1].unlink()
+        sorted((made / "images").rglob("*_c*.*"))[-1].unlink()
     assert run(*words, "--resume").exit_code == 1
     words[words.index("--out") + 1] = tmp_path / "fresh"
     assert run(*words).exit_code == 1
@@ -267,7 +267,7 @@ def test_frames_removed_while_the_run_goes_on_are_not_counted(
         patch.setattr(Path, "replace", replace)
         ended = run(*words)
     counts = json.loads((out / "run.json").read_text())["counts"]
-    frames = [p for p in (out / "images").rglob("*.*") if p.is_file() and p.stat().st_size]
+    frames = [p for p in (out / "images").rglob("*_c*.*") if p.is_file() and p.stat().st_size]
     assert ended.exit_code == 1, ended.output
     assert counts["frames"] < counts["frames_planned"] and counts["failed_frames"]
     assert counts["frames"] == counts["images"] <= len(frames)

@@ -101,7 +101,7 @@ def native_files(
             _put(record, (NEST, PITCH_KEYS[0]), None)
         top["images"].append(record)
         for instance, number in zip(image.instances, numbers, strict=True):
-            a = coco.annotation_record(instance, require_size(image), new, "polygon", losses)
+            a = coco.annotation_record(instance, require_size(image), new, "polygon")
             a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
             a["iscrowd"] |= int(instance.category in ignored)
             top["annotations"].append(a)

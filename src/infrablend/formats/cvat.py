@@ -1,0 +1,359 @@
+"""CVAT's own XML, "CVAT for images 1.1": one file per split, an `image` per picture, a shape per box and mask.
+
+    <split>.xml    labels.json    images/<split>/<name>
+
+Boxes are `xtl, ytl, xbr, ybr` in pixels, edges counted from 0; `rotation` turns them clockwise about their centre, in
+degrees. A mask is a rectangle with run lengths, row by row, that begin with the number of pixels outside. Shapes of one
+object share a `group_id`. CVAT keeps the attributes that the labels of the task have: `labels.json` states them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_of_points, corners_of_cxcywha
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, open_regular, write_json, write_text
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import leaves_folder, read_xml
+from infrablend.formats.base import (
+    Match,
+    category_ids,
+    check_splits,
+    is_ignored_name,
+    require_size,
+    shorten,
+    sort_images,
+)
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, obb_from_corners, overhang_px
+from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.records import make_dataset
+from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_size
+
+NAME = "cvat"
+LABELS_FILE = "labels.json"
+# Attributes of objects: CVAT's kind of input.
+ATTRIBUTES: Mapping[str, str] = {
+    "inserted": "checkbox", "truncated": "checkbox", "difficult": "checkbox", "visibility": "text", "track_id": "text",
+}  # fmt: skip
+_EDGES = ("xtl", "ytl", "xbr", "ybr")
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
+) -> Written:
+    """Write `<split>.xml`, `labels.json` for the task's labels, and link the pictures to `images/<split>/`.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size is missing, or a category is not in the list.
+    """
+    ordered = sort_images(images)
+    known = category_ids(categories)
+    losses: Counter[str] = Counter()
+    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    files = [write_json(out / LABELS_FILE, _labels(categories))]
+    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
+        chosen = [i for i in ordered if i.split == split]
+        files.append(write_text(out / f"{split}.xml", _document(split, chosen, known, losses)))
+    for image in ordered:
+        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        if pictures:
+            files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+
+
+def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
+    """Return the labels of a task, as CVAT's constructor takes them in its tab Raw."""
+    attributes = [
+        {
+            "name": name,
+            "mutable": False,
+            "input_type": kind,
+            "default_value": "false" if kind == "checkbox" else "",
+            "values": ["false"] if kind == "checkbox" else [""],
+        }
+        for name, kind in ATTRIBUTES.items()
+    ]
+    return [{"name": c.name, "attributes": attributes} for c in categories]
+
+
+def _document(split: str, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str]) -> str:
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>", "  <meta>"]
+    lines += ["    <task>", f"      <name>{split}</name>", f"      <size>{len(images)}</size>"]
+    lines += ["      <mode>annotation</mode>", "      <labels>"]
+    for name in known:
+        lines += ["        <label>", f"          <name>{escape(name)}</name>", "          <attributes>"]
+        lines += [
+            f"            <attribute><name>{n}</name><mutable>False</mutable><input_type>{kind}</input_type>"
+            f"<default_value>{(d := 'false' if kind == 'checkbox' else '')}</default_value><values>{d}</values>"
+            "</attribute>"
+            for n, kind in ATTRIBUTES.items()
+        ]
+        lines += ["          </attributes>", "        </label>"]
+    lines += ["      </labels>", "    </task>", "  </meta>"]
+    for number, image in enumerate(images):
+        w, h = require_size(image)
+        lines.append(f'  <image id="{number}" name={quoteattr(image.name)} width="{w}" height="{h}">')
+        groups = itertools.count(1)
+        for i in image.instances:
+            if i.category not in known:
+                raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
+            losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
+            lines += _shapes(i, next(groups) if i.mask is not None else 0, losses)
+        lines.append("  </image>")
+    return "\n".join([*lines, "</annotations>", ""])
+
+
+def _shapes(i: Instance, group: int, losses: Counter[str]) -> Iterator[str]:
+    """Yield the box of an object and, if it has one, its mask; a group of 0 is none."""
+    label = f'label={quoteattr(i.category)} source="manual" occluded="{int(bool(i.extra.get("occluded")))}"'
+    ending = f' z_order="0" group_id="{group}">' if group else ' z_order="0">'
+    attributes = _attributes(i)
+    edges, rotation = i.box_xyxy, ""
+    if i.corners_xy is not None:
+        cx, cy, w, h, angle = obb_from_corners(i.corners_xy)
+        edges = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])
+        rotation = f' rotation="{number_text(math.degrees(angle))}"'
+        same = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
+        apart = min(np.abs(np.roll(i.corners_xy, k, axis=0) - same).max() for k in range(4))
+        losses["obb_not_rectangle"] += bool(apart > 1e-3)
+    box = " ".join(f'{k}="{number_text(float(v))}"' for k, v in zip(_EDGES, edges, strict=True))
+    yield f"    <box {label} {box}{rotation}{ending}{attributes}</box>"
+    pixels = None if i.mask is None else i.mask.to_array()
+    if pixels is not None and pixels.any():
+        (top, left), (bottom, right) = (f(np.argwhere(pixels), axis=0) for f in (np.min, np.max))
+        window = pixels[top : bottom + 1, left : right + 1]
+        place = f'left="{left}" top="{top}" width="{window.shape[1]}" height="{window.shape[0]}"'
+        runs = ", ".join(map(str, _run_lengths(window)))
+        yield f'    <mask {label} rle="{runs}" {place}{ending}{attributes}</mask>'
+
+
+def _attributes(i: Instance) -> str:
+    flags = {"inserted": i.inserted, "truncated": i.truncated, "difficult": i.difficult}
+    values = {k: str(bool(v)).lower() for k, v in flags.items() if v is not None}
+    values |= {} if i.visibility is None else {"visibility": number_text(i.visibility)}
+    values |= {} if i.track_id is None else {"track_id": str(i.track_id)}
+    return "".join(f'<attribute name="{k}">{escape(v)}</attribute>' for k, v in values.items())
+
+
+def _run_lengths(window: NDArray[np.bool_]) -> list[int]:
+    """Return the run lengths of a mask, row by row, beginning with pixels outside it."""
+    flat = np.concatenate([[False], window.reshape(-1)])
+    ends = np.flatnonzero(np.concatenate([flat[1:] != flat[:-1], [True]]))
+    runs: list[int] = np.diff(np.concatenate([[0], ends])).tolist()
+    return runs
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def _files(root: Path) -> list[Path]:
+    """Return the XML files in the root whose first bytes contain CVAT's root element."""
+    found = []
+    for path in sorted(p for p in root.glob("*.xml") if not leaves_folder(p)):
+        try:
+            with open_regular(path) as stream:
+                head = stream.read(4096)
+        except OSError:
+            continue
+        if b"<annotations>" in head:
+            found.append(path)
+    return found
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` contains an XML file with CVAT's element `annotations`."""
+    files = _files(root)
+    if not files:
+        return Match(NAME, False, "no XML file with the element `annotations`")
+    return Match(NAME, True, f"CVAT for images: {', '.join(p.name for p in files)}")
+
+
+def _split_of(name: str) -> Split:
+    return next((s for s in ("val", "test") if s in name.lower()), "train")
+
+
+def _folder(root: Path, split: str, names: Sequence[str]) -> PictureFolder:
+    """Return the folder that contains most of the named pictures, among the usual places."""
+    places = [root / p for p in (f"images/{split}", "images", split, ".")]
+    return PictureFolder.scan(max(places, key=lambda p: sum((p / n).is_file() for n in names[:50])))
+
+
+def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
+    """Read boxes, rotated boxes, masks and polygons, and find the pictures.
+
+    Args:
+        root: Folder with the XML files, and the pictures in `images/<split>/`, `images/`, `<split>/` or beside them.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses any `metadata.csv` or `.json`.
+
+    Raises:
+        DatasetError: There is no file of CVAT, or no picture can be read.
+    """
+    wanted = check_splits(splits)
+    files = _files(root)
+    if not files:
+        missing = Problem(str(root), "annotation-missing", "no XML file of CVAT", "<split>.xml or annotations.xml")
+        raise DatasetError(f"{root}: not CVAT's XML", [missing])
+    problems: list[Problem] = []
+    records: list[ImageRecord] = []
+    names: dict[str, None] = {}
+    seen: set[Path] = set()
+    for path in files:
+        top, problem = read_xml(path, path.name)
+        problems += [problem] if problem else []
+        if top is None:
+            continue
+        names |= dict.fromkeys(t for label in top.iter("label") if (t := (label.findtext("name") or "").strip()))
+        elements: dict[Split, list[Any]] = {}
+        for element in top.iter("image"):
+            elements.setdefault(_split_of(element.get("subset") or path.stem), []).append(element)
+        for split in [s for s in wanted if s in elements]:
+            listed = [n for e in elements[split] if check_name(n := e.get("name"), "") is None and n]
+            folder = _folder(root, split, listed)
+            for k, element in enumerate(elements[split]):
+                record = _read_image(element, f"{path.name}: image {element.get('id', k)}", split, folder, problems)
+                if record is not None and record.path not in seen:
+                    seen.add(record.path)
+                    records.append(record)
+        if any(True for _ in top.iter("track")):
+            found = "tracks of a video task, which are not read"
+            todo = 'export the task as "CVAT for images 1.1"'
+            problems.append(Problem(path.name, "annotation-layout", found, "an `image` per frame", todo, "warning"))
+    names |= dict.fromkeys(i.category for r in records for i in r.instances)
+    categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
+    notes = {"labels": NAME}
+    return make_dataset(root, NAME, records, categories, shorten(problems), notes, metadata=metadata, splits=wanted)
+
+
+def _read_image(
+    element: Any, where: str, split: Split, folder: PictureFolder, problems: list[Problem]
+) -> ImageRecord | None:
+    fault = check_name(element.get("name"), where)
+    name, picture = str(element.get("name")), None
+    if fault is None:
+        name, picture, fault = folder.find(name, where)
+    if fault is None and picture is None:
+        expected = f"a file in {folder.folder.name}/"
+        fault = Problem(where, "image-missing", f"no picture {name!r}", expected, "put the pictures there")
+    if fault is not None or picture is None:
+        problems += [fault] if fault else []
+        return None
+    size_wh = to_size(element.get("width"), element.get("height"))
+    instances = tuple(_read_objects(element, where, size_wh, problems))
+    return ImageRecord("", picture, split, size_wh, None, None, None, instances, file_name=name)
+
+
+def _read_objects(
+    element: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]
+) -> Iterator[Instance]:
+    """Yield the objects of a picture; a box and a mask of one label and group are one object."""
+    found: dict[object, Instance] = {}
+    for n, shape in enumerate(s for s in element if s.tag in ("box", "mask", "polygon")):
+        here = f"{where}: {shape.tag} {n}"
+        instance = _read_shape(shape, here, size_wh, problems)
+        if instance is None:
+            continue
+        group = to_int(shape.get("group_id"))
+        key: object = (group, instance.category) if group else n
+        other = found.get(key)
+        if other is None:
+            found[key] = instance
+        elif (other.mask is None) != (instance.mask is None):
+            boxed, masked = (other, instance) if other.mask is None else (instance, other)
+            found[key] = replace(boxed, mask=masked.mask)
+        else:  # a group of several objects
+            found[n] = instance
+    yield from found.values()
+
+
+def _read_shape(shape: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]) -> Instance | None:
+    label = (shape.get("label") or "").strip()
+    if not label:
+        problems.append(Problem(where, "category-unknown", "no label", "a label", "correct the annotation"))
+        return None
+    corners = mask = None
+    if shape.tag == "box":
+        edges = to_floats([shape.get(k) for k in _EDGES], 4)
+        turn = to_floats([shape.get("rotation", "0")], 1)
+        if edges is None or turn is None:
+            problems.append(Problem(where, "box-malformed", "no box", "xtl, ytl, xbr, ybr", "correct the annotation"))
+            return None
+        if "rotation" in shape.attrib and is_near((*edges, *turn)):
+            x0, y0, x1, y1 = edges
+            angle = math.radians(turn[0])
+            corners = corners_of_cxcywha(np.array([((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle)]))[0]
+            edges = tuple(float(v) for v in box_of_points(corners))
+            if size_wh is not None and 0 < overhang_px(corners, size_wh) <= OVERHANG_PX:
+                edges = tuple(min(max(v, 0.0), float(size_wh[k % 2])) for k, v in enumerate(edges))
+    else:
+        mask = _read_mask(shape, where, size_wh, problems)
+        if mask is None:
+            return None
+        at = np.argwhere(mask.to_array())
+        if not len(at):
+            problems.append(Problem(where, "mask-malformed", "no pixel", "a mask inside the frame", severity="warning"))
+            return None
+        (top, left), (bottom, right) = at.min(axis=0), at.max(axis=0)
+        edges = (float(left), float(top), float(right + 1), float(bottom + 1))
+    box, problem = check_box(edges, size_wh, where)
+    problems += [problem] if problem is not None else []
+    if box is None:
+        return None
+    said = {a.get("name"): (a.text or "").strip() for a in shape.findall("attribute")}
+    visibility = to_floats([said.get("visibility")], 1)
+    occluded = {"occluded": True} if shape.get("occluded") == "1" else {}
+    return Instance(
+        label, box, corners, mask, visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
+        None, occluded, said.get("track_id") or None,
+    )  # fmt: skip
+
+
+def _read_mask(shape: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]) -> Mask | None:
+    """Return the mask of an element `mask` or `polygon`; None, with a problem, if it cannot be read."""
+    fault = "no size of the picture" if size_wh is None else ""
+    if size_wh is not None:
+        try:
+            if shape.tag == "polygon":
+                points = [v for pair in (shape.get("points") or "").split(";") for v in pair.split(",")]
+                return Mask.from_rings([points], (size_wh[1], size_wh[0]))
+            return Mask.from_array(_pixels(shape, size_wh))
+        except (ValueError, OverflowError) as error:
+            fault = str(error)[:120]
+    problems.append(Problem(where, "mask-malformed", fault, "run lengths or points inside the frame"))
+    return None
+
+
+def _pixels(shape: Any, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels of an element `mask`; ValueError if they do not fit the frame."""
+    left, top, width, height = (to_int(shape.get(k)) for k in ("left", "top", "width", "height"))
+    if left is None or top is None or width is None or height is None:
+        raise ValueError("no left, top, width and height")
+    inside = min(left, top) >= 0 and min(width, height) > 0 and left + width <= size_wh[0]
+    if not inside or top + height > size_wh[1]:
+        raise ValueError("a rectangle that is not inside the frame")
+    runs = [to_int(v) for v in (shape.get("rle") or "").split(",")]
+    if any(r is None or r < 0 for r in runs) or sum(r or 0 for r in runs) != width * height:
+        raise ValueError("run lengths that do not fill the rectangle")
+    values = np.arange(len(runs)) % 2 == 1
+    pixels = np.zeros((size_wh[1], size_wh[0]), np.bool_)
+    pixels[top : top + height, left : left + width] = np.repeat(values, runs).reshape(height, width)  # type: ignore[arg-type]
+    return pixels

@@ -1,0 +1,424 @@
+"""Hugging Face's `imagefolder`: pictures in a folder per split, and a `metadata.jsonl` with a line per picture.
+
+    <split>/<name>.jpg    <split>/metadata.jsonl
+
+    {"file_name": "a.jpg", "width": 640, "height": 512, "pitch_deg": 60.0, "objects": {"bbox": [[x, y, w, h]], ...}}
+
+`datasets` takes the type of a column from the first megabytes of each split, and refuses splits whose types differ.
+JSON cannot state the type of a null or of an empty list. Columns of objects therefore have a value for every object,
+and a number that is known in some splits alone is left out of all.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import corners_of_box
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import finite, link_or_copy, write_text
+from infrablend.core.masks import Mask
+from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import read_text
+from infrablend.formats.base import (
+    Match,
+    category_ids,
+    check_splits,
+    is_ignored_name,
+    require_size,
+    shorten,
+    sort_images,
+)
+from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import BOXES
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+
+NAME = "huggingface"
+TAKES_TABLE = False  # the lines contain pitch and altitude
+FILE = "metadata.jsonl"
+
+# `datasets` takes any of these for the name of a split.
+_FOLDERS: Mapping[str, Split] = {"train": "train", "val": "val", "validation": "val", "valid": "val", "test": "test"}
+# Columns of pictures that may be null, and what is lost where a split has no value at all.
+_NUMBERS = {
+    "pitch_deg": "telemetry_dropped",
+    "altitude_m": "telemetry_dropped",
+    "hfov_deg": "telemetry_dropped",
+    "temperature_scale": "temperature_dropped",
+}
+_UNKNOWN_VISIBILITY = -1.0
+_DIGITS = 9
+_ON = "on "  # before dates
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
+) -> Written:
+    """Write `<split>/metadata.jsonl`, and link the pictures into the same folders unless they are there already.
+
+    Masks are COCO's compressed run lengths, of a frame of `height` by `width`. An oriented box is written for every
+    object as soon as one has it; `oriented` states whether it is more than the corners of the axis-aligned box.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size is missing, or a category is not in the list.
+    """
+    ordered = sort_images(images)
+    table = _Columns.of(ordered, categories)
+    rows: dict[Split, list[dict[str, Any]]] = {}
+    for image in ordered:
+        rows.setdefault(image.split, []).append(table.row(image))
+    losses: Counter[str] = Counter()
+    problems = _drop_untyped(rows, losses)
+    files = []
+    for split, of_split in rows.items():
+        lines = [json.dumps(finite(r, losses), allow_nan=False, separators=(",", ":")) for r in _typed_first(of_split)]
+        files.append(write_text(out / split / FILE, "".join(f"{line}\n" for line in lines)))
+    for image in ordered if pictures else ():
+        files.append(link_or_copy(image.path, out / image.split / image.name))
+    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Columns of the objects of one dataset: those that every object has, and those that any object needs.
+
+    Attributes:
+        ids: Number of each category.
+        ignored: Names of the categories to ignore.
+        optional: Value of each further column for an object.
+    """
+
+    ids: Mapping[str, int]
+    ignored: frozenset[str]
+    optional: Mapping[str, Callable[[Instance], Any]]
+
+    @classmethod
+    def of(cls, images: Sequence[ImageRecord], categories: Sequence[Category]) -> _Columns:
+        """Return the columns that the objects of the images need."""
+        objects = [o for i in images for o in i.instances]
+        optional = {n: value for n, (needed, value) in _OPTIONAL.items() if any(needed(o) for o in objects)}
+        return cls(category_ids(categories), frozenset(c.name for c in categories if c.ignore), optional)
+
+    def row(self, image: ImageRecord) -> dict[str, Any]:
+        """Return the line of a picture; the columns in `_NUMBERS` may be null."""
+        w, h = require_size(image)
+        scale = None if image.radiometry is None else image.radiometry.scale
+        unknown = [i.category for i in image.instances if i.category not in self.ids]
+        if unknown:
+            raise ValueError(f"{image.id}: category {unknown[0]!r} is not in the list of categories")
+        numbers = {"pitch_deg": image.pitch_deg, "altitude_m": image.altitude_m, "hfov_deg": image.hfov_deg}
+        return {
+            "file_name": image.name,
+            "width": w,
+            "height": h,
+            **{k: None if v is None else float(v) for k, v in numbers.items()},
+            "temperature_scale": None if scale is None else scale.to_json(),
+            "time_of_day": image.time_of_day or "",
+            "sequence": _as_text(image.sequence),
+            "captured": _as_text(image.captured),
+            "objects": {
+                "bbox": [_xywh(i.box_xyxy) for i in image.instances],
+                "category": [i.category for i in image.instances],
+                "category_id": [self.ids[i.category] for i in image.instances],
+                "ignore": [i.category in self.ignored for i in image.instances],
+                "inserted": [i.inserted for i in image.instances],
+                **{name: [value(i) for i in image.instances] for name, value in self.optional.items()},
+            },
+        }
+
+
+def _as_text(value: str | None) -> str:
+    """Return a text that Arrow does not take for a time, which is another type than that of an empty text."""
+    return f"{_ON}{value}" if value and value[:4].isdigit() and value[4:5] == "-" else value or ""
+
+
+def _tidy(values: NDArray[np.float64]) -> list[float]:
+    return [round(float(v), _DIGITS) for v in values.reshape(-1)]
+
+
+def _xywh(xyxy: NDArray[np.float64]) -> list[float]:
+    return _tidy(np.concatenate([xyxy[:2], xyxy[2:] - xyxy[:2]]))
+
+
+def _obb(i: Instance) -> list[float]:
+    return _tidy(corners_of_box(i.box_xyxy) if i.corners_xy is None else i.corners_xy)
+
+
+def _has_extra(name: str) -> Callable[[Instance], bool]:
+    return lambda i: name in i.extra
+
+
+def _extra_box(name: str) -> Callable[[Instance], list[float]]:
+    return lambda i: _xywh(np.array(i.extra.get(name, i.box_xyxy), np.float64))
+
+
+_OPTIONAL: Mapping[str, tuple[Callable[[Instance], bool], Callable[[Instance], Any]]] = {
+    "obb": (lambda i: i.corners_xy is not None, _obb),
+    "oriented": (lambda i: i.corners_xy is not None, lambda i: i.corners_xy is not None),
+    "segmentation": (lambda i: i.mask is not None, lambda i: "" if i.mask is None else i.mask.counts),
+    "visibility": (
+        lambda i: i.visibility is not None,
+        lambda i: _UNKNOWN_VISIBILITY if i.visibility is None else float(i.visibility),
+    ),
+    "truncated": (lambda i: i.truncated is not None, lambda i: bool(i.truncated)),
+    "difficult": (lambda i: i.difficult is not None, lambda i: bool(i.difficult)),
+    "occluded": (lambda i: "occluded" in i.extra, lambda i: bool(i.extra.get("occluded"))),
+    **{name: (_has_extra(name), _extra_box(name)) for name in BOXES},
+    "track_id": (lambda i: i.track_id is not None, lambda i: "" if i.track_id is None else str(i.track_id)),
+}
+"""Columns of objects that are written if any object of the dataset needs them: when it does, and its value."""
+
+
+def _drop_untyped(rows: dict[Split, list[dict[str, Any]]], losses: Counter[str]) -> list[Problem]:
+    """Take out what would have another type in some split than in the others, and count or report it."""
+    for name, loss in _NUMBERS.items():
+        known = {s: sum(r[name] is not None for r in of_split) for s, of_split in rows.items()}
+        if all(known.values()):
+            continue
+        losses[loss] += sum(known.values())
+        for r in (r for of_split in rows.values() for r in of_split):
+            del r[name]
+    empty = [s for s, of_split in rows.items() if not any(r["objects"]["bbox"] for r in of_split)]
+    if len(empty) == len(rows):
+        for r in (r for of_split in rows.values() for r in of_split):
+            del r["objects"]
+        return []
+    for split in empty:
+        del rows[split]
+    if not empty:
+        return []
+    found = f"no object in any picture of {', '.join(empty)}, so {FILE} is not written for it"
+    todo = "load those pictures without metadata, or leave them out"
+    return [Problem(NAME, "split-without-objects", found, "an object in each split", todo, "warning")]
+
+
+def _typed_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows with those first that give each column its type; the others keep their order."""
+    first: dict[str, int] = {}
+    for n, row in enumerate(rows):
+        for name in (k for k in _NUMBERS if row.get(k) is not None):
+            first.setdefault(name, n)
+        if row.get("objects", {}).get("bbox"):
+            first.setdefault("objects", n)
+    ahead = sorted(set(first.values()))
+    return [rows[n] for n in ahead] + [r for n, r in enumerate(rows) if n not in set(ahead)]
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def _files(root: Path) -> dict[Path, Split]:
+    return {p: split for name, split in _FOLDERS.items() if (p := root / name / FILE).is_file()}
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` contains the folder of a split with a `metadata.jsonl`."""
+    files = _files(root)
+    if not files:
+        return Match(NAME, False, f"no train/{FILE}, val/{FILE} or test/{FILE}")
+    return Match(NAME, True, f"imagefolder: {', '.join(p.relative_to(root).as_posix() for p in files)}")
+
+
+@dataclass
+class _Reading:
+    """State of reading one dataset.
+
+    Attributes:
+        problems: Problems found so far.
+        categories: Categories by name, in the order in which they were found.
+    """
+
+    problems: list[Problem] = field(default_factory=list)
+    categories: dict[str, Category] = field(default_factory=dict)
+
+    def category(self, name: object, number: object, ignore: object) -> str | None:
+        """Return the name of an object's category, and enter new ones; None if it has neither name nor number."""
+        n = to_int(number)
+        text = name if isinstance(name, str) and name.strip() else None if n is None else f"class {n}"
+        if text is None:
+            return None
+        if text not in self.categories:
+            taken = {c.id for c in self.categories.values()}
+            free = n if n is not None and n not in taken else max(taken, default=-1) + 1
+            self.categories[text] = Category(free, text, "", ignore is True or is_ignored_name(text))
+        return text
+
+
+def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
+    """Read the lines of every split and find their pictures.
+
+    Args:
+        root: Folder with a folder per split.
+        splits: Splits to read; None reads all.
+
+    Raises:
+        DatasetError: There is no `metadata.jsonl`, or no picture can be read.
+    """
+    wanted = check_splits(splits)
+    state = _Reading()
+    found: list[tuple[str, ImageRecord]] = []
+    for path, split in _files(root).items():
+        if split not in wanted:
+            continue
+        where = path.relative_to(root).as_posix()
+        text, problem = read_text(path, where, "a line of JSON per picture")
+        state.problems += [problem] if problem else []
+        folder = PictureFolder.scan(path.parent)
+        seen: set[str] = set()
+        for n, line in enumerate(text.splitlines(), 1):
+            record = _read_line(line, f"{where}: line {n}", split, folder, state) if line.strip() else None
+            if record is None:
+                continue
+            if record.name in seen:
+                twice = f"a second line for {record.name!r}"
+                state.problems.append(Problem(f"{where}: line {n}", "image-duplicate", twice, "each picture once"))
+                continue
+            seen.add(record.name)
+            found.append((f"{split}/{record.name}", record))
+        if unlisted := sorted(set(folder.by_name) - seen):
+            text = f"{len(unlisted)} picture(s) without a line, left out: {', '.join(unlisted[:3])}"
+            state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
+    if not found:
+        missing = Problem(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
+        raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten([*state.problems, missing]))
+    ids = assign_ids([key for key, _ in found])
+    images = [replace(record, id=ids[key]) for key, record in found]
+    ordered = tuple(sorted(state.categories.values(), key=lambda c: c.id))
+    return Dataset(root, NAME, ordered, sort_images(images), tuple(state.problems), {"labels": NAME})
+
+
+def _read_line(line: str, where: str, split: Split, folder: PictureFolder, state: _Reading) -> ImageRecord | None:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        row = None
+    if not isinstance(row, dict):
+        state.problems.append(Problem(where, "annotation-not-json", line[:80], "a JSON object", "correct the line"))
+        return None
+    fault = check_name(row.get("file_name"), where)
+    name, picture = str(row.get("file_name")), None
+    if fault is None:
+        name, picture, fault = folder.find(name, where)
+    if fault is None and picture is None:
+        fault = Problem(where, "image-missing", f"no picture {name!r}", f"a file in {folder.folder.name}", "restore it")
+    if fault is not None or picture is None:
+        state.problems += [fault] if fault else []
+        return None
+    size_wh = to_size(row.get("width"), row.get("height"))
+    pitch, altitude, hfov = (to_floats([row.get(k)], 1) for k in ("pitch_deg", "altitude_m", "hfov_deg"))
+    time = row.get("time_of_day")
+    return ImageRecord(
+        "", picture, split, size_wh,
+        pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
+        altitude[0] if altitude and 0 <= altitude[0] <= 1e6 else None,
+        time if time in ("day", "night") else None,
+        _read_objects(row.get("objects"), where, size_wh, state), None, {}, name,
+        _text(row.get("sequence")), _text(row.get("captured")), _read_scale(row, where, state),
+        hfov[0] if hfov and 0.1 <= hfov[0] <= 170 else None,
+    )  # fmt: skip
+
+
+def _text(value: object) -> str | None:
+    return value.removeprefix(_ON) if isinstance(value, str) and value else None
+
+
+def _read_scale(row: Mapping[str, Any], where: str, state: _Reading) -> Radiometry | None:
+    value = row.get("temperature_scale")
+    if value is None:
+        return None
+    try:
+        return Radiometry(TemperatureScale.from_json(value if isinstance(value, dict) else {}), NAME)
+    except ValueError as error:
+        problem = Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning")
+        state.problems.append(problem)
+        return None
+
+
+def _read_objects(value: object, where: str, size_wh: tuple[int, int] | None, state: _Reading) -> tuple[Instance, ...]:
+    columns = value if isinstance(value, dict) else {}
+    boxes = columns.get("bbox")
+    if not isinstance(boxes, list):
+        if value is not None:
+            found = "objects without a list `bbox`"
+            state.problems.append(Problem(where, "annotation-layout", found, "bbox: [[x, y, w, h], ...]"))
+        return ()
+    # Columns of the wrong length cannot be assigned to objects.
+    short = sorted(k for k, v in columns.items() if not isinstance(v, list) or len(v) != len(boxes))
+    if short:
+        found = f"column {', '.join(map(str, short[:3]))} of objects is no list of {len(boxes)} values"
+        state.problems.append(Problem(where, "annotation-layout", found, "a value per object", severity="warning"))
+    rows = [{k: v[n] for k, v in columns.items() if k not in short} for n in range(len(boxes))]
+    read = (_read_object(r, f"{where}: object {n}", size_wh, state) for n, r in enumerate(rows))
+    return tuple(i for i in read if i is not None)
+
+
+def _read_object(
+    row: Mapping[str, Any], where: str, size_wh: tuple[int, int] | None, state: _Reading
+) -> Instance | None:
+    # Hugging Face's own examples have numbers in `category` or `categories`.
+    named = next((row[k] for k in ("category", "categories", "label") if k in row), None)
+    category = state.category(named, row.get("category_id", named), row.get("ignore"))
+    xywh = to_floats(row.get("bbox"), 4)
+    if category is None or xywh is None:
+        found, expected = json.dumps(row)[:80], "a category and a bbox [x, y, w, h]"
+        state.problems.append(Problem(where, "annotation-malformed", found, expected))
+        return None
+    box, problem = check_box(_xyxy(xywh, size_wh), size_wh, where)
+    state.problems += [problem] if problem is not None else []
+    if box is None:
+        return None
+    corners = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
+    visibility = to_floats([row.get("visibility")], 1)
+    return Instance(
+        category, box,
+        None if corners is None or not is_near(corners) else np.array(corners, np.float64).reshape(4, 2),
+        _read_mask(row.get("segmentation"), size_wh, where, state),
+        visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
+        None, _read_occlusion(row, size_wh), _text(row.get("track_id")),
+    )  # fmt: skip
+
+
+def _xyxy(xywh: Sequence[float], size_wh: tuple[int, int] | None) -> tuple[float, float, float, float]:
+    """Return the edges of a box; edges that rounding puts just outside the frame are moved onto its edge."""
+    x, y, w, h = xywh
+    x1, y1 = x + w, y + h
+    if size_wh is not None:
+        x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
+        y1 = float(size_wh[1]) if 0 < y1 - size_wh[1] < 1e-6 else y1
+    return x, y, x1, y1
+
+
+def _read_occlusion(row: Mapping[str, Any], size_wh: tuple[int, int] | None) -> dict[str, Any]:
+    """Return the flag, and the whole and the visible box where the object is hidden in part."""
+    found: dict[str, Any] = {"occluded": row["occluded"]} if isinstance(row.get("occluded"), bool) else {}
+    boxes = {name: to_floats(row.get(name), 4) for name in BOXES}
+    if found.get("occluded") is True and all(b is not None and is_near(b) for b in boxes.values()):
+        found |= {name: list(_xyxy(b, size_wh)) for name, b in boxes.items() if b is not None}
+    return found
+
+
+def _read_mask(value: object, size_wh: tuple[int, int] | None, where: str, state: _Reading) -> Mask | None:
+    if size_wh is None or not isinstance(value, str) or not value:
+        return None
+    size_hw = (size_wh[1], size_wh[0])
+    try:
+        return Mask.from_coco({"size": list(size_hw), "counts": value}, size_hw)
+    except (ValueError, OverflowError) as error:
+        found = f"a segmentation that cannot be read and is left out ({error})"
+        state.problems.append(Problem(where, "mask-malformed", found, "COCO run lengths", severity="warning"))
+        return None

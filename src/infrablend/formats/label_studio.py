@@ -1,0 +1,387 @@
+"""Label Studio: a JSON list of tasks per split, with rectangles and brush masks, and the labelling interface.
+
+    <split>.json    label_config.xml    images/<split>/<name>
+
+Places are percent of the picture. A rectangle's `x, y` is its first corner, about which `rotation` turns it, in
+degrees clockwise. A brush is the run-length code of the package `rle-pack`: bits, most significant first, of a picture
+with four channels. Label Studio's local storage serves the pictures: an address ends in `images/<split>/<name>`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, unquote, urlsplit
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_of_points, corners_of_cxcywha
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.files import link_or_copy, open_regular, write_text
+from infrablend.core.masks import Mask
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import leaves_folder, read_json
+from infrablend.formats.base import (
+    Match,
+    category_ids,
+    check_splits,
+    is_ignored_name,
+    require_size,
+    shorten,
+    sort_images,
+)
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, obb_from_corners, overhang_px
+from infrablend.formats.losses import Written
+from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
+from infrablend.formats.records import make_dataset
+from infrablend.formats.values import to_bool, to_floats, to_size
+
+NAME = "label-studio"
+CONFIG_FILE = "label_config.xml"
+BOXES, BRUSH = "boxes", "masks"
+"""Names of the two controls in the labelling interface."""
+
+_SERVED = "/data/local-files/?d="
+_RUN_BITS = (3, 4, 8, 16)
+_FLAGS = ("inserted", "truncated", "difficult", "occluded")
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+def write(
+    out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
+) -> Written:
+    """Write `<split>.json` and `label_config.xml`, and link the pictures to `images/<split>/`.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: A size is missing, or a category is not in the list.
+    """
+    ordered = sort_images(images)
+    known = category_ids(categories)
+    losses: Counter[str] = Counter()
+    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    masks = any(o.mask is not None for i in ordered for o in i.instances)
+    files = [write_text(out / CONFIG_FILE, _config(list(known), masks))]
+    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
+        tasks = [_task(i, known, losses) for i in ordered if i.split == split]
+        text = json.dumps(tasks, sort_keys=True, allow_nan=False, separators=(",", ":"))
+        files.append(write_text(out / f"{split}.json", text + "\n"))
+    for image in ordered:
+        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        if pictures:
+            files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+
+
+def _config(names: Sequence[str], masks: bool) -> str:
+    lines = ["<View>", '  <Image name="image" value="$image" zoom="true"/>']
+    controls = (("RectangleLabels", BOXES, ' canRotate="true"'), *((("BrushLabels", BRUSH, ""),) if masks else ()))
+    for tag, name, more in controls:
+        lines.append(f'  <{tag} name="{name}" toName="image"{more}>')
+        lines += [f"    <Label value={quoteattr(n)}/>" for n in names]
+        lines.append(f"  </{tag}>")
+    return "\n".join([*lines, "</View>", ""])
+
+
+def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> dict[str, Any]:
+    w, h = require_size(image)
+    results = []
+    for n, i in enumerate(image.instances):
+        if i.category not in known:
+            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
+        losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
+        common = {"to_name": "image", "image_rotation": 0, "original_width": w, "original_height": h, "meta": _meta(i)}
+        value = {**_rectangle(i, w, h, losses), "rectanglelabels": [i.category]}
+        results.append({**common, "id": f"o{n}", "from_name": BOXES, "type": "rectanglelabels", "value": value})
+        if i.mask is not None:
+            brush = {"format": "rle", "rle": encode_brush(i.mask.to_array()), "brushlabels": [i.category]}
+            results.append({**common, "id": f"o{n}m", "from_name": BRUSH, "type": "brushlabels", "value": brush})
+    data = {"image": f"{_SERVED}images/{image.split}/{image.name}", "width": w, "height": h}
+    return {"data": data, "annotations": [{"result": results, "ground_truth": False}]}
+
+
+def _meta(i: Instance) -> dict[str, Any]:
+    """Return what Label Studio has no place for; it keeps and exports the field."""
+    flags = {"inserted": i.inserted or None, "truncated": i.truncated, "difficult": i.difficult}
+    flags |= {"oriented": None if i.corners_xy is None else True}
+    known = flags | {"occluded": i.extra.get("occluded"), "visibility": i.visibility, "track_id": i.track_id}
+    return {k: v for k, v in known.items() if v is not None}
+
+
+def _rectangle(i: Instance, w: int, h: int, losses: Counter[str]) -> dict[str, float]:
+    if i.corners_xy is None:
+        (x, y), (width, height), turn = i.box_xyxy[:2], i.box_xyxy[2:] - i.box_xyxy[:2], 0.0
+    else:
+        cx, cy, width, height, angle = obb_from_corners(i.corners_xy)
+        corners = corners_of_cxcywha(np.array([(cx, cy, width, height, angle)]))[0]
+        apart = min(np.abs(np.roll(i.corners_xy, k, axis=0) - corners).max() for k in range(4))
+        losses["obb_not_rectangle"] += bool(apart > 1e-3)
+        (x, y), turn = _first_corner(cx, cy, width, height, angle), math.degrees(angle)
+    percent = {"x": x / w, "y": y / h, "width": width / w, "height": height / h}
+    return {**{k: round(100 * float(v), 10) for k, v in percent.items()}, "rotation": round(turn, 10)}
+
+
+def _first_corner(cx: float, cy: float, w: float, h: float, angle: float) -> tuple[float, float]:
+    """Return the corner that is upper left before the rectangle is turned about its centre."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cx - w / 2 * cos + h / 2 * sin, cy - w / 2 * sin - h / 2 * cos
+
+
+def encode_brush(mask: NDArray[np.bool_]) -> list[int]:
+    """Return the bytes of a brush: the mask as 0 and 255 in four channels, packed as `rle-pack` does."""
+    flat = mask.reshape(-1)
+    ends = np.flatnonzero(np.concatenate([flat[1:] != flat[:-1], [True]])) + 1
+    bits = [f"{4 * flat.size:032b}", f"{8 - 1:05b}", *(f"{n - 1:04b}" for n in _RUN_BITS)]
+    for start, end in zip(np.concatenate([[0], ends[:-1]]), ends, strict=True):
+        value, left = f"{255 * int(flat[start]):08b}", 4 * int(end - start)
+        while left:
+            run = min(left, 1 << _RUN_BITS[-1])
+            size = next(k for k, n in enumerate(_RUN_BITS) if run <= 1 << n)
+            bits.append(f"1{size:02b}{run - 1:0{_RUN_BITS[size]}b}{value}")
+            left -= run
+    text = "".join(bits)
+    text += "0" * (-len(text) % 8)
+    return list(int(text, 2).to_bytes(len(text) // 8, "big"))
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+def decode_brush(code: object, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return (h, w) the pixels of a brush that are at least half opaque.
+
+    Raises:
+        ValueError: The code is damaged or of a picture of another size.
+    """
+    count = 4 * size_wh[0] * size_wh[1]
+    if not isinstance(code, list) or not all(type(v) is int and 0 <= v < 256 for v in code):
+        raise ValueError("no list of bytes")
+    if size_wh[0] * size_wh[1] > MAX_PIXELS or len(code) > 2 * count + 64:
+        raise ValueError("a code longer than the picture")
+    bits = np.unpackbits(np.array(code, np.uint8)).tobytes().translate(bytes.maketrans(b"\0\1", b"01"))
+    at = 0
+
+    def take(n: int) -> int:
+        nonlocal at
+        part = bits[at : at + n]
+        at += n
+        if len(part) < n:
+            raise ValueError("a code that ends early")
+        return int(part, 2)
+
+    if take(32) != count:
+        raise ValueError(f"a code that is not of {size_wh[0]}x{size_wh[1]} px")
+    word = take(5) + 1
+    sizes = [take(4) + 1 for _ in range(4)]
+    values = np.zeros(count, np.uint32)
+    done = 0
+    while done < count:
+        same = take(1)
+        end = min(done + 1 + take(sizes[take(2)]), count)
+        if same:
+            values[done:end] = take(word)
+        else:
+            values[done:end] = [take(word) for _ in range(end - done)]
+        done = end
+    return np.asarray(values.reshape(size_wh[1], size_wh[0], 4)[:, :, 3] >= 128)
+
+
+def _files(root: Path) -> list[Path]:
+    """Return the JSON files in the root that begin like a list of tasks."""
+    found = []
+    for path in sorted(p for p in root.glob("*.json") if not leaves_folder(p)):
+        try:
+            with open_regular(path) as stream:
+                head = stream.read(100_000)
+        except OSError:
+            continue
+        tasks = head.lstrip().startswith(b"[") and b'"annotations"' in head and b'"result"' in head
+        if tasks:
+            found.append(path)
+    return found
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` contains lists of Label Studio's tasks."""
+    files = _files(root)
+    if not files:
+        return Match(NAME, False, "no JSON list of tasks with annotations")
+    return Match(NAME, True, f"Label Studio: {', '.join(p.name for p in files)}")
+
+
+def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
+    """Read tasks, as written here or as Label Studio exports them (JSON), and find the pictures.
+
+    Args:
+        root: Folder with the JSON files and `images/`.
+        splits: Splits to read; None reads all.
+        metadata: Table of pitch and altitude; None uses any `metadata.csv` or `.json`.
+
+    Raises:
+        DatasetError: There is no list of tasks, or no picture can be read.
+    """
+    wanted = check_splits(splits)
+    files = _files(root)
+    if not files:
+        missing = Problem(str(root), "annotation-missing", "no list of tasks", "<split>.json")
+        raise DatasetError(f"{root}: not Label Studio's JSON", [missing])
+    problems: list[Problem] = []
+    records: dict[Path, ImageRecord] = {}
+    folder = PictureFolder.scan(root / "images")
+    for path in files:
+        try:
+            tasks = read_json(path)
+        except DatasetError as error:
+            problems += error.problems
+            continue
+        for n, task in enumerate(tasks if isinstance(tasks, list) else ()):
+            record = _read_task(task, f"{path.name}: task {n}", _split_of(path.stem), folder, problems)
+            if record is not None and record.split in wanted:
+                records.setdefault(record.path, record)
+    names = dict.fromkeys(i.category for r in records.values() for i in r.instances)
+    categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
+    return make_dataset(
+        root, NAME, list(records.values()), categories, shorten(problems), {"labels": NAME}, metadata=metadata,
+        splits=wanted,
+    )  # fmt: skip
+
+
+def _split_of(name: str) -> Split:
+    return next((s for s in ("val", "test") if s in name.lower()), "train")
+
+
+def _read_task(
+    task: object, where: str, split: Split, folder: PictureFolder, problems: list[Problem]
+) -> ImageRecord | None:
+    data = task.get("data") if isinstance(task, dict) else None
+    address = data.get("image") if isinstance(data, dict) else None
+    if not isinstance(task, dict) or not isinstance(address, str):
+        problems.append(Problem(where, "annotation-malformed", repr(task)[:80], "a task with data.image"))
+        return None
+    name, split = _name_of(address, split)
+    fault = check_name(name, where)
+    picture = None
+    for key in (f"{split}/{name}", name) if fault is None else ():
+        _, picture, fault = folder.find(key, where)
+        if picture is not None or fault is not None:
+            break
+    if fault is None and picture is None:
+        fault = Problem(where, "image-missing", f"no picture {name!r}", "a file in images/", "put the pictures there")
+    if fault is not None or picture is None:
+        problems += [fault] if fault else []
+        return None
+    given = task.get("annotations")
+    used = [a for a in given if isinstance(a, dict) and not a.get("was_cancelled")] if isinstance(given, list) else []
+    results = used[-1].get("result") if used else []
+    rows = [r for r in results if isinstance(r, dict)] if isinstance(results, list) else []
+    stated = [(data.get("width"), data.get("height"))] if isinstance(data, dict) else []
+    stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
+    sizes = [s for w, h in stated if (s := to_size(w, h))]
+    instances = tuple(_read_objects(rows, where, problems))
+    return ImageRecord(
+        "", picture, split, sizes[0] if sizes else None, None, None, None, instances, file_name=name
+    )  # fmt: skip
+
+
+def _name_of(address: str, split: Split) -> tuple[str, Split]:
+    """Return a picture's name in its split, and the split, of an address or path that ends in images/<split>/<name>."""
+    parts = urlsplit(address)
+    path = parse_qs(parts.query).get("d", [unquote(parts.path)])[0]
+    folders = path.replace("\\", "/").split("/")
+    if "images" in folders[:-1]:
+        folders = folders[len(folders) - folders[::-1].index("images") :]
+        if len(folders) > 1 and folders[0] in SPLITS:
+            return "/".join(folders[1:]), folders[0]
+        return "/".join(folders), split
+    return folders[-1], split
+
+
+def _read_objects(rows: Sequence[Mapping[str, Any]], where: str, problems: list[Problem]) -> Iterator[Instance]:
+    """Yield the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
+    found: dict[str, Instance] = {}
+    for n, row in enumerate(rows):
+        if row.get("type") not in ("rectanglelabels", "brushlabels", "polygonlabels"):
+            continue
+        here = f"{where}: result {row.get('id', n)}"
+        try:
+            instance = _read_result(row, here, problems)
+        except ValueError as error:
+            problems.append(Problem(here, "annotation-malformed", str(error)[:120], "a rectangle, brush or polygon"))
+            continue
+        if instance is None:
+            continue
+        key = str(row.get("id", n))
+        owner = found.get(key.removesuffix("m")) if row["type"] == "brushlabels" else None
+        if owner is not None and owner.mask is None:
+            found[key.removesuffix("m")] = replace(owner, mask=instance.mask)
+        else:
+            found[key if key not in found else f"{key} {n}"] = instance
+    yield from found.values()
+
+
+def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) -> Instance | None:
+    """Return an object; None if its box is outside. ValueError if the row is malformed."""
+    size_wh = to_size(row.get("original_width"), row.get("original_height"))
+    value = row.get("value")
+    labels = value.get(row["type"]) if isinstance(value, dict) else None
+    if size_wh is None or not isinstance(value, dict) or not isinstance(labels, list) or not labels:
+        raise ValueError("no label, or no size of the picture")
+    scale = np.array(size_wh, np.float64) / 100
+    meta = said if isinstance(said := row.get("meta"), dict) else {}
+    oriented = meta.get("oriented") is True  # also where the angle is 0
+    mask = corners = None
+    if row["type"] == "rectanglelabels":
+        numbers = to_floats([value.get(k, 0) for k in ("x", "y", "width", "height", "rotation")], 5)
+        if numbers is None or not is_near(numbers):
+            raise ValueError(f"a rectangle {str(value)[:60]}")
+        (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale
+        edges = np.array([x, y, x + w, y + h])
+        if numbers[4] or oriented:
+            angle = math.radians(numbers[4])
+            # Turned about its first corner: the centre turns with it.
+            cx = x + w / 2 * math.cos(angle) - h / 2 * math.sin(angle)
+            cy = y + w / 2 * math.sin(angle) + h / 2 * math.cos(angle)
+            corners = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
+            edges = box_of_points(corners)
+        if overhang_px(edges.reshape(2, 2), size_wh) <= (OVERHANG_PX if corners is not None else 1e-6):
+            edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64))
+    else:
+        mask = _read_mask(row, value, size_wh)
+        at = np.argwhere(mask.to_array())
+        if not len(at):
+            raise ValueError("a mask without a pixel")
+        edges = np.array([*at.min(axis=0)[::-1], *(at.max(axis=0)[::-1] + 1)], np.float64)
+    box, problem = check_box(edges.tolist(), size_wh, where)
+    problems += [problem] if problem is not None else []
+    if box is None:
+        return None
+    flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}
+    visibility = to_floats([meta.get("visibility")], 1)
+    track = meta.get("track_id")
+    return Instance(
+        str(labels[0]), box, corners, mask, visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        flags["truncated"], flags["difficult"], flags["inserted"] is True, None,
+        {} if flags["occluded"] is None else {"occluded": flags["occluded"]},
+        track if isinstance(track, int | str) and not isinstance(track, bool) else None,
+    )  # fmt: skip
+
+
+def _read_mask(row: Mapping[str, Any], value: Mapping[str, Any], size_wh: tuple[int, int]) -> Mask:
+    if row["type"] == "brushlabels":
+        return Mask.from_array(decode_brush(value.get("rle"), size_wh))
+    points = value.get("points")
+    pairs = [to_floats(p, 2) for p in points] if isinstance(points, list) else [None]
+    if None in pairs:
+        raise ValueError("points that are no pairs of numbers")
+    ring = [v * s / 100 for p in pairs if p is not None for v, s in zip(p, size_wh, strict=True)]
+    return Mask.from_rings([ring], (size_wh[1], size_wh[0]))

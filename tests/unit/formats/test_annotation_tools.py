@@ -1,0 +1,123 @@
+"""Exchange with CVAT and Label Studio: numbers by hand, what they export, and masks packed as they do."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.formats import coco, cvat, detection, label_studio, writing
+from tests.samples import picture, records
+
+
+def blob() -> np.ndarray:
+    pixels = np.zeros((48, 64), np.bool_)
+    pixels[10:20, 30:41] = True
+    pixels[12:14, 33] = False
+    pixels[0, 0] = pixels[47, 63] = True
+    return pixels
+
+
+@pytest.mark.parametrize("pixels", [blob(), ~blob(), np.ones((48, 64), np.bool_), np.zeros((48, 64), np.bool_)])
+def test_a_brush_comes_back(pixels: np.ndarray) -> None:
+    code = label_studio.encode_brush(pixels)
+    assert (label_studio.decode_brush(code, (64, 48)) == pixels).all()
+
+
+def test_a_brush_has_the_bits_of_rle_pack() -> None:
+    """One pixel of four channels: 32 bits of length, 5 of word size, 4 x 4 of run sizes, one run of four."""
+    bits = f"{4:032b}{7:05b}{2:04b}{3:04b}{7:04b}{15:04b}" + "1" + "00" + f"{3:03b}" + f"{255:08b}"
+    bits += "0" * (-len(bits) % 8)
+    expected = [int(bits[k : k + 8], 2) for k in range(0, len(bits), 8)]
+    assert label_studio.encode_brush(np.ones((1, 1), np.bool_)) == expected
+
+
+@pytest.mark.parametrize("code", [None, [], [1, 2, 3], [0, 0, 48, 0, 255], ["a"], [300] * 10, [0] * 10**6])
+def test_a_damaged_brush_is_refused(code: object) -> None:
+    with pytest.raises(ValueError):
+        label_studio.decode_brush(code, (64, 48))
+
+
+def test_a_rectangle_of_label_studio_turns_about_its_first_corner(tmp_path: Path) -> None:
+    """A box of 10 x 4 px with its first corner at (20, 10), turned by 90 degrees clockwise."""
+    picture(tmp_path / "images" / "train" / "a.png", 1)
+    value = {"x": 2000 / 64, "y": 1000 / 48, "width": 1000 / 64, "height": 400 / 48, "rotation": 90}
+    result = {
+        "id": "k3", "type": "rectanglelabels", "from_name": "boxes", "to_name": "image", "original_width": 64,
+        "original_height": 48, "value": value | {"rectanglelabels": ["Car"]},
+    }  # fmt: skip
+    task = {"id": 1, "data": {"image": "http://host/data/local-files/?d=images/train/a.png"}}
+    tasks = [task | {"annotations": [{"id": 7, "was_cancelled": False, "result": [result]}]}]
+    (tmp_path / "export.json").write_text(json.dumps(tasks))
+    dataset = detection.read(tmp_path)
+    assert (dataset.format, dataset.images[0].split) == ("label-studio", "train")
+    (car,) = dataset.images[0].instances
+    np.testing.assert_allclose(car.box_xyxy, [16, 10, 20, 20], atol=1e-9)
+
+
+def test_cvats_own_export_is_read(tmp_path: Path) -> None:
+    """Box, turned box, mask and polygon; the subset names the split, and attributes of others are ignored."""
+    picture(tmp_path / "images" / "a.png", 1)
+    (tmp_path / "annotations.xml").write_text("""<?xml version="1.0" encoding="utf-8"?>
+<annotations><version>1.1</version><meta><project><labels><label><name>Car</name></label></labels></project></meta>
+<image id="0" name="a.png" subset="Validation" task_id="3" width="64" height="48">
+  <box label="Car" source="manual" occluded="1" xtl="1.00" ytl="2.00" xbr="11.00" ybr="6.50" z_order="0"/>
+  <box label="Car" source="manual" occluded="0" xtl="20.00" ytl="10.00" xbr="40.00" ybr="20.00" rotation="90.00"/>
+  <mask label="Person" occluded="0" rle="1, 2, 3" left="50" top="30" width="3" height="2" z_order="0"/>
+  <polygon label="Person" occluded="0" points="5.0,40.0;10.0,40.0;10.0,45.0;5.0,45.0"/>
+  <points label="Person" points="1,1"/>
+</image></annotations>""")
+    dataset = detection.read(tmp_path)
+    assert dataset.format == "cvat" and dataset.images[0].split == "val"
+    plain, turned, mask, polygon = dataset.images[0].instances
+    assert plain.box_xyxy.tolist() == [1, 2, 11, 6.5] and plain.corners_xy is None and plain.extra["occluded"] is True
+    np.testing.assert_allclose(turned.box_xyxy, [25, 5, 35, 25], atol=1e-9)
+    assert mask.mask is not None and np.argwhere(mask.mask.to_array()).tolist() == [[30, 51], [30, 52]]
+    assert mask.box_xyxy.tolist() == [51, 30, 53, 31] and polygon.box_xyxy.tolist() == [5, 40, 10, 45]
+
+
+@pytest.mark.parametrize(
+    "shape, code",
+    [
+        ('<box label="Car" xtl="1" ytl="2" xbr="x" ybr="6"/>', "box-malformed"),
+        ('<box label="Car" xtl="1" ytl="2" xbr="1e999" ybr="6" rotation="nan"/>', "box-not-finite"),
+        ('<box xtl="1" ytl="2" xbr="5" ybr="6"/>', "category-unknown"),
+        ('<mask label="Car" rle="1, 2" left="50" top="30" width="3" height="2"/>', "mask-malformed"),
+        ('<mask label="Car" rle="0, 400000000" left="0" top="0" width="20000" height="20000"/>', "mask-malformed"),
+        ('<polygon label="Car" points="5;6"/>', "mask-malformed"),
+    ],
+)
+def test_a_malformed_shape_is_named_and_left_out(tmp_path: Path, shape: str, code: str) -> None:
+    picture(tmp_path / "images" / "a.png", 1)
+    text = f'<annotations><image id="0" name="a.png" width="64" height="48">{shape}</image></annotations>'
+    (tmp_path / "annotations.xml").write_text(text)
+    dataset = detection.read(tmp_path)
+    assert [p.code for p in dataset.problems] == [code] and not dataset.images[0].instances
+
+
+def test_both_hold_a_turned_box_to_a_millionth_of_a_pixel(tmp_path: Path) -> None:
+    angle, half = 0.7, np.array([[-9.0, -4.0], [9.0, -4.0], [9.0, 4.0], [-9.0, 4.0]])
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    corners = half @ turn + np.array([30.3, 22.2])
+    box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+    path = picture(tmp_path / "a.png", 1)
+    image = ImageRecord("a", path, "train", (64, 48), None, None, None, (Instance("Car", box, corners),))
+    for name, module in (("cvat", cvat), ("label-studio", label_studio)):
+        module.write(tmp_path / name, [image], [Category(0, "Car")])
+        (found,) = detection.read(tmp_path / name).images[0].instances
+        assert found.corners_xy is not None
+        assert min(np.abs(np.roll(found.corners_xy, k, axis=0) - corners).max() for k in range(4)) < 1e-6
+
+
+def test_coco_for_tools_counts_from_one_and_outlines_only_masks(tmp_path: Path) -> None:
+    images, categories = records(tmp_path / "source")
+    done = writing.write("coco-tools", tmp_path / "out", images, categories)
+    assert not done.losses
+    top = json.loads((tmp_path / "out" / "annotations" / "instances_train.json").read_text())
+    assert [c["id"] for c in top["categories"]] == [1, 2, 3, 4, 5]
+    assert [("segmentation" in a, a["category_id"]) for a in top["annotations"]] == [(False, 2), (False, 5), (True, 1)]
+    assert coco.read(tmp_path / "out").images[0].instances[0].category == "Car"
