@@ -1,10 +1,10 @@
 """CVAT's own XML, "CVAT for images 1.1": one file per split, an `image` per picture, a shape per box and mask.
 
-    <split>.xml    labels.json    images/<split>/<name>
+    <split>.xml    cvat_labels.json    images/<split>/<name>
 
 Boxes are `xtl, ytl, xbr, ybr` in pixels, edges counted from 0; `rotation` turns them clockwise about their centre, in
 degrees. A mask is a rectangle with run lengths, row by row, that begin with the number of pixels outside. Shapes of one
-object share a `group_id`. CVAT keeps the attributes that the labels of the task have: `labels.json` states them.
+object share a `group_id`. CVAT keeps the attributes that the labels of the task have: `cvat_labels.json` states them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from infrablend.formats.records import make_dataset
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_size
 
 NAME = "cvat"
-LABELS_FILE = "labels.json"
+LABELS_FILE = "cvat_labels.json"
 # Attributes of objects: CVAT's kind of input.
 ATTRIBUTES: Mapping[str, str] = {
     "inserted": "checkbox", "truncated": "checkbox", "difficult": "checkbox", "visibility": "text", "track_id": "text",
@@ -58,7 +58,7 @@ _EDGES = ("xtl", "ytl", "xbr", "ybr")
 def write(
     out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
 ) -> Written:
-    """Write `<split>.xml`, `labels.json` for the task's labels, and link the pictures to `images/<split>/`.
+    """Write `<split>.xml`, `cvat_labels.json` for the task's labels, and link the pictures to `images/<split>/`.
 
     Raises:
         OutputError: A file cannot be written.
