@@ -24,8 +24,12 @@ def temperatures(
     ctx: typer.Context,
     data: DatasetArgument,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset folder to write.")],
-    slope: Annotated[float | None, typer.Option(help="Kelvin per count, for DJI's counts.")] = None,
-    offset: Annotated[float | None, typer.Option(help="Kelvin of count 0, for DJI's counts.")] = None,
+    slope: Annotated[
+        float | None, typer.Option(help="Kelvin per count, for DJI's counts: kelvin = slope * count + offset.")
+    ] = None,
+    offset: Annotated[
+        float | None, typer.Option(help="Kelvin of count 0, for DJI's counts; from degrees Celsius, add 273.15.")
+    ] = None,
     spot: Annotated[
         list[str] | None,
         typer.Option(metavar="FILE:X,Y=DEGREES", help="Known temperature, degrees Celsius; give at least two."),

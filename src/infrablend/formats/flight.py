@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -252,8 +253,10 @@ def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[P
         return []
     which = " and ".join(sorted(set(makers)))
     found = f"{len(makers)} of {len(known)} pictures are radiometric ({which}), but read as plain pictures"
+    layers = shlex.quote(f"{dataset.root.resolve().name}_k")
     todo = (
-        "go on if the grey levels suffice: the temperatures are not used, unless infrablend temperatures extracts them"
+        "go on if the grey levels suffice: the temperatures are not used; to use them, run "
+        f"infrablend temperatures {shlex.quote(str(dataset.root))} --out {layers} and take {layers} as data"
     )
     expected = "pictures whose grey levels are all that is needed"
     return [_warning(dataset, "image-radiometric", found, expected, todo)]

@@ -117,6 +117,7 @@ def test_a_folder_of_radiometric_pictures_gets_a_hint(maker: Maker, tmp_path: Pa
     assert (
         f"3 of 3 pictures are radiometric ({maker.upper()})" in found.found
         and "the temperatures are not used" in found.todo
+        and f"infrablend temperatures {tmp_path} --out {tmp_path.name}_k" in found.todo
     )
 
 

@@ -394,3 +394,15 @@ def test_names_of_videos_cannot_leave_the_folder(tmp_path: Path) -> None:
     done(tmp_path / "DJI_0001.MP4", "--every", "20f", "--sequence", "../../evil", "--out", out)
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == ["out"]
     assert all((out / r["file"]).is_file() for r in rows(out))
+
+
+def test_videos_of_one_name_say_which_sequence_was_renamed(tmp_path: Path) -> None:
+    """Files from two cards: their frames must not end in one folder, nor in another without notice."""
+    for card in ("one", "two"):
+        (tmp_path / card).mkdir()
+    first, second = (write_video(tmp_path / card / "E.MP4") for card in ("one", "two"))
+    text = done(first, second, "--every", "3s", "--out", tmp_path / "out", "--no-log")
+    assert "another video is also named 'E', so the sequence of this one is 'E" in text and "--sequence" in text
+    assert len({r["sequence"] for r in rows(tmp_path / "out")}) == 2
+    named = done(first, second, "--every", "3s", "--out", tmp_path / "named", "--no-log", "--sequence", "a,b")
+    assert "also named" not in named

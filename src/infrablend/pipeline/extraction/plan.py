@@ -56,7 +56,7 @@ class ClipPlan:
         sequence: Name of its sequence.
         numbers: Numbers of the frames to take.
         aligned: Log with the times of the video; None without one.
-        remarks: Problems of the subtitles in the video.
+        remarks: Warnings about the name of the sequence and the subtitles in the video.
     """
 
     video: Video
@@ -74,10 +74,11 @@ def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts)
     """
     if flight.names and len(flight.names) != len(videos):
         raise ArgumentError(f"names: found {len(flight.names)}, expected one for each of {len(videos)} video(s)")
-    names = distinct_names([file_name(n) for n in (flight.names or [v.stem for v in videos])])
+    wanted = [file_name(n) for n in (flight.names or [v.stem for v in videos])]
+    names = distinct_names(wanted)
     common = read_log(flight.log) if flight.log is not None and flight.use_log else None
     plans = []
-    for path, name in zip(videos, names, strict=True):
+    for path, name, given in zip(videos, names, wanted, strict=True):
         video = Video(path)
         log, remarks = (common, ()) if common is not None or not flight.use_log else _own_subtitles(video)
         aligned = None if log is None else align(log, video.timeline, video.created, flight.clock)
@@ -87,8 +88,17 @@ def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts)
             expected = f"times within the video's {video.timeline.duration_s:.1f} s"
             problem = Problem(path.name, "frames-none", found, expected, "change --start and --end")
             raise DatasetError(f"{path}: no frame to extract", [problem])
-        plans.append(ClipPlan(video, name, numbers, aligned, remarks))
+        plans.append(ClipPlan(video, name, numbers, aligned, (*_renamed(path, given, name), *remarks)))
     return plans
+
+
+def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
+    """Return a warning if another video has the name that a sequence should get."""
+    if name == wanted:
+        return ()
+    found = f"another video is also named {wanted!r}, so the sequence of this one is {name!r}"
+    todo = "name the sequences with --sequence"
+    return (Problem(video.name, "sequence-renamed", found, "a name per video", todo, "warning"),)
 
 
 def find_subtitles(video: Path) -> Path | None:
