@@ -41,7 +41,9 @@ if TYPE_CHECKING:
         PlanReport,
         exclude,
         generate,
+        generate_shard,
         include,
+        merge,
         plan,
         preview,
         preview_ground,
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
         realism_page,
         report,
         rerender,
+        status,
     )
     from infrablend.api.shipped import (
         add_model,
@@ -82,9 +85,11 @@ if TYPE_CHECKING:
     from infrablend.pipeline.extraction.plan import FlightFacts
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.in_memory import Frame, Frames, FramesRequest
-    from infrablend.pipeline.request import Execution
+    from infrablend.pipeline.request import Execution, RunRequest
     from infrablend.pipeline.run import RunReport
     from infrablend.pipeline.select import Selection
+    from infrablend.pipeline.shard import ShardRequest
+    from infrablend.pipeline.sharded_run import ShardState
     from infrablend.pipeline.split import SplitReport, SplitRule
     from infrablend.pipeline.train import TrainReport
     from infrablend.pipeline.training.plan import TrainPlan
@@ -116,9 +121,12 @@ __all__ = [
     "Reading",
     "RealismReport",
     "RunReport",
+    "RunRequest",
     "SceneRequest",
     "SceneSampler",
     "Selection",
+    "ShardRequest",
+    "ShardState",
     "SourceEntry",
     "SplitReport",
     "SplitRule",
@@ -142,6 +150,7 @@ __all__ = [
     "fetch",
     "frames",
     "generate",
+    "generate_shard",
     "include",
     "inspect",
     "list_experiments",
@@ -149,6 +158,7 @@ __all__ = [
     "list_recipes",
     "list_sources",
     "make_world",
+    "merge",
     "plan",
     "plan_experiment",
     "plan_train",
@@ -163,6 +173,7 @@ __all__ = [
     "show_model",
     "show_recipe",
     "split",
+    "status",
     "survey_model",
     "train",
     "try_recipe",
@@ -179,7 +190,10 @@ _MODULES = {
     "api.detectors": "compare_evaluations evaluate plan_train train",
     "api.experiments": "experiment list_experiments plan_experiment",
     "api.in_memory": "frames try_recipe watch_recipe",
-    "api.runs": "PlanReport exclude generate include plan preview preview_ground realism realism_page report rerender",
+    "api.runs": (
+        "PlanReport exclude generate generate_shard include merge plan preview preview_ground realism realism_page "
+        "report rerender status"
+    ),
     "api.shipped": (
         "add_model describe_model diagnose list_models list_recipes show_model show_recipe survey_model "
         "write_infrared_effect"
@@ -198,9 +212,11 @@ _MODULES = {
     "pipeline.extraction.plan": "FlightFacts",
     "pipeline.frame_selection": "FrameSelection",
     "pipeline.in_memory": "Frame Frames FramesRequest",
-    "pipeline.request": "Execution",
+    "pipeline.request": "Execution RunRequest",
     "pipeline.run": "RunReport",
     "pipeline.select": "Selection",
+    "pipeline.shard": "ShardRequest",
+    "pipeline.sharded_run": "ShardState",
     "pipeline.split": "SplitReport SplitRule",
     "pipeline.train": "TrainReport",
     "pipeline.training.plan": "TrainPlan",

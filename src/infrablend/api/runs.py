@@ -11,13 +11,16 @@ from infrablend.api.datasets import read_dataset
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
+from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
+from infrablend.pipeline.merge import merge_shards
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
+from infrablend.pipeline.sharded_run import ShardedRun, ShardState
 
 if TYPE_CHECKING:
     from infrablend.pipeline.compare_objects import RealismReport, Time
@@ -64,6 +67,43 @@ def generate(  # noqa: PLR0913 - as in `realism`
     chosen = selection if limit is None else replace(selection, limit=limit)
     request = RunRequest(recipe, Path(data), Path(out), chosen, seed, settings, reading, execution, existing)
     return generate_run(request, on_progress)
+
+
+def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
+    """Render one shard of a run, `request.shard`, into a folder of its own in `request.out`; see `merge`.
+
+    Args:
+        request: Arguments of `generate`, and the shard: `RunRequest(..., shard=ShardRequest(2, 7))`.
+        on_progress: Called after each frame.
+    """
+    if request.shard is None:
+        raise ArgumentError("generate_shard: found no shard in the request, expected one such as ShardRequest(2, 7)")
+    return generate_run(request, on_progress)
+
+
+def merge(
+    sources: Sequence[str | Path], out: str | Path, *, data: str | Path | None = None, partial: bool = False,
+    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+) -> RunReport:  # fmt: skip
+    """Write one run from finished shards, with the bytes of an undivided run.
+
+    Args:
+        sources: Folders that `generate_shard` wrote.
+        out: Folder to write.
+        data: Folder of the backgrounds, if it has moved.
+        partial: Merge the finished shards only.
+        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
+        on_progress: Called after each frame.
+    """
+    folder = None if data is None else Path(data)
+    return merge_shards(
+        [Path(s) for s in sources], Path(out), folder, partial=partial, existing=existing, on_progress=on_progress
+    )
+
+
+def status(out: str | Path) -> list[ShardState]:
+    """Return the state of every shard in a folder that `generate_shard` writes."""
+    return ShardedRun(Path(out)).states()
 
 
 def plan(

@@ -22,6 +22,7 @@ from infrablend.cli import (
     frames,
     generate,
     inspect,
+    merge,
     models,
     preview,
     profile,
@@ -30,6 +31,7 @@ from infrablend.cli import (
     report,
     rerender,
     split,
+    status,
     studio,
     temperatures,
     train,
@@ -107,6 +109,8 @@ def build_app() -> typer.Typer:
     )
     app.callback()(_root)
     app.command("generate")(generate.generate)
+    app.command("merge")(merge.merge)
+    app.command("status")(status.status)
     app.command("try")(try_recipe.try_recipe)
     app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)

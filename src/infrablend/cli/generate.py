@@ -28,6 +28,7 @@ from infrablend.cli.options import (
 if TYPE_CHECKING:
     from infrablend.api import RunReport
     from infrablend.cli.session import Session
+    from infrablend.pipeline.shard import ShardRequest
 
 
 def generate(
@@ -42,6 +43,15 @@ def generate(
     frames: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="Render only these frames: ids such as test/a_c0, or ids of backgrounds."),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N", help="Render only shard I of N, from 1 to N, into a folder of its own in OUT; then merge."
+        ),
+    ] = None,
+    shard_size: Annotated[
+        int | None, typer.Option(min=1, help="Most frames per shard, with --shard I instead of I/N.")
     ] = None,
     split: SplitsOption = None,
     seed: SeedOption = 0,
@@ -80,13 +90,14 @@ def generate(
     given = [n for n, v in (("--limit", limit), ("--sample", sample), ("--frames", frames)) if v is not None]
     if len(given) > 1:
         raise typer.BadParameter(f"{' and '.join(given)} exclude each other; give one of them", param_hint=given[1])
+    part = shard_request(shard, shard_size)
     fields = [*(settings or []), *([] if names is None else [f"output.formats=[{', '.join(names)}]"])]
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import facts, print_json, print_result, table
     from infrablend.pipeline.frame_selection import FrameSelection
-    from infrablend.pipeline.request import Execution
+    from infrablend.pipeline.request import Execution, RunRequest
 
     execution, selection = Execution(workers, device.value), FrameSelection(limit, sample, chosen)
     if plan:
@@ -107,22 +118,49 @@ def generate(
             print_result(table(facts(planned)))
         return
     with shown_progress(session, "generating") as on_progress:
-        report = api.generate(
-            recipe,
-            data,
-            out,
-            selection=selection,
-            seed=seed,
-            settings=fields,
-            reading=reading,
-            execution=execution,
-            existing=existing,
-            on_progress=on_progress,
-        )
-    _show(report, session)
+        if part is not None:
+            request = RunRequest(recipe, data, out, selection, seed, fields, reading, execution, existing, part)
+            report = api.generate_shard(request, on_progress)
+        else:
+            report = api.generate(
+                recipe,
+                data,
+                out,
+                selection=selection,
+                seed=seed,
+                settings=fields,
+                reading=reading,
+                execution=execution,
+                existing=existing,
+                on_progress=on_progress,
+            )
+    show_run(report, session)
 
 
-def _show(report: RunReport, session: Session) -> None:
+def shard_request(text: str | None, size: int | None) -> ShardRequest | None:
+    """Parse `--shard I/N`, or `--shard I` with `--shard-size`; None if neither is given.
+
+    Raises:
+        typer.BadParameter: The values are not a shard, or do not fit together.
+    """
+    from infrablend.errors import ArgumentError
+    from infrablend.pipeline.shard import ShardRequest
+
+    if text is None:
+        if size is not None:
+            raise typer.BadParameter("--shard-size needs --shard I, the number of the shard", param_hint="--shard-size")
+        return None
+    number, slash, count = text.partition("/")
+    numbers = [number, *([count] if slash else [])]
+    if not all(n.isascii() and n.isdigit() and len(n) < 10 for n in numbers):
+        raise typer.BadParameter(f"{text!r}: write I/N, such as 2/7, or I with --shard-size", param_hint="--shard")
+    try:
+        return ShardRequest(int(number), int(count) if slash else None, size)
+    except ArgumentError as error:
+        raise typer.BadParameter(error.message, param_hint="--shard") from error
+
+
+def show_run(report: RunReport, session: Session) -> None:
     """Print the report, and its problems on stderr; exit with 1 if something was skipped or failed."""
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, print_json, print_problems, print_result, table

@@ -13,7 +13,7 @@ from typing import Any
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
-from infrablend.core.run_layout import RUN_FILE, SCENES
+from infrablend.core.run_layout import RUN_FILE, SCENES, SHARDS_FILE
 from infrablend.errors import DatasetError, Problem
 
 CONVERT_FILE = "convert.json"
@@ -68,9 +68,13 @@ def require_finished(folder: Path) -> None:
             if not path.is_file():
                 continue
             record = read_object(path)
+            if record is not None and marker.file == RUN_FILE and "shard" in record:
+                raise _in_shards(folder, path.parent.parent)
             damaged = record is None and (root / SCENES).is_dir()
             if damaged or (record is not None and not is_finished(record)):
                 raise _unfinished(folder, path, marker, record)
+        if "shards" in (read_object(root / SHARDS_FILE) or {}):
+            raise _in_shards(folder, root)
         if any((root / DOWNLOAD_FOLDER).glob(f"*{PLACED}")):
             raise _half_placed(folder, root)
 
@@ -78,6 +82,17 @@ def require_finished(folder: Path) -> None:
 def is_finished(record: Mapping[str, Any]) -> bool:
     """Return whether a record says that its folder is finished; other programs and earlier versions wrote no status."""
     return "infrablend" not in record or record.get("status", COMPLETE) == COMPLETE
+
+
+def _in_shards(folder: Path, root: Path) -> DatasetError:
+    problem = Problem(
+        str(root),
+        UNFINISHED,
+        "shards of a run, which have no label files",
+        "a dataset",
+        f"merge them: infrablend merge {root} DST",
+    )
+    return DatasetError(f"{folder}: belongs to a run in shards; its labels are missing", [problem])
 
 
 def _half_placed(folder: Path, root: Path) -> DatasetError:

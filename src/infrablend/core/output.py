@@ -17,6 +17,7 @@ import fcntl
 import logging
 import os
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,8 @@ Existing = Literal["refuse", "resume", "overwrite"]
 
 _SHOWN = 4
 _PROBE = ".writable"
+_LOCK_ATTEMPTS = 3
+_LOCK_PAUSE_S = 0.05
 
 
 def require_existing(existing: Existing) -> None:
@@ -80,7 +83,7 @@ class OutputFolder:
             raise self._not_writable(error) from error
         try:
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _lock(handle)
             except BlockingIOError as error:
                 raise OutputError(
                     f"{self.root}: another process is writing this {self.noun}; "
@@ -91,6 +94,22 @@ class OutputFolder:
             yield
         finally:
             os.close(handle)
+
+    def is_claimed(self) -> bool:
+        """Return whether a process is writing to the folder, as far as its file system has locks."""
+        try:
+            handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        finally:
+            os.close(handle)
+        return False
 
     def entries(self, *, ignore: Iterable[str] = ()) -> list[str]:
         """Return the names in the folder, sorted; empty if it does not exist.
@@ -196,6 +215,20 @@ class OutputFolder:
     def _not_writable(self, error: Exception) -> OutputError:
         reason = getattr(error, "strerror", None) or error
         return OutputError(f"{self.root}: cannot be written ({reason}); expected a folder you may write to")
+
+
+def _lock(handle: int) -> None:
+    """Lock a folder.
+
+    Raises:
+        BlockingIOError: Another process holds the lock, and not just for a moment, as `is_claimed` does.
+    """
+    for _ in range(_LOCK_ATTEMPTS - 1):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(_LOCK_PAUSE_S)
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:

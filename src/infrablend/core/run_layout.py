@@ -18,6 +18,8 @@ PICTURE_TABLES = tuple(f"{IMAGES}/{split}/metadata.jsonl" for split in SPLITS)
 EXCLUDED = "excluded"
 EXCLUDED_FILE = "excluded.json"
 REPORT_FILE = "report.html"
+SHARDS_FILE = "shards.json"
+"""Plan of a run in shards, in the folder that has a folder per shard."""
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,9 @@ def choose_frames(
             f"{run}: an unfinished run (status {status}); expected a finished one. Finish it with its command and "
             "--resume"
         )
-    plan = _recorded_plan(record, data)
+    if "shard" in record:
+        raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
+    plan = recorded_plan(record, data)
     before = read_choice(folder)
     after = _changed(before, choice, plan)
     changed = before.keys() ^ after.keys()
@@ -152,7 +154,7 @@ def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan)
     return after
 
 
-def _recorded_plan(record: Mapping[str, Any], data: Path | None) -> RunPlan:
+def recorded_plan(record: Mapping[str, Any], data: Path | None) -> RunPlan:
     """Return the plan of a recorded run, made again from its backgrounds."""
     recipe = recipe_from_json(recipe_json(dict(record)))
     request = record.get("request") or {}

@@ -37,7 +37,13 @@ MANIFEST = "files.jsonl"
 
 @dataclass(frozen=True)
 class RunFolder(RunLayout):
-    """Folder of one run."""
+    """Folder of one run.
+
+    Attributes:
+        noun: Name of what the folder contains, for messages.
+    """
+
+    noun: str = "run"
 
     def read_run(self) -> dict[str, Any]:
         """Return the run record.
@@ -72,7 +78,7 @@ class RunFolder(RunLayout):
     @property
     def output(self) -> OutputFolder:
         """Output folder with the rules for a run."""
-        return OutputFolder(self.root, "run", RUN_FILE, can_resume=True, can_overwrite=True)
+        return OutputFolder(self.root, self.noun, RUN_FILE, can_resume=True, can_overwrite=True)
 
     def forget_start(self) -> None:
         """Remove the record and logs of a run that failed before its first frame; the command can then be repeated."""

@@ -18,6 +18,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.sharded_run import run_shard
 from infrablend.pipeline.temperature_scale import with_scale
 
 
@@ -29,7 +30,11 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
     """
     if request.out is None:
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
-    return run_plan(prepare_run(request), request.out, request.execution, request.existing, on_progress)
+    plan = prepare_run(request)
+    if request.shard is not None:
+        shard = request.shard.of(len(plan.frames))
+        return run_shard(plan, shard, request.out, request.execution, request.existing, on_progress)
+    return run_plan(plan, request.out, request.execution, request.existing, on_progress)
 
 
 def describe_run(request: RunRequest) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from infrablend.formats.temperatures import IMPLAUSIBLE
 from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
 from infrablend.pipeline.models import ready_model
+from infrablend.pipeline.shard import Shard
 from infrablend.sampling.scene import FrameKey, require_parts
 
 # For estimates only. Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8.
@@ -99,6 +100,8 @@ class RunPlan:
         sample: Pictures from which to measure the grey levels of the dataset. They are spread over all pictures read,
             so that a run with a limit gives the same frames as a full run.
         request: How the backgrounds were read and frames were chosen, for the run record.
+        levels: Range of grey levels of the dataset, if it has been measured already.
+        shard: Shard that `frames` belongs to; None for a whole run.
     """
 
     recipe: Recipe
@@ -113,6 +116,8 @@ class RunPlan:
     ignored: tuple[str, ...] = ()
     sample: tuple[ImageRecord, ...] = ()
     request: Mapping[str, Any] = field(default_factory=dict)
+    levels: tuple[float, float] | None = None
+    shard: Shard | None = None
 
     @property
     def needs_levels(self) -> bool:

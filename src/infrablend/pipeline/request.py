@@ -17,6 +17,7 @@ from infrablend.core.render import Device
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.shard import ShardRequest
 from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)
@@ -86,6 +87,7 @@ class RunRequest:
         reading: How to read `data`.
         execution: How to compute the frames.
         existing: What to do if `out` already contains a run.
+        shard: Shard to produce; None for the whole run.
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -101,6 +103,7 @@ class RunRequest:
     reading: Reading = READ_ALL
     execution: Execution = DEFAULT_EXECUTION
     existing: Existing = "refuse"
+    shard: ShardRequest | None = None
 
     def __post_init__(self) -> None:
         require_whole("seed", self.seed)

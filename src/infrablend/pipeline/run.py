@@ -24,7 +24,7 @@ from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, PICTURE_TABLES, SCENES
-from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
+from infrablend.core.tasks import Executor, Failure, OnProgress, Progress, Task, TaskResult, WorkerSpec
 from infrablend.errors import (
     Interrupted,
     MissingDependencyError,
@@ -101,9 +101,27 @@ class _State:
     finished: int | None = None  # counted on disk at the end
     unfinished: set[str] = field(default_factory=set)
     failures: dict[str, Problem] = field(default_factory=dict)
+    reasons: dict[str, Failure] = field(default_factory=dict)
     skipped: dict[str, Problem] = field(default_factory=dict)
     render_seconds: Counter[str] = field(default_factory=Counter)
     peak_rss_bytes: int = 0
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """Where a run gets its frames from, if it does not render them.
+
+    Attributes:
+        executor: Puts the frames into the folder of the run.
+        levels: Range of grey levels with which they were rendered.
+        machine: Machine that rendered them, as in a run record.
+        packages: Versions of the packages that rendered them.
+    """
+
+    executor: Executor
+    levels: tuple[float, float] | None
+    machine: Mapping[str, Any]
+    packages: Mapping[str, Any]
 
 
 def run_plan(
@@ -113,6 +131,7 @@ def run_plan(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
     excluded: Mapping[str, str] | None = None,
+    source: FrameSource | None = None,
 ) -> RunReport:
     """Render every frame of the plan that is not excluded, then write the label files.
 
@@ -123,6 +142,7 @@ def run_plan(
         existing: What to do if `out` already contains a run; `resume` keeps its finished frames.
         on_progress: Called after each frame.
         excluded: Frames to leave out from now on, each with its reason; None keeps the choice of a resumed run.
+        source: Where to take finished frames from; None renders them.
 
     Raises:
         OutputError: The folder cannot be used, another run is writing to it, or the disk is full.
@@ -133,7 +153,7 @@ def run_plan(
     workers, device, renderer = execution.worker_count(), execution.device, execution.renderer
     in_process = execution.in_process
     started = time.monotonic()
-    folder = RunFolder(out)
+    folder = RunFolder(out, "run" if plan.shard is None else "shard")
     with contextlib.ExitStack() as stack:
         stack.enter_context(folder.output.claimed())  # locks out other runs
         previous = folder.prepare(existing)
@@ -141,6 +161,9 @@ def run_plan(
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
         header = _header(plan, workers, device, renderer)
+        if source is not None:
+            plan = replace(plan, levels=source.levels)
+            header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
         levels = _levels(plan, previous)
         if levels is not None:
             header["levels"] = list(levels)
@@ -169,14 +192,16 @@ def run_plan(
         )
         worker = WorkerSpec(FACTORY, settings_for(plan, levels, execution, out))
         executor: Executor
-        if in_process:
+        if source is not None:
+            executor = source.executor
+        elif in_process:
             executor = Serial(worker, folder.log_folder / "workers.log")
         else:
             pool = PoolSettings(workers=max(1, workers), log_path=folder.log_folder / "workers.log")
             executor = ProcessPool(worker, pool)
         status, stopped = "complete", "interrupted" if excluded is None else EXCLUDING
         try:
-            _make_frames(executor, todo, plan, state, 1 if in_process else workers, on_progress)
+            _make_frames(executor, todo, plan, state, 1 if in_process or source else workers, on_progress)
         except Interrupted:
             status = stopped
         except (MissingDependencyError, RenderError):  # the renderer could not start
@@ -189,7 +214,8 @@ def run_plan(
         try:
             if status == "complete":
                 records = _finished_frames(plan, folder, state)
-                finished = write_formats(plan, folder, records)
+                if plan.shard is None:
+                    finished = write_formats(plan, folder, records)
                 if records:  # labels of frames that are gone
                     manifest.remove_unwritten([*PICTURE_TABLES, *plan.recipe.output.formats, EIGHT_BIT])
             problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
@@ -202,6 +228,7 @@ def run_plan(
                 "removed": list(finished.removed),
                 "losses": dict(finished.losses),
                 "problems": [p.to_json() for p in sorted(set(problems))],
+                **_shard_facts(plan, state),
                 # Timing has its own section because it differs between equal runs.
                 "timing": {
                     "seconds": round(time.monotonic() - started, 3),
@@ -237,6 +264,8 @@ def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, f
     """Return the dataset's levels if the recipe needs them; a resumed run keeps the recorded ones."""
     if not plan.needs_levels:
         return None
+    if plan.levels is not None:
+        return plan.levels
     if previous is not None and previous.get("levels"):
         low, high = previous["levels"]
         return float(low), float(high)
@@ -275,6 +304,7 @@ def _record_result(result: TaskResult, frame: PlannedFrame, state: _State) -> No
         return
     failure = result.failure
     state.unfinished.add(result.key)
+    state.reasons[result.key] = failure
     if failure.error == "OutputError" and not any(p.code == NAME_TOO_LONG for p in failure.problems):
         # No space or no permission: every further frame would fail the same way.
         log.info("frame %s: %s\n%s", result.key, failure.message, failure.traceback)
@@ -425,20 +455,42 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
     versions, installed = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
     for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
         log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
-    was, now = _comparable(previous.get("key", {})), _comparable(plan.key)
-    differing = sorted(k for k in now if was.get(k) != now[k])
-    if differing:
-        texts = []
-        for k in differing:
-            if isinstance(now[k], Mapping):
-                fields = _differing_fields(was.get(k, {}), now[k], k)
-                texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
-            else:
-                texts.append(f"{k} was {was.get(k)!r}, is {now[k]!r}")
+    if texts := differences(previous.get("key", {}), plan.key):
         raise OtherSettingsError(
             f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
             "Use the same recipe, data, seed, splits and choice of frames, or --overwrite, or another --out."
         )
+
+
+def differences(earlier: Mapping[str, Any], key: Mapping[str, Any]) -> list[str]:
+    """Return a text per field in which the key of a run differs from an earlier one; empty if they are equal."""
+    was, now = _comparable(earlier), _comparable(key)
+    texts = []
+    for k in sorted(k for k in now if was.get(k) != now[k]):
+        if isinstance(now[k], Mapping):
+            fields = _differing_fields(was.get(k, {}), now[k], k)
+            texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
+        else:
+            texts.append(f"{k} was {was.get(k)!r}, is {now[k]!r}")
+    return texts
+
+
+def _shard_facts(plan: RunPlan, state: _State) -> dict[str, Any]:
+    """Return what the record of a shard adds for merging: the reason of each frame without a picture."""
+    if plan.shard is None:
+        return {}
+    reasons = sorted(state.reasons.items())
+    return {
+        "unfinished": {
+            frame: {
+                "kind": f.kind,
+                "error": f.error,
+                "message": f.message,
+                "problems": [p.to_json() for p in f.problems],
+            }
+            for frame, f in reasons
+        }
+    }
 
 
 def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
@@ -477,6 +529,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
             "notes": dict(plan.dataset.notes),
         },
         **({"request": dict(plan.request)} if plan.request else {}),
+        **({} if plan.shard is None else {"shard": str(plan.shard)}),
         "categories": [
             {"id": c.id, "name": c.name, "new": c.name in plan.new_categories, "ignore": c.ignore}
             for c in plan.categories

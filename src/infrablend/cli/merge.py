@@ -1,0 +1,40 @@
+"""`infrablend merge`: make one run of the shards of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from infrablend.cli.exclude import DataOption
+from infrablend.cli.options import JsonOption, earlier_output
+
+if TYPE_CHECKING:
+    from infrablend.cli.session import Session
+
+
+def merge(
+    ctx: typer.Context,
+    sources: Annotated[list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run.")],
+    dst: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write the run to.")],
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Merge the finished shards, although others are not.")
+    ] = False,
+    data: DataOption = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Finish the interrupted merge in DST.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in DST.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make one run of finished shards, with the bytes of an undivided run."""
+    session: Session = ctx.obj
+    session.json = as_json
+    existing = earlier_output(resume, overwrite)
+
+    from infrablend import api
+    from infrablend.cli.generate import show_run
+    from infrablend.cli.progress import shown_progress
+
+    with shown_progress(session, "merging") as on_progress:
+        report = api.merge(sources, dst, data=data, partial=partial, existing=existing, on_progress=on_progress)
+    show_run(report, session)

@@ -1,0 +1,221 @@
+"""Merges finished shards into one run: links their frames, and writes labels, card and record as a single run does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.file_names import real_path
+from infrablend.core.files import link_or_copy, sha256_of
+from infrablend.core.output import Existing
+from infrablend.core.run_layout import SHARDS_FILE
+from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
+from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
+from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.pipeline.choose import recorded_plan
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame_settings import FrameDone
+from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.record import RecordError, load_record
+from infrablend.pipeline.request import Execution
+from infrablend.pipeline.run import FrameSource, RunReport, differences, run_plan
+from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan
+
+
+@dataclass(frozen=True)
+class _Finished:
+    """A finished shard.
+
+    Attributes:
+        shard: The shard.
+        folder: Its folder.
+        record: Its run record.
+        failures: Reasons of its unfinished frames, by id.
+    """
+
+    shard: Shard
+    folder: RunFolder
+    record: Mapping[str, Any]
+    failures: Mapping[str, Failure]
+
+
+def merge_shards(
+    sources: Sequence[Path],
+    out: Path,
+    data: Path | None = None,
+    *,
+    partial: bool = False,
+    existing: Existing = "refuse",
+    on_progress: OnProgress | None = None,
+) -> RunReport:
+    """Write one run from the shards of a run; the result has the bytes of an undivided run.
+
+    Pictures and records become hard links where the file system can, and copies elsewhere. The shards stay unchanged.
+
+    Args:
+        sources: Folders with shards, from one machine or several.
+        out: Folder to write.
+        data: Folder of the backgrounds, if it has moved.
+        partial: Merge the finished shards only; the result is that of a run of their frames.
+        existing: What to do if `out` already contains a run; `resume` finishes an interrupted merge.
+        on_progress: Called after each frame.
+
+    Raises:
+        ArgumentError: No shard is finished.
+        OutputError: A shard is missing, unfinished, damaged or given twice; or `out` cannot be used.
+        OtherSettingsError: The shards belong to different runs, or the backgrounds have changed.
+        Interrupted: The user stopped; `resume` continues.
+    """
+    shared, shards = _finished_shards(sources, partial)
+    for source in sources:
+        _require_apart(source, out)
+    record = shards[0].record
+    plan = recorded_plan(record, data)
+    if changed := differences(shared.key, plan.key):
+        raise OtherSettingsError(
+            f"{record['data']['root']}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
+            "or give their folder with --data."
+        )
+    places = _places(plan, shards)
+    _require_intact(places, shards)
+    if len(shards) < shared.count:
+        chosen = {**(record.get("request") or {}), "selection": {"frames": list(places)}}
+        plan = recorded_plan({**record, "request": chosen}, data)
+    machine = record["machine"]
+    execution = Execution(device=machine["device"], renderer=shared.renderer, in_process=shared.renderer == "flat")
+    failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
+    frames = FrameSource(_ShardFrames(places, failures, RunFolder(out)), shared.levels, machine, record["packages"])
+    return run_plan(plan, out, execution, existing, on_progress, source=frames)
+
+
+def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
+    """Return the shared plan and the finished shards, in the order of their numbers."""
+    if not sources:
+        raise ArgumentError("merge: found no folder with shards, expected at least one")
+    runs = [ShardedRun(source) for source in dict.fromkeys(real_path(s) for s in sources)]
+    shared = runs[0].read_plan()
+    for run in runs[1:]:
+        shared.require_same(run.read_plan(), run.root)
+        if run.read_plan().levels != shared.levels:
+            raise OtherSettingsError(f"{run.root}: other grey levels than {runs[0].root}, although the data are equal")
+    found: dict[int, tuple[ShardedRun, ShardState]] = {}
+    for run in runs:
+        for state in run.states():
+            if state.state in ("done", "failed"):
+                number = state.shard.number
+                if number in found:
+                    raise OutputError(
+                        f"shard {state.shard} is in {found[number][0].root} and in {run.root}; expected it once. "
+                        "Move one of them away."
+                    )
+                found[number] = run, state
+    lacking = [n for n in range(1, shared.count + 1) if n not in found]
+    if lacking and not partial:
+        raise OutputError(
+            f"{len(lacking)} of {shared.count} shards are not finished. Finish them (infrablend status lists them), "
+            "or merge the others with --partial.",
+            [_unfinished(runs, Shard(n, shared.count)) for n in lacking],
+        )
+    if not found:
+        raise ArgumentError(f"none of the {shared.count} shards is finished; expected at least one")
+    return shared, [
+        _read(run.shard_folder(state.shard), state.shard, shared) for _, (run, state) in sorted(found.items())
+    ]
+
+
+def _unfinished(runs: Sequence[ShardedRun], shard: Shard) -> Problem:
+    states = [s for run in runs for s in run.states() if s.shard == shard and s.state != "missing"]
+    found = f"{states[0].state}: {states[0].finished} of {states[0].frames} frames" if states else "missing"
+    todo = f"infrablend generate ... --shard {shard} --resume"
+    return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", todo)
+
+
+def _read(folder: RunFolder, shard: Shard, shared: SharedPlan) -> _Finished:
+    """Return a finished shard, if its record is that of this shard of this run."""
+    record = folder.read_run()
+    if record.get("shard") != str(shard):
+        raise OutputError(f"{folder.root}: found shard {record.get('shard')} of a run, expected shard {shard}")
+    if changed := differences(shared.key, record.get("key", {})):
+        raise OtherSettingsError(
+            f"{folder.root}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
+            f"Repeat its command with --overwrite."
+        )
+    try:
+        failures = {
+            frame: Failure(f["kind"], f["error"], f["message"], tuple(Problem(**p) for p in f["problems"]))
+            for frame, f in record["unfinished"].items()
+        }
+    except (LookupError, TypeError, AttributeError) as error:
+        raise OutputError(f"{folder.run_file}: damaged ({error}); repeat the shard with --resume") from error
+    return _Finished(shard, folder, record, failures)
+
+
+def _places(plan: RunPlan, shards: Iterable[_Finished]) -> dict[str, _Finished]:
+    """Return the shard of each frame, by the frame's id."""
+    return {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
+
+
+def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]) -> None:
+    """Check that the record and picture of every frame that a shard has finished are there and unchanged.
+
+    Raises:
+        OutputError: One is not; `problems` names each shard.
+    """
+    broken: dict[Shard, list[str]] = {}
+    for frame_id, one in places.items():
+        if frame_id not in one.failures and not _is_intact(one.folder, frame_id):
+            broken.setdefault(one.shard, []).append(frame_id)
+    if broken:
+        problems = [
+            Problem(
+                str(one.folder.root),
+                "shard-truncated",
+                f"{len(broken[one.shard])} frames are missing or damaged, such as {broken[one.shard][0]}",
+                "all frames of a finished shard",
+                f"infrablend generate ... --shard {one.shard} --resume",
+            )
+            for one in shards
+            if one.shard in broken
+        ]
+        raise OutputError(f"{len(broken)} shards are truncated; nothing was written", problems)
+
+
+def _is_intact(folder: RunFolder, frame_id: str) -> bool:
+    try:
+        record = load_record(folder.record(frame_id))
+        return record.frame_id == frame_id and sha256_of(folder.image(record.image)) == record.image_sha256
+    except (RecordError, OSError, ValueError):
+        return False
+
+
+def _require_apart(source: Path, out: Path) -> None:
+    a, b = real_path(source), real_path(out)
+    if a == b or a in b.parents or b in a.parents:
+        raise OutputError(f"{out}: is, contains or is inside the folder of shards {source}; choose a separate folder")
+
+
+class _ShardFrames:
+    """Executor that takes finished frames from shards instead of rendering them, and repeats their failures."""
+
+    def __init__(self, places: Mapping[str, _Finished], failures: Mapping[str, Failure], folder: RunFolder) -> None:
+        self._places, self._failures, self._folder = places, failures, folder
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[TaskResult]:
+        """Link the frame of each task, see `core.tasks.Executor`."""
+        with Interruption() as stop:
+            for task in tasks:
+                if stop.requested:
+                    raise Interrupted(STOPPED)
+                failure = self._failures.get(task.key)
+                yield TaskResult(task.key, None if failure else self._link(task.key), failure)
+
+    def _link(self, frame_id: str) -> FrameDone:
+        source = self._places[frame_id].folder
+        record = load_record(source.record(frame_id))
+        # The record comes first, as in `frame.FrameMaker`.
+        link_or_copy(source.record(frame_id), self._folder.record(frame_id))
+        link_or_copy(source.image(record.image), self._folder.image(record.image))
+        return FrameDone(len(record.inserted), len(record.inserted), {})
