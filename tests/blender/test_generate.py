@@ -64,6 +64,20 @@ def test_one_worker_and_an_interruption_give_the_same_bytes(whole, backgrounds, 
     assert hashes(out) == hashes(whole)
 
 
+def test_merged_shards_have_the_same_bytes(whole, backgrounds, tmp_path):
+    for number in (2, 1):
+        shard = api.ShardRequest(number, 2)
+        api.generate_shard(
+            api.RunRequest(
+                "hit-uav-drone", backgrounds, tmp_path / "out", settings=SETTINGS,
+                execution=api.Execution(workers=1), shard=shard,
+            )
+        )  # fmt: skip
+    assert [s.state for s in api.status(tmp_path / "out")] == ["done", "done"]
+    api.merge([tmp_path / "out"], tmp_path / "merged")
+    assert hashes(tmp_path / "merged") == hashes(whole)
+
+
 def test_labels_against_pixels(whole, backgrounds, blender):
     """Changed pixels lie in coverage dilated by the blur; mask pixels predicted to change by 2 levels have changed."""
     from infrablend.assets.catalogue import load_model

@@ -240,7 +240,8 @@ def run_plan(
                 },
             }
             if status == "complete":
-                write_report(folder, record, (r for _, r in records), kept_out)
+                if plan.shard is None:
+                    write_report(folder, record, (r for _, r in records), kept_out)
                 notes = _file_notes(folder, manifest, records)
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": stopped})
