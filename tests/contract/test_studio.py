@@ -18,6 +18,7 @@ from infrablend.pipeline.review import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 60_000
+AXE = Path(__file__).resolve().parents[2] / "build" / "axe" / "package" / "axe.min.js"
 
 
 @contextmanager
@@ -83,6 +84,32 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
     assert asked and all(a.startswith((base, base.replace("http", "ws"), "data:", "blob:")) for a in asked)
     assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_no_serious_issue(
+    chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    if not AXE.is_file():
+        pytest.skip("NEEDS AXE: `make tools` with npm fetches axe-core; accessibility is not tested without it")
+    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
+    (run / "review.json").write_text('{"frames": {"test/a_c0": {"verdict": "accept"}}}')
+    data = write_tiny_hit_uav(tmp_path / "data")
+    shown = {"/review": ".frame-cell", "/review?frame=1": "img.picture", "/losses": "h2", "/tune": ".tune-form h2"}
+    found = []
+    with (
+        studio(tmp_path, "--run", run, "--data", data) as (_, address),
+        browser_page(chromium, color_scheme=theme) as (page, _, _),
+    ):
+        page.goto(address)
+        for path, selector in shown.items():
+            page.goto(address.partition("/?")[0] + path)
+            page.locator(selector).first.wait_for()
+            page.evaluate(AXE.read_text("utf-8"))
+            for issue in page.evaluate("async () => (await axe.run()).violations"):
+                if issue["impact"] in ("serious", "critical"):
+                    found.append((path, issue["id"], issue["nodes"][0]["html"][:200]))
+    assert found == []
 
 
 def test_a_wrong_field_is_marked_and_the_last_picture_stays(

@@ -55,7 +55,7 @@ def page_frame(session: Session, request: Request, path: str, title: str) -> Ite
             ui.run_javascript(f"document.cookie='{THEME_COOKIE}={word}; path=/; max-age=31536000; SameSite=Strict'")
 
         ui.button("Light or dark", on_click=switch).props("flat dense no-caps")
-    with ui.element("main").classes("studio-page"):
+    with ui.element("div").classes("studio-page"):  # Quasar's page is the main landmark
         try:
             yield
         except InfraBlendError as error:

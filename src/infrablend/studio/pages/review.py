@@ -175,7 +175,7 @@ class ReviewPage:
         with ui.element("div").classes("studio-row"):
             for k, text in enumerate(REASONS, 1):
                 self._button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
-        own = ui.input("Another reason").props("dense outlined").classes("w-full")
+        own = ui.input("Another reason").props("dense outlined").classes("w-full mt-2")
         own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
 
     def _build_facts(self, row: FrameRow) -> None:

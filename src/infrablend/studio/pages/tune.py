@@ -121,6 +121,11 @@ class TunePage:
             {"name": "time", "label": "Time", "field": "time", "sortable": True},
         ]
         self._table = ui.table(columns=columns, rows=self._rows(), row_key="n", selection="single")
+        # The boxes of Quasar have no names.
+        self._table.add_slot("header-selection", '<span class="unseen">Chosen</span>')
+        self._table.add_slot(
+            "body-selection", '<q-checkbox v-model="props.selected" :aria-label="props.row.id" dense />'
+        )
         self._table.props('virtual-scroll dense flat hide-bottom :rows-per-page-options="[0]"').classes("tune-list")
         self._table.on("rowClick", lambda e: self._choose(int(e.args[1]["n"])), [[], ["n"], None])
         self._table.on_select(lambda e: self._choose(int(e.selection[0]["n"])) if e.selection else None)
@@ -270,7 +275,7 @@ class TunePage:
         ui.html("<h3>Save</h3>", sanitize=False)
         own = Path(self._tuning.recipe).stem + "-tuned.yaml"
         path = ui.input("File", value=own).props("dense outlined").classes("w-full")
-        ui.button("Save recipe", on_click=lambda: self._save(path.value or "")).props("no-caps")
+        ui.button("Save recipe", on_click=lambda: self._save(path.value or "")).props("no-caps outline")
         self._saved = ui.label().classes("tune-command").props("role=status")
 
     def _fill_form(self) -> None:

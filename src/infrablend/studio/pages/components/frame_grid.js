@@ -12,7 +12,7 @@ export default {
       <div v-if="rows" :style="{ height: lines * lineHeight + 'px', position: 'relative' }">
         <button v-for="cell in cells" :key="cell.n" type="button" class="frame-cell" :data-at="cell.at"
                 :data-verdict="cell.verdict" :tabindex="cell.at === focused ? 0 : -1" :style="cell.style"
-                :aria-label="cell.label" @click="open(cell.at)" @focus="focused = cell.at">
+                @click="open(cell.at)" @focus="focused = cell.at">
           <img :src="cell.src" alt="" draggable="false" decoding="async">
           <span class="frame-name">{{ cell.id }}</span>
           <span class="frame-verdict" v-if="cell.verdict">{{ cell.word }}</span>
@@ -45,7 +45,6 @@ export default {
         return {
           n, at, id, verdict, word,
           src: `/run/thumb/${n}.jpg?d=${digest}`,
-          label: word ? `${id}, ${word}` : id,
           style: {
             left: (at % this.columns) * (this.cellWidth + GAP) + "px",
             top: Math.floor(at / this.columns) * this.lineHeight + "px",

@@ -1,0 +1,51 @@
+"""Writes docs/images/studio_*.png: the pages of the studio on the virtual world and the run of `make demo`.
+
+Needs Chromium and what `make tools` installs.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from playwright.sync_api import Page, sync_playwright
+
+ROOT = Path(__file__).resolve().parent.parent
+DEMO = ROOT / "build" / "demo"
+IMAGES = ROOT / "docs" / "images"
+WAIT_MS = 180_000
+
+
+def main(demo: Path) -> None:
+    """Start the studio on a demo's folder, and take a picture of each page."""
+    command = [sys.executable, "-m", "infrablend", "-q", "studio", "hit-uav-drone-physical", "--no-open"]
+    command += ["--run", str(demo / "run"), "--data", str(demo / "world")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as studio, sync_playwright() as playwright:
+        assert studio.stdout is not None
+        address = studio.stdout.readline().strip()
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light").new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.goto(address)
+        base = address.partition("/?")[0]
+        take(page, f"{base}/review", ".frame-cell img", "review")
+        take(page, f"{base}/review?frame=2", ".crops img", "frame")
+        page.emulate_media(color_scheme="dark")
+        take(page, f"{base}/tune", ".tune-facts .studio-card", "tune")
+        browser.close()
+        studio.terminate()
+
+
+def take(page: Page, address: str, ready: str, name: str) -> None:
+    """Write the picture of a page once an element is there and its pictures are loaded."""
+    page.goto(address)
+    page.locator(ready).first.wait_for()
+    page.wait_for_load_state("networkidle")
+    page.wait_for_function("() => [...document.images].every(i => i.complete)")
+    page.screenshot(path=IMAGES / f"studio_{name}.png")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else DEMO)
