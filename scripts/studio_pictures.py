@@ -1,4 +1,4 @@
-"""Writes docs/images/studio_*.png: the pages of the studio on the virtual world and the run of `make demo`.
+"""Takes the pictures of the studio for the docs: its pages on the virtual world and the run of `make demo`.
 
 Needs Chromium and what `make tools` installs.
 """
