@@ -1,4 +1,4 @@
-"""Renders a sheet of views of a model: rows by pitch, columns by heading, then other individuals and small views.
+"""Renders a sheet of views of a model: rows by pitch, columns by heading, other individuals, small views, and parts.
 
 The small views have passed the blur and grain of a thermal camera, which leave little of an object of 8 to 30 pixels.
 """
@@ -34,6 +34,7 @@ FLYING_PITCHES_DEG = (-90, -30, 0, 30, 90)
 STANDING_PITCHES_DEG = (-20, 0, 30, 60, 90)
 YAWS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 CELL_PX = 220
+PARTS_PX = 480
 SMALL_PX = (8, 15, 30, 60)
 SMALL_FLYING_DEG = (-60, 0, 30, 90)
 SMALL_STANDING_DEG = (0, 30, 60, 90)
@@ -81,6 +82,7 @@ def write_turntable(renderer: BlenderRenderer, individuals: Sequence[_Individual
             titles.append(f"{size} px, pitch {pitch}")
     half = len(YAWS_DEG)
     rows += [_row(small[:half], titles[:half]), _row(small[half:], titles[half:])]
+    rows.append(_parts(renderer, first, rows[0].shape[1]))
     ok, data = cv2.imencode(".png", np.concatenate(rows))
     assert ok
     write_bytes(out, data.tobytes())
@@ -134,12 +136,84 @@ def _small(
     return np.asarray(cv2.resize(picture, shape, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
+def _parts(renderer: BlenderRenderer, one: _Individual, width: int) -> NDArray[np.uint8]:
+    """Render a view with numbered parts, beside a scale of temperatures and the names of the parts."""
+    pitch = 30 if one.model.stands else -30
+    scene = _scene(one, pitch, 30, 1.1, PARTS_PX)
+    behind = np.full((PARTS_PX, PARTS_PX), _behind(one.model, pitch), np.uint8)
+    view = np.asarray(compose(behind, make_layer(renderer.render(scene), MAPPING, 0.45)), np.uint8)
+    roles = one.model.roles(one.params)
+    places = _part_places(scene)
+    line = 18
+    rows_per_column = (PARTS_PX - 90) // line
+    sheet = np.full((max(PARTS_PX, 90 + line), width), 30, np.uint8)
+    look = scene.spec.appearance
+    _scale(sheet, PARTS_PX + 20, (look.cold_k, look.hot_k))
+    for n, name in enumerate(sorted(one.mesh.part_names), start=1):
+        low, high = roles[name].delta_t_k
+        if name in places:
+            _write(view, str(n), places[name], 0.45, 255, outline=True)
+        x = PARTS_PX + 20 + (n - 1) // rows_per_column * 420
+        y = 96 + (n - 1) % rows_per_column * line
+        coldest, warmest = (_grey(AIR_K + t, (look.cold_k, look.hot_k)) for t in (low, high))
+        sheet[y - 11 : y + 3, x + 26 : x + 86] = np.linspace(coldest, warmest, 60).round().astype(np.uint8)
+        _write(sheet, str(n), (x, y), 0.42, 220)
+        _write(sheet, f"{name}  {low:+g} to {high:+g} K", (x + 96, y), 0.42, 220)
+    sheet[:PARTS_PX, :PARTS_PX] = view
+    return sheet
+
+
+def _part_places(scene: PlacedScene) -> dict[str, tuple[int, int]]:
+    """Return a pixel (column, row) well inside the visible area of each part that can be seen."""
+    placed, mesh = scene.objects[0], scene.objects[0].mesh
+    seen = np.full((PARTS_PX, PARTS_PX), -1, np.int32)
+    corners = np.round(placed.xy[mesh.triangles]).astype(np.int32)
+    # From far to near: what is in front is drawn over what is behind.
+    for t in np.argsort(-placed.depth_m[mesh.triangles].mean(axis=1), kind="stable"):
+        cv2.fillConvexPoly(seen, corners[t], int(mesh.part_of_triangle[t]))
+    found = {}
+    for n, name in enumerate(mesh.part_names):
+        inside = cv2.distanceTransform((seen == n).astype(np.uint8), cv2.DIST_L2, 3)
+        row, column = np.unravel_index(int(inside.argmax()), inside.shape)
+        if inside[row, column] > 0:
+            found[name] = (int(column) - 5, int(row) + 5)
+    return found
+
+
+def _scale(sheet: NDArray[np.uint8], x: int, ends_k: tuple[float, float]) -> None:
+    """Draw a scale from temperature, kelvin above the air, to grey level."""
+    wide = 600
+    _write(sheet, "temperature of a black surface, K above the air", (x, 16), 0.42, 220)
+    sheet[24:44, x : x + wide] = [_grey(t, ends_k) for t in np.linspace(ends_k[0], ends_k[1], wide)]
+    span = ends_k[1] - ends_k[0]
+    step = next((s for s in (2, 5, 10, 20, 50) if span / s <= 10), 100)
+    low, high = ends_k[0] - AIR_K, ends_k[1] - AIR_K
+    for t in range(math.ceil(low / step) * step, math.floor(high) + 1, step):
+        at = x + round(wide * (t - low) / span)
+        sheet[44:49, at] = 220
+        _write(sheet, f"{t:+d}" if t else "0", (at - 8, 62), 0.4, 220)
+
+
+def _grey(temperature_k: float, ends_k: tuple[float, float]) -> int:
+    """Return the level at which the sheet shows a black surface."""
+    share = min(max((temperature_k - ends_k[0]) / (ends_k[1] - ends_k[0]), 0.0), 1.0)
+    return round(MAPPING.dark + (MAPPING.bright - MAPPING.dark) * share)
+
+
+def _write(
+    picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float, level: int, outline: bool = False
+) -> None:
+    if outline:
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, 0, 4, cv2.LINE_AA)
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, level, 1, cv2.LINE_AA)
+
+
 def _behind(model: ObjectModel, pitch_deg: float) -> int:
     """Return the grey level behind the object: sky behind what flies, unless the camera looks down."""
     return SKY if pitch_deg <= 0 and not model.stands else GROUND
 
 
-def _scene(one: _Individual, pitch_deg: float, yaw_deg: float, fill: float) -> PlacedScene:
+def _scene(one: _Individual, pitch_deg: float, yaw_deg: float, fill: float, side_px: int = CELL_PX) -> PlacedScene:
     """Return a scene in which a sphere around the object takes the share `fill` of the cell."""
     mesh, model = one.mesh, one.model
     centre = (mesh.vertices_m.max(axis=0) + mesh.vertices_m.min(axis=0)) / 2
@@ -161,7 +235,7 @@ def _scene(one: _Individual, pitch_deg: float, yaw_deg: float, fill: float) -> P
     spec = ObjectSpec(one.name, model.category, one.params, parts, position, yaw)
     # With this focal length, a body of this radius fills the cell from any side.
     focal_mm = 36.0 * fill * distance / (2 * reach)
-    camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (CELL_PX, CELL_PX))
+    camera = CameraSpec(distance, math.radians(pitch_deg), 0.0, focal_mm, 36.0, (side_px, side_px))
     scene = SceneSpec("show", "show", "train", 0, camera, (spec,), AIR_K, _example_appearance(model, one.params), 0, 1)
     return place(scene, [mesh])
 

@@ -12,6 +12,7 @@ from infrablend.cli.completion import complete_model
 from infrablend.cli.options import key_values
 
 if TYPE_CHECKING:
+    from infrablend.assets.model import ObjectModel
     from infrablend.pipeline.add_model import ModelAnswers
 
 ModelArgument = Annotated[
@@ -33,18 +34,25 @@ def describe_model(
 ) -> None:
     """List the options, parts and temperatures of a model that a recipe can set."""
     from infrablend import api
-    from infrablend.cli.results import print_result, table
+    from infrablend.cli.results import print_result
 
-    model = api.describe_model(name)
+    print_result(_description(api.describe_model(name)))
+
+
+def _description(model: ObjectModel) -> str:
+    """Return what a recipe can set of a model, in lines."""
+    from infrablend.cli.results import table
+
     parts = {
         part: f"{role.delta_t_k[0]:+g} to {role.delta_t_k[1]:+g} K, {role.emissivity[0]:g} to {role.emissivity[1]:g}"
         + (f"  {role.what}" if role.what else "")
         for part, role in model.parts.items()
     }
-    print_result(f"{model.name}: {model.description}\nCategory: {model.category}. Origin: {model.origin}.")
+    lines = [f"{model.name}: {model.description}\nCategory: {model.category}. Origin: {model.origin}."]
     if model.options:
-        print_result(f"\nOptions (objects.N.options)\n{table(model.options)}")
-    print_result(f"\nParts (objects.N.parts): surface minus air temperature, emissivity\n{table(parts)}")
+        lines.append(f"\nOptions (objects.N.options)\n{table(model.options)}")
+    lines.append(f"\nParts (objects.N.parts): surface minus air temperature, emissivity\n{table(parts)}")
+    return "\n".join(lines)
 
 
 def show_model(
@@ -59,8 +67,12 @@ def show_model(
         ),
     ] = None,
 ) -> None:
-    """Render a contact sheet of a model: from below, level and from above, and at 8 to 60 pixels."""
+    """Render a contact sheet of a model: from below, level and from above, and at 8 to 60 pixels.
+
+    Its options, parts and temperatures are listed on stderr, so that stdout holds the path of the sheet alone.
+    """
     from infrablend import api
+    from infrablend.cli.exits import printable
     from infrablend.cli.results import print_result
     from infrablend.core.yaml_text import read_yaml
 
@@ -68,6 +80,7 @@ def show_model(
         settings = {key: read_yaml(text) for key, text in key_values(options, "--option").items()}
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--option") from error
+    typer.echo(printable(_description(api.describe_model(name))), err=True)
     print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"), options=settings)))
 
 

@@ -17,10 +17,11 @@ from rich.console import Console
 
 import infrablend
 from infrablend import errors
+from infrablend.assets.catalogue import load_model
 from infrablend.cli import main
 from infrablend.cli.exits import exit_code
 from infrablend.cli.progress import LineProgress, progress_line, shown_progress
-from infrablend.cli.results import facts, human_bytes, human_seconds, table
+from infrablend.cli.results import facts, human_bytes, table
 from infrablend.cli.session import LOG_SIZE_BYTES, Session
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
@@ -28,6 +29,7 @@ from infrablend.formats.reading import Reading
 from infrablend.pipeline.add_model import ModelAnswers
 from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.request import Execution
+from infrablend.report.figures import human_seconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +92,7 @@ class FakeApi(types.ModuleType):
 @pytest.fixture
 def api(monkeypatch):
     fake = FakeApi()
+    fake.answers["describe_model"] = load_model("drone")
     fake.answers["generate"] = Report(Path("runs/a"), {"inserted": 8, "skipped": 0})
     monkeypatch.setitem(sys.modules, "infrablend.api", fake)
     monkeypatch.setattr(infrablend, "api", fake, raising=False)
@@ -402,6 +405,7 @@ def test_calls_fit_the_real_api(monkeypatch, capsys, argv):
         name: getattr(real, name) for name in real.__all__
     }  # loaded now: the fake takes its module's place
     fake = FakeApi()
+    fake.answers["describe_model"] = load_model("drone")
     fake.answers["generate"] = Report(Path("runs/a"), {})
     monkeypatch.setitem(sys.modules, "infrablend.api", fake)
     monkeypatch.setattr(infrablend, "api", fake)
