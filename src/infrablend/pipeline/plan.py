@@ -239,7 +239,7 @@ def make_plan(
             new.append(name)
             categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
     _require_loosened(recipe, {o.category or models[o.model].category for o in recipe.objects})
-    problems += _unknown_by_hand(recipe, images)
+    problems += _unknown_by_hand(recipe, dataset.images)
     frames = [
         PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
         for image in usable
@@ -391,11 +391,11 @@ def _require_classes(recipe: Recipe, field: str, names: Collection[str], dataset
 
 
 def _unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning per frame that the recipe places objects in and that is not among those of these backgrounds."""
+    """Return a warning per frame that the recipe places objects in and that these backgrounds do not have."""
     if not recipe.frames:
         return []
     known = [f"{i.split}/{i.id}_c{k}" for i in images for k in range(recipe.configurations)]
-    found = "no frame of this run has this id"
+    found = "no frame of this dataset has this id"
     return [
         Problem(f"frames.{name}", "frame-unknown", found, f"an id such as {similar(name, known)}", severity="warning")
         for name in sorted(recipe.frames.keys() - set(known))
