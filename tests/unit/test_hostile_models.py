@@ -165,3 +165,17 @@ def test_a_description_must_be_a_regular_file(tmp_path, capsys, instead):
         description.mkdir()
     assert main(["models", "show", str(description), "--out", str(tmp_path / "a.png")]) == 2
     assert "thing.yaml: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["thing.yaml", "a.obj"])
+@pytest.mark.parametrize("command", ["describe", "show"])
+def test_a_link_out_of_the_folder_of_the_model_is_refused(tmp_path, capsys, name, command):
+    folder = tmp_path / "model"
+    (folder / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (folder / "thing.yaml").write_text(DESCRIPTION.format("a.obj"))
+    (folder / name).rename(tmp_path / name)
+    (folder / name).symlink_to(tmp_path / name)
+    more = ["--out", str(tmp_path / "a.png")] if command == "show" else []
+    assert main(["models", command, str(folder / "thing.yaml"), *more]) == 2
+    text = " ".join(capsys.readouterr().err.split())
+    assert name in text and "a link out of its folder; expected a file inside it. Copy the file there" in text

@@ -37,7 +37,8 @@ from pydantic_core import PydanticKnownError
 from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.model_files import ModelFiles, find_model_files, is_regular_file
-from infrablend.core.files import read_regular
+from infrablend.core.file_names import leaves_folder
+from infrablend.core.files import LINK_OUT, LinkOutError, read_regular
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
@@ -141,6 +142,8 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
     """
     try:
         data = read_yaml(read_regular(path).decode("utf-8"))
+    except LinkOutError as error:
+        raise ModelError(f"model {path}: cannot be read: {error}") from error
     except (OSError, ValueError) as error:
         raise ModelError(
             f"model {path}: cannot be read ({error}); expected a YAML file (docs/how_to/own_model.md)"
@@ -162,6 +165,8 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
         )
     if not is_regular_file(file):
         raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
+    if leaves_folder(file):
+        raise ModelError(f"model {path}: file {described.file!r} is {LINK_OUT}")
     return described, Path(os.path.realpath(file))
 
 

@@ -149,7 +149,9 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     if folder is not None and isinstance(data.get("objects"), list):
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
-                item["model"] = str(real_path(folder / item["model"]))
+                path = folder / item["model"]
+                # A description that is a link out of its folder is refused by its reader.
+                item["model"] = str(real_path(path.parent) / path.name)
     _read_profile(data, folder)
     problems += wrong_modes(data)
     modes = modes_of(data)

@@ -92,6 +92,18 @@ def is_inside(path: Path, folder: Path) -> bool:
     return os.path.commonpath([os.path.realpath(path), inside]) == inside
 
 
+def leaves_folder(path: Path, folder: Path | None = None) -> bool:
+    """Return whether a file is a link out of the folder that owns it.
+
+    Args:
+        path: The file. That a folder above it is a link, for example to another disk, does not matter.
+        folder: Folder that owns the file; by default the one that it is in.
+    """
+    if not path.is_symlink() or is_inside(path, path.parent):
+        return False
+    return folder is None or not is_inside(path, folder)
+
+
 def join_inside(folder: Path, name: str) -> Path:
     """Return the path of a file below `folder` by a relative path from data; links are not followed.
 

@@ -13,10 +13,11 @@ import shutil
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
-from infrablend.core.file_names import MAX_NAME_BYTES
+from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
 from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
@@ -63,9 +64,9 @@ def observed_by(observer: WriteObserver) -> Iterator[None]:
         _observers.remove(observer)
 
 
-def sha256_of(path: Path) -> str:
-    """Return the hexadecimal SHA-256 of a file."""
-    with path.open("rb") as stream:
+def sha256_of(path: Path, folder: Path | None = None) -> str:
+    """Return the hexadecimal SHA-256 of a file; the arguments and errors are those of `open_regular`."""
+    with open_regular(path, folder) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
@@ -163,16 +164,37 @@ class NotRegularError(OSError):
     """A pipe or device where a regular file is expected."""
 
 
-@contextlib.contextmanager
-def open_regular(path: Path) -> Iterator[BinaryIO]:
-    """Open a regular file for reading.
+LINK_OUT = "a link out of its folder; expected a file inside it. Copy the file there"
+"""What was found, what is expected and what to do; for messages that name the file."""
 
-    Anybody may have edited the folder that it is in: a pipe would never end, nor would a link to `/dev/zero`.
+
+class LinkOutError(OSError):
+    """A link out of the folder that owns the file."""
+
+    def __str__(self) -> str:
+        """Return what was found, what was expected and what to do; the caller names the file."""
+        return str(self.strerror)
+
+
+@contextlib.contextmanager
+def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedReader]:
+    """Open a file of a run, a conversion, an experiment or a model for reading: the only way to read one.
+
+    Anybody may have edited the folder that it is in: a pipe would never end, nor would a link to `/dev/zero`, and a
+    link out of the folder would bring in what nobody meant to give. A file that the user names may be a link to
+    anywhere: give its `real_path`.
+
+    Args:
+        path: The file.
+        folder: Folder that owns the file, within which it may be a link; by default the one that it is in.
 
     Raises:
+        LinkOutError: It is a link out of the folder.
         NotRegularError: It is no regular file.
         OSError: It is missing or cannot be read.
     """
+    if leaves_folder(path, folder):
+        raise LinkOutError(errno.EPERM, LINK_OUT, str(path))
     # A pipe would block here without O_NONBLOCK, which Windows does not have.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(handle, "rb") as stream:
@@ -181,13 +203,9 @@ def open_regular(path: Path) -> Iterator[BinaryIO]:
         yield stream
 
 
-def read_regular(path: Path) -> bytes:
-    """Return the content of a regular file.
-
-    Raises:
-        OSError: The file is missing, cannot be read, or is no regular file.
-    """
-    with open_regular(path) as stream:
+def read_regular(path: Path, folder: Path | None = None) -> bytes:
+    """Return the content of a regular file; the arguments and errors are those of `open_regular`."""
+    with open_regular(path, folder) as stream:
         return stream.read()
 
 
@@ -195,7 +213,7 @@ def load_json(path: Path) -> Any:
     """Return the JSON value in a file.
 
     Raises:
-        OSError: The file is missing, cannot be read, or is no regular file.
+        OSError: The file is missing, cannot be read, is no regular file, or is a link out of its folder.
         ValueError: It is not JSON, or nested too deeply.
     """
     try:

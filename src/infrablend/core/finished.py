@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.file_names import real_path
+from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
 from infrablend.core.run_layout import RUN_FILE, SCENES, SHARDS_FILE
 from infrablend.errors import DatasetError, Problem
@@ -67,6 +67,8 @@ def require_finished(folder: Path) -> None:
             path = root / marker.file
             if not path.is_file():
                 continue
+            if leaves_folder(path, root):
+                raise _linked(folder, path, marker)
             record = read_object(path)
             if record is not None and marker.file == RUN_FILE and "shard" in record:
                 raise _in_shards(folder, path.parent.parent)
@@ -93,6 +95,11 @@ def _in_shards(folder: Path, root: Path) -> DatasetError:
         f"merge them: infrablend merge {root} DST",
     )
     return DatasetError(f"{folder}: belongs to a run in shards; its labels are missing", [problem])
+
+
+def _linked(folder: Path, path: Path, marker: _Marker) -> DatasetError:
+    problem = Problem(str(path), "name-climbs", "a link out of its folder", "a file inside it", "copy the file there")
+    return DatasetError(f"{folder}: the record of the {marker.noun} cannot be read", [problem])
 
 
 def _half_placed(folder: Path, root: Path) -> DatasetError:

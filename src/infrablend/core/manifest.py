@@ -123,6 +123,7 @@ class Manifest:
         """Record every file that this process writes to the folder within the block."""
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
+            self._require_plain_file()
             _end_line(self._file)
             self._stream = self._file.open("a", encoding="utf-8")
         except OSError as error:
@@ -134,6 +135,17 @@ class Manifest:
             with contextlib.suppress(OSError):  # a full disk; reported by the write that failed
                 self._stream.close()
             self._stream = None
+
+    def _require_plain_file(self) -> None:
+        """Refuse a link or anything else in place of the manifest: lines would be added to a file elsewhere.
+
+        Raises:
+            OutputError: It is not a file.
+        """
+        if os.path.lexists(self._file) and (self._file.is_symlink() or not self._file.is_file()):
+            found, expected = "a link, pipe or folder", "a file"
+            problem = Problem(str(self._file), "log-not-a-file", found, expected, "remove it and repeat the command")
+            raise OutputError(f"{self.root}: the manifest cannot be written", [problem])
 
     def begin(self, paths: Iterable[str]) -> None:
         """Record paths that other processes are going to write, unless the manifest has them already."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.arguments import require_names, require_whole
-from infrablend.core.files import read_regular, replace_atomically
+from infrablend.core.files import open_regular, read_regular, replace_atomically
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.evaluation.bootstrap import draw_images, paired
 from infrablend.evaluation.figures import Draws
@@ -196,7 +196,7 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
 
     try:
         record = json.loads(read_regular(folder / RECORD))
-        with (folder / MATCHES).open("rb") as file, np.load(file, allow_pickle=False) as data:
+        with open_regular(folder / MATCHES) as file, np.load(file, allow_pickle=False) as data:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
             stored = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from infrablend import __version__
 from infrablend.core.arguments import require_names
+from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, sha256_of, write_json
 from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
 from infrablend.core.output import OutputFolder
@@ -371,7 +372,7 @@ def _sweep(order: _Order, a: Archive) -> None:
 
 def _digest(file: Path) -> str:
     try:
-        return sha256_of(file)
+        return sha256_of(real_path(file))
     except OSError as error:
         raise DatasetError(f"{file}: cannot be read ({error.strerror or error})") from error
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from defusedxml import ElementTree
 
-from infrablend.core.file_names import is_inside
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError, Problem
 
 # Larger files are refused unread: parsed, they would take about thirty times the memory.
@@ -39,13 +39,6 @@ def _note(path: Path) -> None:
     files = _understood.get()
     if files is not None:
         files.add(path)
-
-
-def leaves_folder(path: Path) -> bool:
-    """Return whether `path` is a link out of its own folder, which no dataset needs."""
-    if not path.is_symlink():
-        return False
-    return not is_inside(path, path.parent)
 
 
 def _refusal_to_open(path: Path, where: str, expected: str, limit: int) -> Problem | None:

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
-from infrablend.formats.annotation_files import leaves_folder, read_json
+from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box
 from infrablend.formats.pictures import is_hidden, is_picture_name, read_size

@@ -21,9 +21,10 @@ from typing import Any
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import bambi_tracks
-from infrablend.formats.annotation_files import leaves_folder, read_json
+from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box
 from infrablend.formats.pictures import PictureFolder, check_name, read_size

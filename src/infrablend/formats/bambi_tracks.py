@@ -20,9 +20,10 @@ from typing import Any
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_tilt
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
-from infrablend.formats.annotation_files import leaves_folder, read_json, read_text
+from infrablend.formats.annotation_files import read_json, read_text
 from infrablend.formats.box_checks import check_box, snap
 from infrablend.formats.pictures import is_picture_name, list_pictures, read_size
 from infrablend.formats.values import to_floats, to_int

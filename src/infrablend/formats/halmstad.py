@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats import derived
-from infrablend.formats.annotation_files import leaves_folder
 from infrablend.formats.anti_uav import step_of
 from infrablend.formats.base import Match, check_splits
 from infrablend.formats.box_checks import check_box

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
@@ -77,11 +78,14 @@ def require_temperatures(background: Background, scale: TemperatureScale | None)
 
 def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, Any]:
     """Return the facts about the background for a frame's record; without a file, the digest is that of its pixels."""
-    is_file = source.path.is_file()
+    if source.path.is_file():
+        digest = sha256_of(real_path(source.path))
+    else:
+        digest = hashlib.sha256(background.pixels.tobytes()).hexdigest()
     return {
         "id": source.id,
         "path": Path(os.path.relpath(source.path, data_root)).as_posix(),
-        "sha256": sha256_of(source.path) if is_file else hashlib.sha256(background.pixels.tobytes()).hexdigest(),
+        "sha256": digest,
         "size_wh": list(background.size_wh),
         "pitch_deg": source.pitch_deg,
         "altitude_m": source.altitude_m,

@@ -7,6 +7,7 @@ import json
 from typing import Any
 
 from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.pipeline.plan import fingerprint
 
@@ -19,5 +20,5 @@ def json_digest(value: Any) -> str:
 
 def content_digest(dataset: Dataset) -> str:
     """Return a digest of a dataset's labels and of the bytes of every picture, wherever its folder is."""
-    pictures = [(i.split, i.name, sha256_of(i.path) if i.path.is_file() else None) for i in dataset.images]
+    pictures = [(i.split, i.name, sha256_of(real_path(i.path)) if i.path.is_file() else None) for i in dataset.images]
     return json_digest([fingerprint(dataset), pictures])

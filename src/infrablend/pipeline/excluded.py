@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import load_json, output_error, sha256_of, write_json
 from infrablend.core.manifest import Manifest, remove_empty
 from infrablend.core.run_layout import EXCLUDED, IMAGES, SCENES, RunLayout
@@ -118,6 +119,6 @@ def read_review(path: Path) -> tuple[dict[str, str], set[str]]:
     Raises:
         OutputError: The file cannot be read.
     """
-    verdicts = read_verdicts(path)
+    verdicts = read_verdicts(real_path(path))
     rejected = {k: v.reason or "review" for k, v in verdicts.items() if v.word == "reject"}
     return rejected, {k for k, v in verdicts.items() if v.word == "accept"}

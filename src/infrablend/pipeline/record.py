@@ -12,7 +12,7 @@ from typing import Any
 from infrablend.annotation.merge import MergedLabels
 from infrablend.core.dataset import Instance
 from infrablend.core.file_names import leaves
-from infrablend.core.files import load_json, write_json
+from infrablend.core.files import LinkOutError, load_json, write_json
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
 
@@ -148,6 +148,8 @@ def load_record(path: Path) -> FrameRecord:
         return FrameRecord.from_json(data)
     except RecordError:
         raise
+    except LinkOutError as error:
+        raise RecordError(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise RecordError(f"damaged: {type(error).__name__}: {error}") from error
 

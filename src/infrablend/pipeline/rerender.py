@@ -14,7 +14,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
-from infrablend.core.file_names import leaves
+from infrablend.core.file_names import leaves, real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.output import require_replaceable
 from infrablend.core.render import Renderer
@@ -87,7 +87,7 @@ def rerender_frame(
     background = Path(data or record_run["data"]["root"]) / record.background["path"]
     if not background.is_file():
         raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
-    if sha256_of(background) != record.background["sha256"]:
+    if sha256_of(real_path(background)) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the background of the frame (its SHA-256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
     recipe = recipe_from_json(recipe_json(record_run))

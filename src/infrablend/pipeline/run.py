@@ -413,7 +413,7 @@ def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State) -> list[tu
 def _is_intact(folder: RunFolder, record: FrameRecord) -> bool:
     image = folder.image(record.image)
     try:
-        return image.is_file() and sha256_of(image) == record.image_sha256
+        return image.is_file() and sha256_of(image, folder.root) == record.image_sha256
     except OSError:
         return False
 
@@ -435,7 +435,7 @@ def _cached_digest(path: Path, known: dict[Path, str | None]) -> str | None:
     """Return the SHA-256 of a background, None if it cannot be read; results are kept in `known`."""
     if path not in known:
         try:
-            known[path] = sha256_of(path) if path.is_file() else None
+            known[path] = sha256_of(real_path(path)) if path.is_file() else None
         except OSError:
             known[path] = None
     return known[path]

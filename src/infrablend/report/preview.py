@@ -22,12 +22,11 @@ from pycocotools import mask as coco_mask
 
 from infrablend.core.arguments import require_choices, require_whole
 from infrablend.core.dataset import SPLITS, Instance
-from infrablend.core.files import DAMAGED, load_json, write_bytes
+from infrablend.core.files import DAMAGED, LinkOutError, load_json, read_regular, write_bytes
 from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
-from infrablend.formats.annotation_files import leaves_folder
 from infrablend.report.picture_mark import CONTACT_SHEET, software_of
 
 Draw = Literal["boxes", "obb", "masks"]
@@ -396,7 +395,9 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
             "Give the folder that `infrablend generate --out` wrote."
         )
     chosen = _spread([e for e in entries if any(i.inserted for i in e.instances)] or entries, count)
-    return [PreviewFrame(_title(run, e), _read_pixels(e.path), e.instances, f"{e.split}/{e.path.stem}") for e in chosen]
+    return [
+        PreviewFrame(_title(run, e), _read_pixels(run, e.path), e.instances, f"{e.split}/{e.path.stem}") for e in chosen
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,8 +417,6 @@ def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
 
 
 def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
-    if leaves_folder(path):
-        raise DatasetError(f"{path}: a link out of its folder, not a file of this run. Run `generate --resume`.")
     try:
         document = load_json(path)
         names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
@@ -502,8 +501,13 @@ def _title(run: Path, entry: _Entry) -> str:
     return "   ".join(parts)
 
 
-def _read_pixels(path: Path) -> NDArray[Any]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+def _read_pixels(run: Path, path: Path) -> NDArray[Any]:
+    try:
+        pixels = cv2.imdecode(np.frombuffer(read_regular(path, run), np.uint8), cv2.IMREAD_UNCHANGED)
+    except LinkOutError as error:
+        raise DatasetError(f"{path}: {error}") from error
+    except (OSError, ValueError, cv2.error):
+        pixels = None
     if pixels is None:
         raise DatasetError(f"{path}: not a readable image; expected a frame of the run. Run `generate --resume`.")
     if pixels.ndim == 3:

@@ -66,17 +66,17 @@ def read_pixels(layout: RunLayout, row: FrameRow) -> NDArray[Any]:
     path = layout.image(row.image) if row.image else layout.root
     if row.image and not is_inside(path, layout.root):
         raise DatasetError(f"{path}: a link out of the run's folder; not shown")
-    return decode(path, "a frame of the run. Run `generate --resume`")
+    return decode(path, layout.root, "a frame of the run. Run `generate --resume`")
 
 
-def decode(path: Path, what: str) -> NDArray[Any]:
-    """Return the pixels of a picture file; (h, w), or (h, w, 3) in the order red, green, blue.
+def decode(path: Path, folder: Path, what: str) -> NDArray[Any]:
+    """Return the pixels of a picture file that belongs to `folder`; (h, w), or (h, w, 3) in the order red, green, blue.
 
     Raises:
         DatasetError: It is missing or damaged.
     """
     try:
-        pixels = cv2.imdecode(np.frombuffer(read_regular(path), np.uint8), cv2.IMREAD_UNCHANGED)
+        pixels = cv2.imdecode(np.frombuffer(read_regular(path, folder), np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, cv2.error):
         pixels = None
     if pixels is None:

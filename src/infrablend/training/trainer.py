@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import replace_atomically, write_text
+from infrablend.core.files import load_json, replace_atomically, write_text
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
@@ -167,7 +167,7 @@ def main(arguments: list[str]) -> int:
     # A trainer that outlived a killed command would write into the folder of the next one.
     die_with_parent(int(parent_pid))
     watch_parent(int(parent_pid))
-    job = Job(**json.loads(Path(job_file).read_text("utf-8")))
+    job = Job(**load_json(Path(job_file)))
     out = sys.stdout
 
     def say(event: str, **facts: Any) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import Result
 
 from tests.clips import write_detections
 from tests.command_line import done, run
@@ -521,3 +522,88 @@ def test_preview_follows_no_label_file_out_of_the_run(words: list[object], tmp_p
     ended = run("preview", tmp_path / "run", "--out", tmp_path / "sheet.png")
     assert ended.exit_code == 2, ended.output
     assert "a link out of its folder" in " ".join(ended.stderr.split())
+
+
+# -- links out of the folder that owns the file
+
+
+def link_out(file: Path, outside: Path) -> None:
+    """Move a file to `outside`, and put a link in its place."""
+    shutil.move(file, outside)
+    file.symlink_to(outside)
+
+
+def assert_refused(ended: Result, name: str) -> None:
+    """Check for the four parts of the message: where, what was found, what was expected and what to do."""
+    text = " ".join(ended.stderr.split())
+    assert ended.exit_code == 2, ended.output
+    assert name in text and "a link out of its folder" in text and "a file inside it" in text, text
+    assert "copy the file" in text.lower(), text
+
+
+def test_scene_record_that_is_a_link_out_of_the_run_is_refused_and_made_again(
+    words: list[object], made: Path, tmp_path: Path
+) -> None:
+    record = record_of(made)
+    content = record.read_bytes()
+    link_out(record, tmp_path / "secret.json")
+    shutil.rmtree(made / "coco", ignore_errors=True)
+    assert_refused(run("preview", made, "--out", tmp_path / "sheet.png"), record.name)
+    frame = record.relative_to(made / "scenes").with_suffix("").as_posix()
+    assert_refused(run("rerender", made, frame, "--out", tmp_path / "frame.png"), record.name)
+    done(*words, "--resume")
+    assert not record.is_symlink() and record.read_bytes() == content
+    assert (tmp_path / "secret.json").read_bytes() == content
+
+
+def test_frame_that_is_a_link_out_of_the_run_is_refused_and_made_again(
+    words: list[object], made: Path, tmp_path: Path
+) -> None:
+    image = sorted(p for p in (made / "images").rglob("*") if p.is_file())[0]
+    content = image.read_bytes()
+    link_out(image, tmp_path / "secret.png")
+    assert_refused(run("preview", made, "--out", tmp_path / "sheet.png"), image.name)
+    done(*words, "--resume")
+    assert not image.is_symlink() and image.read_bytes() == content
+
+
+def test_frame_that_is_a_link_within_the_run_is_read(made: Path, tmp_path: Path) -> None:
+    image = sorted(p for p in (made / "images").rglob("*") if p.is_file())[0]
+    link_out(image, made / "elsewhere.png")
+    done("preview", made, "--out", tmp_path / "sheet.png")
+
+
+@pytest.mark.parametrize("name", ["run.json", "log/files.jsonl"])
+def test_record_of_a_run_that_is_a_link_out_of_it_is_refused(
+    name: str, words: list[object], made: Path, tmp_path: Path
+) -> None:
+    link_out(made / name, tmp_path / "secret")
+    content = (tmp_path / "secret").read_bytes()
+    ended = run(*words, "--resume")
+    assert ended.exit_code == 2 and name in ended.stderr.replace("\n", ""), ended.output
+    if name == "run.json":
+        assert_refused(run("check", made / "yolo"), name)
+    assert (tmp_path / "secret").read_bytes() == content
+
+
+def test_record_of_a_conversion_that_is_a_link_out_of_it_is_refused(converted: Path, tmp_path: Path) -> None:
+    link_out(converted / "convert.json", tmp_path / "secret.json")
+    assert_refused(run("check", converted), "convert.json")
+
+
+def test_manifest_of_a_conversion_that_is_a_link_is_not_written_through(
+    data: Path, converted: Path, tmp_path: Path
+) -> None:
+    link_out(converted / ".files.jsonl", tmp_path / "secret")
+    content = (tmp_path / "secret").read_bytes()
+    ended = run("convert", data, converted, "--to", "voc", "--overwrite")
+    assert ended.exit_code == 2 and "remove it and repeat" in " ".join(ended.stderr.split()), ended.output
+    assert (tmp_path / "secret").read_bytes() == content
+
+
+def test_run_of_backgrounds_that_are_links_is_finished_and_resumed(words: list[object], data: Path) -> None:
+    (data / "store").mkdir()
+    for number, picture in enumerate(sorted(data.rglob("*.png"))):
+        link_out(picture, data / "store" / f"{number}.png")
+    done(*words)
+    done(*words, "--resume")

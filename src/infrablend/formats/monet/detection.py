@@ -7,8 +7,7 @@ import re
 from fnmatch import fnmatch
 from pathlib import Path
 
-from infrablend.core.file_names import real_path
-from infrablend.formats.annotation_files import leaves_folder
+from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.formats.base import Match
 from infrablend.formats.monet.options import PITCH_KEYS
 from infrablend.formats.pictures import is_hidden

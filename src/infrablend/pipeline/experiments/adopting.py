@@ -14,7 +14,8 @@ from infrablend.config.experiment import Generate
 from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import SPLITS
-from infrablend.core.files import link_or_copy, load_json
+from infrablend.core.file_names import leaves_folder
+from infrablend.core.files import LINK_OUT, link_or_copy, load_json
 from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
@@ -40,7 +41,7 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
     training = _checked_training(job, folder) if job.stage.kind == "train" else None
     if job.stage.kind == "generate":
         _check_run(job, folder)
-    shutil.copytree(folder, job.empty_out(), copy_function=lambda a, b: link_or_copy(Path(a), Path(b)))
+    shutil.copytree(folder, job.empty_out(), copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
     if training is not None:
         weights = "out/weights.pt"
         return {"record": {**training, "adopted": True}, "adopted": "checked", "weights": weights, "there": [weights]}
@@ -103,6 +104,12 @@ def _check_run(job: StageJob, folder: Path) -> None:
         "labels": ((folder / "coco").is_dir(), True),
     }
     _require_equal(job.stage.id, folder, pairs)
+
+
+def _adopt_file(folder: Path, source: Path, target: Path) -> Path:
+    if leaves_folder(source, folder):
+        raise DatasetError(f"{source}: {LINK_OUT}")
+    return link_or_copy(source, target)
 
 
 def _read_record(path: Path, expected: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import load_json
 from infrablend.pipeline.content import json_digest
 
@@ -118,4 +119,5 @@ def find_finished(work: Path, stage: Stage, key: str) -> FinishedStage | None:
     if record is None or record.get("status") != "complete" or not isinstance(record.get("result"), dict):
         return None
     found = FinishedStage.of(stage, folder, record)
-    return found if all((folder / p).exists() for p in found.result.get("there", [])) else None
+    there = [folder / p for p in found.result.get("there", [])]
+    return found if all(p.exists() and not leaves_folder(p, folder) for p in there) else None

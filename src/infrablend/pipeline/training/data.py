@@ -14,6 +14,7 @@ from typing import Any
 from infrablend.annotation.classes import drop_classes
 from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
+from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
 from infrablend.core.manifest import Manifest
 from infrablend.errors import DatasetError, OutputError, Problem
@@ -201,7 +202,7 @@ def write_training_data(
         problems = [Problem(name, k, f"{n} labels would be lost", "none",
                             "infrablend check lists them") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: the trainer would not see some labels", problems)
-    labels = {s: sum(len(p.read_text("utf-8").splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))
+    labels = {s: sum(len(read_regular(p).splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))
               for s in ("train", "val")}  # fmt: skip
     return {
         **counts,

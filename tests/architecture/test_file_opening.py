@@ -1,0 +1,62 @@
+"""Files of runs, conversions, experiments and models are read in one place, which refuses links out of their folder."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2] / "src" / "infrablend"
+# Readers of datasets and downloads, in `formats` and `fetching`, have rules of their own; `blender` runs confined.
+LAYERS = ("core", "assets", "config", "sampling", "evaluation", "execution", "pipeline", "report", "studio", "training")
+READS = {"read_text", "read_bytes", "imread", "np.load", "torch.load", "json.load", "os.open", "open", "Image.open"}
+ALLOWED = {
+    "assets/user_model.py": "imported geometry in the user's cache",
+    "config/experiment.py": "shipped files, and one that the user names",
+    "config/loading.py": "shipped files, and one that the user names",
+    "config/sensor_profile.py": "a file that the user names",
+    "core/cores.py": "locks",
+    "core/files.py": "the place that all others use",
+    "core/machine.py": "files of the kernel",
+    "core/manifest.py": "the end of its own file, after a check that it is no link",
+    "core/output.py": "the folder, to lock it",
+    "evaluation/comparison.py": "an open file",
+    "evaluation/detections.py": "a file that the user names",
+    "execution/confinement.py": "folders, for the kernel",
+    "execution/scratch.py": "folders, to lock them",
+    "execution/serial.py": "the log of a worker, to write it",
+    "pipeline/measure_objects.py": "bytes in memory",
+    "pipeline/original.py": "backgrounds, which may be links",
+    "pipeline/profile.py": "pictures of a dataset, checked by its reader",
+    "pipeline/rerender.py": "a file that the user names",
+    "pipeline/trial.py": "a file that the user names",
+    "report/card.py": "the licence beside a dataset",
+    "report/checking.py": "pictures of a dataset, checked by its reader",
+    "studio/opened_run.py": "the folder, to lock it",
+    "training/predict.py": "pictures of a dataset, checked by its reader, and weights that the user names",
+    "training/trainer.py": "checkpoints, which Ultralytics opens as well",
+}
+"""Modules that open files without `core.files.open_regular`, with what they open."""
+
+
+def opens(path: Path) -> bool:
+    """Return whether a module opens files for reading by itself."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        called = ast.unparse(node.func)
+        mode = [a.value for a in (*node.args, *(k.value for k in node.keywords)) if isinstance(a, ast.Constant)]
+        writes = any(isinstance(m, str) and m.strip("b") in ("w", "a", "x") for m in mode)
+        if (called in READS or called.rpartition(".")[2] in READS) and not writes:
+            return True
+    return False
+
+
+def test_only_known_modules_open_files_themselves() -> None:
+    found = {
+        path.relative_to(PACKAGE).as_posix()
+        for layer in LAYERS
+        for path in sorted((PACKAGE / layer).rglob("*.py"))
+        if opens(path)
+    }
+    assert found - ALLOWED.keys() == set(), "use open_regular, read_regular, load_json or sha256_of of core.files"
+    assert ALLOWED.keys() - found == set(), "no longer needed in ALLOWED"
