@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import link_or_copy, open_regular, write_json, write_text
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import leaves_folder, read_xml
+from infrablend.formats.annotation_files import read_xml
 from infrablend.formats.base import (
     Match,
     category_ids,
