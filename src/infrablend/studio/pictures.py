@@ -66,11 +66,11 @@ def read_pixels(layout: RunLayout, row: FrameRow) -> NDArray[Any]:
     path = layout.image(row.image) if row.image else layout.root
     if row.image and not is_inside(path, layout.root):
         raise DatasetError(f"{path}: a link out of the run's folder; not shown")
-    return decode(path, layout.root, "a frame of the run. Run `generate --resume`")
+    return decode(path, "a frame of the run. Run `generate --resume`", layout.root)
 
 
-def decode(path: Path, folder: Path, what: str) -> NDArray[Any]:
-    """Return the pixels of a picture file that belongs to `folder`; (h, w), or (h, w, 3) in the order red, green, blue.
+def decode(path: Path, what: str, folder: Path | None = None) -> NDArray[Any]:
+    """Return the pixels of a picture file; (h, w), or (h, w, 3) in the order red, green, blue.
 
     Raises:
         DatasetError: It is missing or damaged.

@@ -17,6 +17,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.errors import ArgumentError, OutputError
 from infrablend.formats import detection
@@ -183,7 +184,7 @@ class Tuning:
                     best = rank, image, other
         if best is None:
             return None
-        return _crop(to_rgb(decode(best[1].path, "a background")), best[2])
+        return _crop(to_rgb(decode(real_path(best[1].path), "a background")), best[2])
 
     def save(self, recipe: Recipe, path: Path, frame_id: str) -> str:
         """Write a recipe as YAML; return the command that gives the frame from the shell.

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError
-from infrablend.formats.annotation_files import leaves_folder
 from infrablend.formats.images import load_background
 from infrablend.report.run.facts import Box
 
