@@ -28,6 +28,7 @@ ALLOWED = {
     "pipeline/original.py": "backgrounds, which may be links",
     "pipeline/profile.py": "pictures of a dataset, checked by its reader",
     "pipeline/rerender.py": "a file that the user names",
+    "pipeline/sharded_run.py": "the folder, to lock it",
     "pipeline/trial.py": "a file that the user names",
     "report/card.py": "the licence beside a dataset",
     "report/checking.py": "pictures of a dataset, checked by its reader",

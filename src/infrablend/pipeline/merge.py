@@ -186,7 +186,7 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
 def _is_intact(folder: RunFolder, frame_id: str) -> bool:
     try:
         record = load_record(folder.record(frame_id))
-        return record.frame_id == frame_id and sha256_of(folder.image(record.image)) == record.image_sha256
+        return record.frame_id == frame_id and sha256_of(folder.image(record.image), folder.root) == record.image_sha256
     except (RecordError, OSError, ValueError):
         return False
 
