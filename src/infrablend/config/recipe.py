@@ -161,8 +161,8 @@ class MetricCamera(Camera):
 # ---- Objects
 
 
-class Count(Strict):
-    """A number of objects drawn for each frame."""
+class Numbers(Strict):
+    """A distribution of the number of objects in a frame."""
 
     values: tuple[Annotated[int, Field(ge=0, le=64)], ...] = Field(min_length=1)
     """Possible numbers of objects."""
@@ -170,10 +170,27 @@ class Count(Strict):
     """Relative probability of each value, in the order of `values`; equal by default."""
 
     @model_validator(mode="after")
-    def _weights_fit(self) -> Count:
+    def _weights_fit(self) -> Self:
         if self.weights is not None and (len(self.weights) != len(self.values) or sum(self.weights) <= 0):
             raise ValueError(f"{len(self.values)} weights, one per value, not all 0; found {list(self.weights)}")
         return self
+
+
+class FlightNumbers(Numbers):
+    """Numbers of objects in pictures of one time of day, or taken below a height."""
+
+    time_of_day: Literal["day", "night"] | None = None
+    """Time of day of these pictures; any by default."""
+    below_m: float | None = Field(None, gt=0)
+    """These pictures are stated to be taken below this height, metres; any height by default."""
+
+
+class Count(Numbers):
+    """A number of objects drawn for each frame."""
+
+    by_flight: tuple[FlightNumbers, ...] = ()
+    """Numbers for pictures of some times of day and heights: the first entry that fits a picture applies to it, and the
+    numbers above apply where none fits. Pilots fly low over groups, and high over single objects."""
 
 
 class PartOverride(Strict):

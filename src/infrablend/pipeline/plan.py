@@ -69,7 +69,9 @@ class PlannedFrame:
         assert self.configuration is not None
         b = self.background
         when = b.time_of_day, b.sequence, b.captured
-        return FrameKey(b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg)
+        return FrameKey(
+            b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg, b.altitude_m
+        )
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""

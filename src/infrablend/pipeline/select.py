@@ -142,8 +142,9 @@ def _select_alike(
     return replace(dataset, images=sort_images(kept)), facts
 
 
-# Width of a step of grey level, and the levels that weigh as much as 10 degrees of pitch or 20 m of height.
-_LEVEL_STEP, _LEVEL_WEIGHT = 25.0, 12.5
+# Width of a step of grey level, and the levels that weigh as much as 10 degrees of pitch or 20 m of height. An object
+# looks less different on ground of another level than at another size.
+_LEVEL_STEP, _LEVEL_WEIGHT = 25.0, 25.0
 
 
 @dataclass(frozen=True, order=True)
@@ -163,7 +164,7 @@ class Conditions:
     level: float = -1
 
     def distance(self, other: Conditions) -> tuple[bool, float]:
-        """Return how much two pictures differ: first the time of day, then 10 degrees, 20 m and 12.5 levels alike."""
+        """Return how much two pictures differ: first the time of day, then 10 degrees, 20 m and 25 levels alike."""
         return (
             self.time_of_day != other.time_of_day,
             abs(self.altitude_m - other.altitude_m) / 20

@@ -20,6 +20,7 @@ from infrablend.config.recipe import (
     MetricRecipe,
     MetricSections,
     NoSensor,
+    Numbers,
     Object,
     PhysicalEnvironment,
     PhysicalRecipe,
@@ -62,6 +63,7 @@ class FrameKey:
         captured: Date or time of capture, ISO 8601; None if unknown.
         radiometry: What the picture's file states about the air; None if unknown.
         hfov_deg: Horizontal field of view of the background; None if unknown.
+        altitude_m: Height of the camera according to the metadata; None if unknown.
     """
 
     background_id: str
@@ -74,6 +76,7 @@ class FrameKey:
     captured: str | None = None
     radiometry: Radiometry | None = None
     hfov_deg: float | None = None
+    altitude_m: float | None = None
 
     @property
     def frame_id(self) -> str:
@@ -106,7 +109,7 @@ def sample_scene(
     if isinstance(recipe, RadiometricSections) and frame.radiometry is not None:
         air_k = frame.radiometry.plausible_air_k or air_k
     empty = bool(rng["world"].random() < recipe.empty_share)
-    wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame.time_of_day)
+    wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame)
     weather = None
     if isinstance(recipe, PhysicalSections | RadiometricSections):
         weather = _weather(frame, recipe, air_k, seed)
@@ -409,9 +412,10 @@ def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: 
 
 
 def _wanted(
-    recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, time_of_day: TimeOfDay | None
+    recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, frame: FrameKey
 ) -> list[PlacementRequest]:
     """Draw number, shape and size of the objects of a frame."""
+    time_of_day = frame.time_of_day
     result = []
     for kind in recipe.objects:
         options = kind.options
@@ -420,8 +424,9 @@ def _wanted(
         if physical and time_of_day is not None and "time_of_day" in models[kind.model].options:
             options = {"time_of_day": time_of_day, **options}
         if isinstance(kind.count, Count):
-            weights = np.array(kind.count.weights or [1.0] * len(kind.count.values))
-            count = int(rng.choice(np.array(kind.count.values), p=weights / weights.sum()))
+            numbers = _numbers(kind.count, frame)
+            weights = np.array(numbers.weights or [1.0] * len(numbers.values))
+            count = int(rng.choice(np.array(numbers.values), p=weights / weights.sum()))
         else:
             count = kind.count
         for _ in range(count):
@@ -430,6 +435,16 @@ def _wanted(
             scale = math.exp(rng.uniform(math.log(low), math.log(high)))
             result.append(PlacementRequest(kind, models[kind.model], params, models[kind.model].build(params), scale))
     return result
+
+
+def _numbers(count: Count, frame: FrameKey) -> Numbers:
+    """Return the numbers of objects for the time of day and the height of a picture."""
+    for numbers in count.by_flight:
+        if numbers.time_of_day not in (None, frame.time_of_day):
+            continue
+        if numbers.below_m is None or (frame.altitude_m is not None and frame.altitude_m < numbers.below_m):
+            return numbers
+    return count
 
 
 def _to_hide(frame: FrameKey, recipe: Recipe, wanted: Sequence[PlacementRequest], seed: int) -> list[PlacementRequest]:
