@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,6 +87,28 @@ def test_several_objects_and_empty_frames():
     numbers = [sample_scene(key(name=f"f{n}"), recipe, MODELS, 0).spec.draws["wanted"] for n in range(80)]
     assert set(numbers) == {0, 1, 2, 3}
     assert 8 <= numbers.count(0) <= 34
+
+
+def test_numbers_of_objects_follow_time_of_day_and_height():
+    count = {
+        "values": [1],
+        "by_flight": [
+            {"time_of_day": "day", "below_m": 85, "values": [4]},
+            {"time_of_day": "day", "values": [3]},
+            {"below_m": 50, "values": [2]},
+        ],
+    }
+    recipe = load_recipe("hit-uav-drone", {"objects.0.count": count})
+
+    def number(**flight):
+        return sample_scene(replace(key(), **flight), recipe, MODELS, 3).spec.draws["wanted"]
+
+    assert number(time_of_day="day", altitude_m=84.0) == 4
+    assert number(time_of_day="day", altitude_m=85.0) == 3
+    assert number(time_of_day="day", altitude_m=None) == 3
+    assert number(time_of_day="night", altitude_m=49.0) == 2
+    assert number(time_of_day="night", altitude_m=None) == 1
+    assert number() == 1
 
 
 def test_size_limits_hold():
