@@ -225,6 +225,12 @@ def _files(root: Path) -> dict[Path, Split]:
     return {p: split for name, split in _FOLDERS.items() if (p := root / name / FILE).is_file()}
 
 
+def _without_file(root: Path) -> dict[Path, Split]:
+    """Return the folders of splits that have pictures, but no file: those of splits without any object."""
+    folders = {root / name: split for name, split in _FOLDERS.items()}
+    return {p: s for p, s in folders.items() if p.is_dir() and not (p / FILE).exists()}
+
+
 def detect(root: Path) -> Match:
     """Decide whether `root` contains the folder of a split with a `metadata.jsonl`."""
     files = _files(root)
@@ -292,6 +298,16 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
         if unlisted := sorted(set(folder.by_name) - seen):
             text = f"{len(unlisted)} picture(s) without a line, left out: {', '.join(unlisted[:3])}"
             state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
+    for path, split in _without_file(root).items() if found else ():
+        folder = PictureFolder.scan(path)
+        if split not in wanted or not folder.by_name:
+            continue
+        where = path.relative_to(root).as_posix()
+        for name in sorted(folder.by_name):
+            record = _read_line(json.dumps({"file_name": name}), where, split, folder, state)
+            found += [] if record is None else [(f"{split}/{name}", record)]
+        text = f"{len(folder.by_name)} picture(s) without a {FILE}, read as pictures without objects"
+        state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
     if not found:
         missing = Problem(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
         raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten([*state.problems, missing]))

@@ -192,6 +192,7 @@ def place_metric(
         if group is not None and item.model.stands and rng.random() < group.share:
             mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
         aim = None if real is None or not item.model.stands else draw_aim(real, rng)
+        outline = None if aim is None else _outline(item)
         hiding = None if item.visible_aim is None else site.hiding
         examined = 0
         for attempt in range(rules.attempts):
@@ -208,9 +209,9 @@ def place_metric(
                     tally.reject("no_occluder")
                     continue
                 examined += 1
-            if aim is not None and hiding is None:
+            if aim is not None and outline is not None and hiding is None:
                 # Before the exact checks, which cost far more.
-                ground = ground_around(site, _rough_box(camera, pose, item), annotated)
+                ground = ground_around(site, _rough_box(camera, pose, outline, item.scale), annotated)
                 if ground is None or not aim.accepts(ground, attempt / rules.attempts, company):
                     tally.reject("unlike_real_ground")
                     continue
@@ -296,11 +297,18 @@ def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.ran
     return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
 
 
-def _rough_box(camera: CameraSpec, pose: Pose, item: PlacementRequest) -> FloatArray:
-    """Return the (4,) box around some of an object's vertices, cut to the frame; empty if one is behind the camera."""
-    vertices = item.mesh.vertices_m
-    some = vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
-    xy, depth_m = camera.project(object_to_world(some, pose[:3], pose[3], item.scale))
+def _outline(item: PlacementRequest) -> FloatArray:
+    """Return some (k, 3) vertices of an object's labelled parts, in object coordinates, unscaled.
+
+    Other parts, such as ground that a car warms, depend on the look, and places must not.
+    """
+    vertices: FloatArray = item.mesh.vertices_m[np.unique(item.mesh.triangles[item.labelled])]
+    return vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
+
+
+def _rough_box(camera: CameraSpec, pose: Pose, outline_m: FloatArray, scale: float) -> FloatArray:
+    """Return the (4,) box around an object's outline, cut to the frame; empty if a vertex is behind the camera."""
+    xy, depth_m = camera.project(object_to_world(outline_m, pose[:3], pose[3], scale))
     if (depth_m <= 0).any():
         return np.zeros(4)
     return clip_boxes(box_of_points(xy), camera.size_wh)
