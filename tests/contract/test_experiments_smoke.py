@@ -59,7 +59,8 @@ def test_every_experiment_runs_at_the_smoke_scale(
     assert name == "datasets" or facts["evaluations"]
     by_stage = {s["stage"]: s["images"] for s in facts["stages"]}
     if "convert:synthetic" in by_stage:
-        assert by_stage["convert:synthetic"] == by_stage["convert:real"] == by_stage["convert:flat"] > 0
+        # The limit on contrast applies to each look: a control may leave out the only object of a picture.
+        assert by_stage["convert:synthetic"] == by_stage["convert:real"] >= by_stage["convert:flat"] > 0
 
     def never(stage: Stage, *args: Any, **kwargs: Any) -> Any:
         raise AssertionError(f"{stage.id} is made again")
