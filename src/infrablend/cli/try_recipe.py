@@ -112,15 +112,13 @@ def _show(trial: Trial, out: Path, session: Session, *, again: bool = False) -> 
 
 def _lines(trial: Trial) -> list[str]:
     """Return what is in the frame, a line per inserted object."""
+    from infrablend.pipeline.trial import how_visible
+
     lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
     scene = trial.frame.scene
     for label in trial.frame.inserted:
         width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
-        facts = [f"{width:.1f} x {height:.1f} px"]
-        if label.visibility is not None:
-            facts.append(f"{100 * label.visibility:.0f} % visible")
-        if "contrast_grey" in label.extra:
-            facts.append(f"contrast {label.extra['contrast_grey']:+.0f} grey levels")
+        facts = [f"{width:.1f} x {height:.1f} px", *how_visible(label)]
         lines.append(f"{label.category}: {', '.join(facts)}")
     absent = {} if scene is None else {**scene.draws.get("absent", {})}
     lines += [f"not inserted: {count} ({reason})" for reason, count in sorted(absent.items())]

@@ -90,6 +90,12 @@ class Mask:
         """Number of pixels in the mask."""
         return int(_coco.area(self.to_coco()))
 
+    @property
+    def box_xyxy(self) -> NDArray[np.float64] | None:
+        """Edges (4,) of the pixels in the mask; None for an empty mask."""
+        x, y, w, h = (float(v) for v in _coco.toBbox(self.to_coco()))
+        return np.array([x, y, x + w, y + h]) if w and h else None
+
 
 def run_lengths(counts: str) -> NDArray[np.int64]:
     """Decode COCO's compressed run lengths.

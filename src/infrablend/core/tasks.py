@@ -48,6 +48,20 @@ class Failure:
     problems: tuple[Problem, ...] = ()
     traceback: str = ""
 
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values, without the traceback."""
+        problems = [p.to_json() for p in self.problems]
+        return {"kind": self.kind, "error": self.error, "message": self.message, "problems": problems}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Failure:
+        """Return the failure from JSON values written by `to_json`.
+
+        Raises:
+            LookupError, TypeError, AttributeError: The values are damaged.
+        """
+        return cls(data["kind"], data["error"], data["message"], tuple(Problem(**p) for p in data["problems"]))
+
     def to_exception(self) -> InfraBlendError:
         """Return the failure as an exception: of the raised class if it is one of ours, else a `RenderError`."""
         known = getattr(errors, self.error, None)

@@ -57,6 +57,16 @@ def is_ignored_name(name: str) -> bool:
     return "".join(c for c in name if c.isalnum()).casefold() == "dontcare"
 
 
+def ignored_by_class(categories: Iterable[Category]) -> set[str]:
+    """Return the names of the categories to ignore whose name alone does not reveal it."""
+    return {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+
+
+def split_of_stem(stem: str) -> Split:
+    """Return the split that the name of an annotation file suggests: `val`, `test`, else `train`."""
+    return next((s for s in ("val", "test") if s in stem.lower()), "train")
+
+
 def shorten(problems: Sequence[Problem], each: int = 5) -> list[Problem]:
     """Return the first `each` problems of every code and one with the number of the others, to shorten messages."""
     seen: Counter[str] = Counter()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import cxcywha_of_corners
+from infrablend.core.boxes import corners_of_cxcywha, cxcywha_of_corners
 from infrablend.errors import Problem
 
 # Oriented boxes may overhang the frame by this much without a warning: HIT-UAV's own reach 0.5 px.
@@ -75,3 +75,9 @@ def obb_from_corners(corners_xy: NDArray[np.float64]) -> tuple[float, float, flo
     angle %= math.pi
     # A value just below 0 becomes one just below pi, which rounds to pi: that is 0.
     return cx, cy, w, h, 0.0 if math.pi - angle < 1e-12 else angle
+
+
+def is_rectangle(corners_xy: NDArray[np.float64], obb: Sequence[float]) -> bool:
+    """Return whether four corners are those of their `obb_from_corners`, to a thousandth of a pixel."""
+    made = corners_of_cxcywha(np.array([obb], np.float64))[0]
+    return min(float(np.abs(np.roll(made, k, axis=0) - corners_xy).max()) for k in (0, 2)) <= 1e-3

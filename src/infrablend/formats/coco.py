@@ -28,6 +28,7 @@ from infrablend.formats.base import (
     require_size,
     shorten,
     sort_images,
+    split_of_stem,
 )
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
@@ -35,7 +36,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "coco"
 
@@ -256,12 +257,8 @@ def find_files(root: Path) -> dict[Path, Split]:
         found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
         files = [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
         if files:
-            return {p: _split_of(p.stem) for p in files}
+            return {p: split_of_stem(p.stem) for p in files}
     return {}
-
-
-def _split_of(stem: str) -> Split:
-    return next((s for s in ("val", "test") if s in stem.lower()), "train")
 
 
 def _looks_like_coco(path: Path) -> bool:
@@ -319,7 +316,7 @@ def read(
         DatasetError: There is no COCO file, or no picture can be read.
     """
     wanted = check_splits(splits)
-    files = {file: _split_of(file.stem)} if file is not None else find_files(root)
+    files = {file: split_of_stem(file.stem)} if file is not None else find_files(root)
     if not files:
         problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
         raise DatasetError(f"{root}: no COCO dataset", [problem])
@@ -407,12 +404,7 @@ def read_records(
         if number is None:
             problems.append(Problem(here, "image-malformed", repr(r)[:80], "an image record with an id"))
             continue
-        fault = check_name(r.get("file_name"), here)
-        name, file = str(r.get("file_name")), None
-        if fault is None:
-            name, file, fault = folder.find(name, here)
-        if fault is None and file is None:
-            fault = Problem(here, "image-missing", f"no picture {name!r}", "a file in the picture folder", "restore it")
+        name, file, fault = folder.find_named(r.get("file_name"), here, "a file in the picture folder")
         if fault is None and (name in seen_names or number in seen_ids):
             found = f"a second record with name {name!r} or id {number}"
             fault = Problem(here, "image-duplicate", found, "each picture once")
@@ -519,7 +511,6 @@ def _read_annotations(
         if box is None:
             continue
         corners = to_floats(a.get("obb"), 8)
-        visibility = to_floats([a.get("visibility")], 1)
         extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1
@@ -533,7 +524,7 @@ def _read_annotations(
                 box,
                 None if corners is None or not is_near(corners) else np.array(corners).reshape(4, 2),
                 _read_mask(a, size_wh, here, problems),
-                visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+                to_share(a.get("visibility")),
                 to_bool(a.get("truncated")),
                 to_bool(a.get("difficult")),
                 a.get("inserted") is True,

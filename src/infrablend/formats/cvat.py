@@ -32,17 +32,19 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    ignored_by_class,
     is_ignored_name,
     require_size,
     shorten,
     sort_images,
+    split_of_stem,
 )
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, obb_from_corners, overhang_px
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import PictureFolder, check_name
 from infrablend.formats.records import make_dataset
-from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
 LABELS_FILE = "cvat_labels.json"
@@ -68,7 +70,7 @@ def write(
     ordered = sort_images(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
-    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    unsaid = ignored_by_class(categories)
     files = [write_json(out / LABELS_FILE, _labels(categories))]
     for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
         chosen = [i for i in ordered if i.split == split]
@@ -129,12 +131,10 @@ def _shapes(i: Instance, group: int, losses: Counter[str]) -> Iterator[str]:
     attributes = _attributes(i)
     edges, rotation = i.box_xyxy, ""
     if i.corners_xy is not None:
-        cx, cy, w, h, angle = obb_from_corners(i.corners_xy)
+        cx, cy, w, h, angle = obb = obb_from_corners(i.corners_xy)
         edges = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])
         rotation = f' rotation="{number_text(math.degrees(angle))}"'
-        same = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
-        apart = min(np.abs(np.roll(i.corners_xy, k, axis=0) - same).max() for k in range(4))
-        losses["obb_not_rectangle"] += bool(apart > 1e-3)
+        losses["obb_not_rectangle"] += not is_rectangle(i.corners_xy, obb)
     box = " ".join(f'{k}="{number_text(float(v))}"' for k, v in zip(_EDGES, edges, strict=True))
     yield f"    <box {label} {box}{rotation}{ending}{attributes}</box>"
     pixels = None if i.mask is None else i.mask.to_array()
@@ -187,10 +187,6 @@ def detect(root: Path) -> Match:
     return Match(NAME, True, f"CVAT for images: {', '.join(p.name for p in files)}")
 
 
-def _split_of(name: str) -> Split:
-    return next((s for s in ("val", "test") if s in name.lower()), "train")
-
-
 def _folder(root: Path, split: str, names: Sequence[str]) -> PictureFolder:
     """Return the folder that contains most of the named pictures, among the usual places."""
     places = [root / p for p in (f"images/{split}", "images", split, ".")]
@@ -225,7 +221,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         names |= dict.fromkeys(t for label in top.iter("label") if (t := (label.findtext("name") or "").strip()))
         elements: dict[Split, list[Any]] = {}
         for element in top.iter("image"):
-            elements.setdefault(_split_of(element.get("subset") or path.stem), []).append(element)
+            elements.setdefault(split_of_stem(element.get("subset") or path.stem), []).append(element)
         for split in [s for s in wanted if s in elements]:
             listed = [n for e in elements[split] if check_name(n := e.get("name"), "") is None and n]
             folder = _folder(root, split, listed)
@@ -247,13 +243,8 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
 def _read_image(
     element: Any, where: str, split: Split, folder: PictureFolder, problems: list[Problem]
 ) -> ImageRecord | None:
-    fault = check_name(element.get("name"), where)
-    name, picture = str(element.get("name")), None
-    if fault is None:
-        name, picture, fault = folder.find(name, where)
-    if fault is None and picture is None:
-        expected = f"a file in {folder.folder.name}/"
-        fault = Problem(where, "image-missing", f"no picture {name!r}", expected, "put the pictures there")
+    expected = f"a file in {folder.folder.name}/"
+    name, picture, fault = folder.find_named(element.get("name"), where, expected, "put the pictures there")
     if fault is not None or picture is None:
         problems += [fault] if fault else []
         return None
@@ -308,21 +299,19 @@ def _read_shape(shape: Any, where: str, size_wh: tuple[int, int] | None, problem
         mask = _read_mask(shape, where, size_wh, problems)
         if mask is None:
             return None
-        at = np.argwhere(mask.to_array())
-        if not len(at):
+        around = mask.box_xyxy
+        if around is None:
             problems.append(Problem(where, "mask-malformed", "no pixel", "a mask inside the frame", severity="warning"))
             return None
-        (top, left), (bottom, right) = at.min(axis=0), at.max(axis=0)
-        edges = (float(left), float(top), float(right + 1), float(bottom + 1))
+        edges = tuple(around.tolist())
     box, problem = check_box(edges, size_wh, where)
     problems += [problem] if problem is not None else []
     if box is None:
         return None
     said = {a.get("name"): (a.text or "").strip() for a in shape.findall("attribute")}
-    visibility = to_floats([said.get("visibility")], 1)
     occluded = {"occluded": True} if shape.get("occluded") == "1" else {}
     return Instance(
-        label, box, corners, mask, visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        label, box, corners, mask, to_share(said.get("visibility")),
         to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
         None, occluded, said.get("track_id") or None,
     )  # fmt: skip

@@ -40,8 +40,8 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import BOXES
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.pictures import PictureFolder, assign_ids
+from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "huggingface"
 TAKES_TABLE = False  # the lines contain pitch and altitude
@@ -304,7 +304,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
             continue
         where = path.relative_to(root).as_posix()
         for name in sorted(folder.by_name):
-            record = _read_line(json.dumps({"file_name": name}), where, split, folder, state)
+            record = _read_row({"file_name": name}, where, split, folder, state)
             found += [] if record is None else [(f"{split}/{name}", record)]
         text = f"{len(folder.by_name)} picture(s) without a {FILE}, read as pictures without objects"
         state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
@@ -325,12 +325,13 @@ def _read_line(line: str, where: str, split: Split, folder: PictureFolder, state
     if not isinstance(row, dict):
         state.problems.append(Problem(where, "annotation-not-json", line[:80], "a JSON object", "correct the line"))
         return None
-    fault = check_name(row.get("file_name"), where)
-    name, picture = str(row.get("file_name")), None
-    if fault is None:
-        name, picture, fault = folder.find(name, where)
-    if fault is None and picture is None:
-        fault = Problem(where, "image-missing", f"no picture {name!r}", f"a file in {folder.folder.name}", "restore it")
+    return _read_row(row, where, split, folder, state)
+
+
+def _read_row(
+    row: Mapping[str, Any], where: str, split: Split, folder: PictureFolder, state: _Reading
+) -> ImageRecord | None:
+    name, picture, fault = folder.find_named(row.get("file_name"), where, f"a file in {folder.folder.name}")
     if fault is not None or picture is None:
         state.problems += [fault] if fault else []
         return None
@@ -398,12 +399,11 @@ def _read_object(
     if box is None:
         return None
     corners = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
-    visibility = to_floats([row.get("visibility")], 1)
     return Instance(
         category, box,
         None if corners is None or not is_near(corners) else np.array(corners, np.float64).reshape(4, 2),
         _read_mask(row.get("segmentation"), size_wh, where, state),
-        visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        to_share(row.get("visibility")),
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
         None, _read_occlusion(row, size_wh), _text(row.get("track_id")),
     )  # fmt: skip

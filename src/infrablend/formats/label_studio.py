@@ -33,17 +33,19 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    ignored_by_class,
     is_ignored_name,
     require_size,
     shorten,
     sort_images,
+    split_of_stem,
 )
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, obb_from_corners, overhang_px
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
 from infrablend.formats.records import make_dataset
-from infrablend.formats.values import to_bool, to_floats, to_size
+from infrablend.formats.values import to_bool, to_floats, to_share, to_size
 
 NAME = "label-studio"
 CONFIG_FILE = "label_config.xml"
@@ -70,7 +72,7 @@ def write(
     ordered = sort_images(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
-    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    unsaid = ignored_by_class(categories)
     masks = any(o.mask is not None for i in ordered for o in i.instances)
     files = [write_text(out / CONFIG_FILE, _config(list(known), masks))]
     for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
@@ -123,10 +125,8 @@ def _rectangle(i: Instance, w: int, h: int, losses: Counter[str]) -> dict[str, f
     if i.corners_xy is None:
         (x, y), (width, height), turn = i.box_xyxy[:2], i.box_xyxy[2:] - i.box_xyxy[:2], 0.0
     else:
-        cx, cy, width, height, angle = obb_from_corners(i.corners_xy)
-        corners = corners_of_cxcywha(np.array([(cx, cy, width, height, angle)]))[0]
-        apart = min(np.abs(np.roll(i.corners_xy, k, axis=0) - corners).max() for k in range(4))
-        losses["obb_not_rectangle"] += bool(apart > 1e-3)
+        cx, cy, width, height, angle = obb = obb_from_corners(i.corners_xy)
+        losses["obb_not_rectangle"] += not is_rectangle(i.corners_xy, obb)
         (x, y), turn = _first_corner(cx, cy, width, height, angle), math.degrees(angle)
     percent = {"x": x / w, "y": y / h, "width": width / w, "height": height / h}
     return {**{k: round(100 * float(v), 10) for k, v in percent.items()}, "rotation": round(turn, 10)}
@@ -246,7 +246,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             problems += error.problems
             continue
         for n, task in enumerate(tasks if isinstance(tasks, list) else ()):
-            record = _read_task(task, f"{path.name}: task {n}", _split_of(path.stem), folder, problems)
+            record = _read_task(task, f"{path.name}: task {n}", split_of_stem(path.stem), folder, problems)
             if record is not None and record.split in wanted:
                 records.setdefault(record.path, record)
     names = dict.fromkeys(i.category for r in records.values() for i in r.instances)
@@ -255,10 +255,6 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         root, NAME, list(records.values()), categories, shorten(problems), {"labels": NAME}, metadata=metadata,
         splits=wanted,
     )  # fmt: skip
-
-
-def _split_of(name: str) -> Split:
-    return next((s for s in ("val", "test") if s in name.lower()), "train")
 
 
 def _read_task(
@@ -358,19 +354,18 @@ def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) ->
             edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64))
     else:
         mask = _read_mask(row, value, size_wh)
-        at = np.argwhere(mask.to_array())
-        if not len(at):
+        around = mask.box_xyxy
+        if around is None:
             raise ValueError("a mask without a pixel")
-        edges = np.array([*at.min(axis=0)[::-1], *(at.max(axis=0)[::-1] + 1)], np.float64)
+        edges = around
     box, problem = check_box(edges.tolist(), size_wh, where)
     problems += [problem] if problem is not None else []
     if box is None:
         return None
     flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}
-    visibility = to_floats([meta.get("visibility")], 1)
     track = meta.get("track_id")
     return Instance(
-        str(labels[0]), box, corners, mask, visibility[0] if visibility and 0 <= visibility[0] <= 1 else None,
+        str(labels[0]), box, corners, mask, to_share(meta.get("visibility")),
         flags["truncated"], flags["difficult"], flags["inserted"] is True, None,
         {} if flags["occluded"] is None else {"occluded": flags["occluded"]},
         track if isinstance(track, int | str) and not isinstance(track, bool) else None,

@@ -38,7 +38,7 @@ from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_link, check_name
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_link
 from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 NAME = "masks"
@@ -227,12 +227,7 @@ def _read_table(
         found, expected = "no list `objects`, or no width and height", "a table of masks"
         problems.append(Problem(where, "annotation-layout", found, expected, "leave it out"))
         return None
-    fault = check_name(top.get("file_name"), where)
-    name, picture = str(top.get("file_name")), None
-    if fault is None:
-        name, picture, fault = listing.find(name, where)
-    if fault is None and picture is None:
-        fault = Problem(where, "image-missing", f"no picture {name!r}", f"a file in images/{split}", "restore it")
+    name, picture, fault = listing.find_named(top.get("file_name"), where, f"a file in images/{split}")
     if fault is not None or picture is None:
         problems += [fault] if fault else []
         return None

@@ -99,6 +99,25 @@ class PictureFolder:
         linked = path.is_symlink() or "/" in name
         return name, path, check_link(path, self.folder, where) if linked else None
 
+    def find_named(
+        self, name: object, where: str, expected: str, todo: str = "restore it"
+    ) -> tuple[str, Path | None, Problem | None]:
+        """Return what `find` does for a name from an annotation file; a missing picture is a problem.
+
+        Args:
+            name: Name in the file, which may be anything.
+            where: Place in the file.
+            expected: Where the picture should be.
+            todo: What to do if it is missing.
+        """
+        fault = check_name(name, where)
+        if fault is not None:
+            return str(name), None, fault
+        found, path, fault = self.find(str(name), where)
+        if fault is None and path is None:
+            fault = Problem(where, "image-missing", f"no picture {found!r}", expected, todo)
+        return found, path, fault
+
 
 def assign_ids(names: Iterable[str]) -> dict[str, str]:
     """Return a unique id per relative path: the stem if that is unique, else the path with `__` for `/`.

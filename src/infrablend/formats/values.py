@@ -39,6 +39,12 @@ def to_bool(value: object) -> bool | None:
     return {"1": True, "true": True, "0": False, "false": False}.get(text)
 
 
+def to_share(value: object) -> float | None:
+    """Return the number in [0, 1] that a field means, or None."""
+    number = to_floats([value], 1)
+    return number[0] if number and 0 <= number[0] <= 1 else None
+
+
 def to_size(width: object, height: object) -> tuple[int, int] | None:
     """Return (width, height) in px if both are whole numbers above 0 and within the limit for pictures, else None."""
     w, h = to_int(width), to_int(height)

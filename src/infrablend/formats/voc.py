@@ -33,6 +33,7 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    ignored_by_class,
     is_ignored_name,
     require_options,
     require_size,
@@ -397,7 +398,7 @@ def write(
     ordered = sort_images(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
-    unsaid = {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
+    unsaid = ignored_by_class(categories)
     stems: dict[str, Split] = {}
     files: list[Path] = []
     for image in ordered:

@@ -98,26 +98,30 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
     runs = [ShardedRun(source) for source in dict.fromkeys(real_path(s) for s in sources)]
     shared = runs[0].read_plan()
     for run in runs[1:]:
-        shared.require_same(run.read_plan(), run.root)
-        if run.read_plan().levels != shared.levels:
+        other = run.read_plan()
+        shared.require_same(other, run.root)
+        if other.levels != shared.levels:
             raise OtherSettingsError(f"{run.root}: other grey levels than {runs[0].root}, although the data are equal")
     found: dict[int, tuple[ShardedRun, ShardState]] = {}
+    started: dict[int, ShardState] = {}
     for run in runs:
         for state in run.states():
+            number = state.shard.number
             if state.state in ("done", "failed"):
-                number = state.shard.number
                 if number in found:
                     raise OutputError(
                         f"shard {state.shard} is in {found[number][0].root} and in {run.root}; expected it once. "
                         "Move one of them away."
                     )
                 found[number] = run, state
+            elif state.state != "missing":
+                started.setdefault(number, state)
     lacking = [n for n in range(1, shared.count + 1) if n not in found]
     if lacking and not partial:
         raise OutputError(
             f"{len(lacking)} of {shared.count} shards are not finished. Finish them (infrablend status lists them), "
             "or merge the others with --partial.",
-            [_unfinished(runs, Shard(n, shared.count)) for n in lacking],
+            [_unfinished(Shard(n, shared.count), started.get(n)) for n in lacking],
         )
     if not found:
         raise ArgumentError(f"none of the {shared.count} shards is finished; expected at least one")
@@ -126,9 +130,8 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
     ]
 
 
-def _unfinished(runs: Sequence[ShardedRun], shard: Shard) -> Problem:
-    states = [s for run in runs for s in run.states() if s.shard == shard and s.state != "missing"]
-    found = f"{states[0].state}: {states[0].finished} of {states[0].frames} frames" if states else "missing"
+def _unfinished(shard: Shard, state: ShardState | None) -> Problem:
+    found = "missing" if state is None else f"{state.state}: {state.finished} of {state.frames} frames"
     todo = f"infrablend generate ... --shard {shard} --resume"
     return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", todo)
 
@@ -144,10 +147,7 @@ def _read(folder: RunFolder, shard: Shard, shared: SharedPlan) -> _Finished:
             f"Repeat its command with --overwrite."
         )
     try:
-        failures = {
-            frame: Failure(f["kind"], f["error"], f["message"], tuple(Problem(**p) for p in f["problems"]))
-            for frame, f in record["unfinished"].items()
-        }
+        failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
     except (LookupError, TypeError, AttributeError) as error:
         raise OutputError(f"{folder.run_file}: damaged ({error}); repeat the shard with --resume") from error
     return _Finished(shard, folder, record, failures)

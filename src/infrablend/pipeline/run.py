@@ -480,18 +480,7 @@ def _shard_facts(plan: RunPlan, state: _State) -> dict[str, Any]:
     """Return what the record of a shard adds for merging: the reason of each frame without a picture."""
     if plan.shard is None:
         return {}
-    reasons = sorted(state.reasons.items())
-    return {
-        "unfinished": {
-            frame: {
-                "kind": f.kind,
-                "error": f.error,
-                "message": f.message,
-                "problems": [p.to_json() for p in f.problems],
-            }
-            for frame, f in reasons
-        }
-    }
+    return {"unfinished": {frame: failure.to_json() for frame, failure in sorted(state.reasons.items())}}
 
 
 def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:

@@ -231,13 +231,12 @@ class ShardedRun:
         if not folder.root.is_dir():
             return ShardState(shard, "missing", planned)
         record = read_object(folder.run_file) or {}
-        counts = record.get("counts", {})
-        if record.get("status") == COMPLETE and not folder.output.is_claimed():
-            finished = int(counts.get("frames", 0))
+        claimed = folder.output.is_claimed()
+        if record.get("status") == COMPLETE and not claimed:
+            finished = int(record.get("counts", {}).get("frames", 0))
             state: State = "done" if finished == planned else "failed"
             return ShardState(shard, state, planned, finished, planned - finished)
-        state = "running" if folder.output.is_claimed() else "stopped"
-        return ShardState(shard, state, planned, len(folder.records()))
+        return ShardState(shard, "running" if claimed else "stopped", planned, len(folder.records()))
 
 
 def run_shard(

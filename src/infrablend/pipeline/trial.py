@@ -18,7 +18,7 @@ from infrablend.assets.user_model import is_description, read_description
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES
-from infrablend.core.dataset import Dataset
+from infrablend.core.dataset import Dataset, Instance
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import detection
@@ -108,6 +108,14 @@ class Trial:
             "problems": [p.to_json() for p in self.problems],
             "seconds": round(self.seconds, 3),
         }
+
+
+def how_visible(label: Instance) -> list[str]:
+    """Return the visible share and the contrast of an insert in words, as far as they are known."""
+    found = [] if label.visibility is None else [f"{100 * label.visibility:.0f} % visible"]
+    if "contrast_grey" in label.extra:
+        found.append(f"contrast {label.extra['contrast_grey']:+.0f} grey levels")
+    return found
 
 
 class Trials:

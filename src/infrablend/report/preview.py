@@ -346,10 +346,17 @@ def to_rgb(pixels: NDArray[Any]) -> Rgb:
     """Return grey or RGB pixels as (h, w, 3) uint8; other types than 8 bit are stretched."""
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ValueError(f"pixels must be (h, w) or (h, w, 3), got {pixels.shape}")
-    if pixels.dtype != np.uint8:
-        low, high = np.percentile(pixels, [0.5, 99.5])
-        pixels = np.clip((pixels - low) / max(float(high - low), 1e-12) * 255, 0, 255).round().astype(np.uint8)
+    pixels = to_8_bit(pixels)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
+
+
+def to_8_bit(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return 8-bit pixels unchanged, and others stretched from percentile 0.5 to 99.5."""
+    if pixels.dtype == np.uint8:
+        return pixels
+    low, high = np.percentile(pixels, [0.5, 99.5])
+    levels = np.clip((pixels - low) / max(float(high - low), 1e-12) * 255, 0, 255)
+    return np.asarray(levels.round(), np.uint8)
 
 
 # ---- reading a run
@@ -503,13 +510,30 @@ def _title(run: Path, entry: _Entry) -> str:
 
 def _read_pixels(run: Path, path: Path) -> NDArray[Any]:
     try:
-        pixels = cv2.imdecode(np.frombuffer(read_regular(path, run), np.uint8), cv2.IMREAD_UNCHANGED)
+        pixels = decode_picture(path, run)
     except LinkOutError as error:
         raise DatasetError(f"{path}: {error}") from error
-    except (OSError, ValueError, cv2.error):
-        pixels = None
     if pixels is None:
         raise DatasetError(f"{path}: not a readable image; expected a frame of the run. Run `generate --resume`.")
-    if pixels.ndim == 3:
-        pixels = pixels[:, :, :3][:, :, ::-1]
-    return np.ascontiguousarray(pixels)
+    return pixels
+
+
+def decode_picture(path: Path, folder: Path | None = None) -> NDArray[Any] | None:
+    """Return the pixels of a picture, (h, w), or (h, w, 3) in the order red, green, blue; None if it is unreadable.
+
+    Args:
+        path: The file.
+        folder: Folder that owns it, see `open_regular`.
+
+    Raises:
+        LinkOutError: It is a link out of the folder.
+    """
+    try:
+        pixels = cv2.imdecode(np.frombuffer(read_regular(path, folder), np.uint8), cv2.IMREAD_UNCHANGED)
+    except LinkOutError:
+        raise
+    except (OSError, ValueError, cv2.error):
+        return None
+    if pixels is None:
+        return None
+    return np.ascontiguousarray(pixels[:, :, 2::-1] if pixels.ndim == 3 else pixels)

@@ -191,8 +191,7 @@ def place_metric(
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
             mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
-        aim = None if real is None or not item.model.stands else draw_aim(real, rng)
-        outline = None if aim is None else _outline(item)
+        wanted_ground = None if real is None or not item.model.stands else (draw_aim(real, rng), _outline(item))
         hiding = None if item.visible_aim is None else site.hiding
         examined = 0
         for attempt in range(rules.attempts):
@@ -209,8 +208,9 @@ def place_metric(
                     tally.reject("no_occluder")
                     continue
                 examined += 1
-            if aim is not None and outline is not None and hiding is None:
+            if wanted_ground is not None and hiding is None:
                 # Before the exact checks, which cost far more.
+                aim, outline = wanted_ground
                 ground = ground_around(site, _rough_box(camera, pose, outline, item.scale), annotated)
                 if ground is None or not aim.accepts(ground, attempt / rules.attempts, company):
                     tally.reject("unlike_real_ground")

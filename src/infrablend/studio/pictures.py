@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import Instance
 from infrablend.core.file_names import is_inside
-from infrablend.core.files import read_regular, write_bytes
+from infrablend.core.files import LinkOutError, read_regular, write_bytes
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.record import RecordError, load_record
-from infrablend.report.preview import INSERTED, draw_labels, to_rgb
+from infrablend.report.preview import INSERTED, decode_picture, draw_labels, to_rgb
 from infrablend.studio.frame_index import FrameRow
 
 THUMBNAIL_PX = 208
@@ -76,12 +76,12 @@ def decode(path: Path, what: str, folder: Path | None = None) -> NDArray[Any]:
         DatasetError: It is missing or damaged.
     """
     try:
-        pixels = cv2.imdecode(np.frombuffer(read_regular(path, folder), np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, cv2.error):
+        pixels = decode_picture(path, folder)
+    except LinkOutError:
         pixels = None
     if pixels is None:
         raise DatasetError(f"{path}: not a readable picture; expected {what}")
-    return np.ascontiguousarray(pixels[:, :, 2::-1] if pixels.ndim == 3 else pixels)
+    return pixels
 
 
 def _thumbnail(pixels: NDArray[Any], row: FrameRow) -> bytes:

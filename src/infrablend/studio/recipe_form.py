@@ -97,11 +97,11 @@ def fitting(settings: Mapping[str, Any], modes: Modes) -> dict[str, Any]:
 def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:
     help_text = " ".join(str(about.get("description", "")).split())
     title = name.replace("_", " ")
-    unit = next((u for end, u in sorted(_UNITS.items(), key=lambda p: -len(p[0])) if name.endswith(f"_{end}")), "")
-    if unit:
-        title = title.removesuffix(" " + next(e for e, u in _UNITS.items() if u == unit).replace("_", " "))
+    end = max((e for e in _UNITS if name.endswith(f"_{e}")), key=len, default="")
+    if end:
+        title = title.removesuffix(" " + end.replace("_", " "))
     kind, low, high, choices = _kind(key, about, value)
-    return FormField(key, title, kind, value, help_text, unit, low, high, choices)
+    return FormField(key, title, kind, value, help_text, _UNITS.get(end, ""), low, high, choices)
 
 
 def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float | None, float | None, tuple[str, ...]]:

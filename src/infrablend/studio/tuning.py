@@ -22,12 +22,12 @@ from infrablend.core.files import write_text
 from infrablend.errors import ArgumentError, OutputError
 from infrablend.formats import detection
 from infrablend.pipeline.temperature_scale import with_scale
-from infrablend.pipeline.trial import Trial, TrialRequest, Trials
+from infrablend.pipeline.trial import Trial, TrialRequest, Trials, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.pictures import Rgb, decode, enlarged
+from infrablend.thermal.radiometry import ZERO_C_K
 
-ZERO_C_K = 273.15
 _CROP_PX = 240
 
 
@@ -76,11 +76,7 @@ class Tuned:
         found = []
         for label in frame.inserted:
             width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
-            lines = [f"{label.category}, {width:.0f} x {height:.0f} px"]
-            if label.visibility is not None:
-                lines.append(f"{100 * label.visibility:.0f} % visible")
-            if "contrast_grey" in label.extra:
-                lines.append(f"contrast {label.extra['contrast_grey']:+.0f} grey levels")
+            lines = [f"{label.category}, {width:.0f} x {height:.0f} px", *how_visible(label)]
             number = label.extra.get("object")
             if frame.scene is not None and isinstance(number, int) and number < len(frame.scene.objects):
                 parts = frame.scene.objects[number].parts

@@ -22,6 +22,20 @@ def test_run_lengths_are_those_of_the_mask(h: int, w: int, seed: int) -> None:
     assert Mask.from_coco({"size": [h, w], "counts": lengths.tolist()}, (h, w)) == mask
 
 
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 4), st.integers(0, 2**31))
+def test_the_box_is_around_all_pixels(h: int, w: int, count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pixels = np.zeros((h, w), np.bool_)
+    pixels[rng.integers(0, h, count), rng.integers(0, w, count)] = True
+    at = np.argwhere(pixels)
+    box = Mask.from_array(pixels).box_xyxy
+    if not len(at):
+        assert box is None
+    else:
+        assert box is not None
+        assert box.tolist() == [*at.min(axis=0)[::-1], *(at.max(axis=0)[::-1] + 1)]
+
+
 def test_long_runs() -> None:
     bits = np.zeros((512, 640), np.bool_)
     bits[100:400, 50] = bits[:, 300:500] = True

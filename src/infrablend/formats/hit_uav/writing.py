@@ -17,7 +17,7 @@ from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
 from infrablend.core.files import finite, link_or_copy, write_text
 from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
-from infrablend.formats.box_checks import obb_from_corners
+from infrablend.formats.box_checks import is_rectangle, obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
@@ -136,9 +136,7 @@ def _oriented_numbers(instance: Instance, losses: Counter[str]) -> list[float]:
         if np.allclose(again, corners, rtol=0, atol=1e-9):
             return [float(v) for v in source]
     numbers = obb_from_corners(corners)
-    made = corners_of_cxcywha(np.array([numbers], np.float64))[0]
-    apart = min(float(np.abs(np.roll(made, k, axis=0) - corners).max()) for k in (0, 2))
-    losses["obb_not_rectangle"] += apart > 1e-3
+    losses["obb_not_rectangle"] += not is_rectangle(corners, numbers)
     return [round(v, _COORDINATE_DIGITS) for v in numbers[:4]] + [round(numbers[4], _ANGLE_DIGITS)]
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from infrablend.core.file_names import leaves_folder
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
+from infrablend.report.preview import to_8_bit
 from infrablend.report.run.facts import Box
 
 THUMBNAIL_PX = 200
@@ -49,10 +50,7 @@ def read_levels(path: Path) -> NDArray[np.uint8] | None:
         pixels: NDArray[Any] = load_background(path).pixels
     except DatasetError:
         return None
-    if pixels.dtype != np.uint8:
-        low, high = np.percentile(pixels, [0.5, 99.5])
-        pixels = np.clip((pixels - low) / max(float(high - low), 1e-12) * 255, 0, 255).round().astype(np.uint8)
-    return np.asarray(pixels, np.uint8)
+    return to_8_bit(pixels)
 
 
 def thumbnail(pixels: NDArray[np.uint8]) -> str:
