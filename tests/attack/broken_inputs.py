@@ -22,10 +22,11 @@ import yaml
 
 from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.file_names import is_inside
+from infrablend.pipeline.review import REVIEW_FILE
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.models import choose_model, write_models
-from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab
+from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab, write_shards
 from tests.attack.trees import contents, differences, snapshot
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import WEIRD_JSON, WEIRD_WORDS, mutate
@@ -286,6 +287,36 @@ def _finished_run(lab: Path) -> None:
     _with_mine(lab)
 
 
+def _finished_merge(lab: Path) -> None:
+    write_shards(lab)
+    done(lab, "-q", "merge", lab / "in" / "shards", lab / "out")
+    _with_mine(lab)
+
+
+def _reviewed_run(lab: Path) -> None:
+    """Write a run, and a review of its frames beside it."""
+    _finished_run(lab)
+    shutil.rmtree(lab / "out" / "mine")
+    frames = {"train/0_60_30_0_00001_c0": {"verdict": "reject", "reason": "too bright"}}
+    frames |= {"val/1_90_60_0_00023_c0": {"verdict": "accept"}}
+    (lab / "in" / "review").mkdir()
+    (lab / "in" / "review" / REVIEW_FILE).write_text(json.dumps({"frames": frames}))
+
+
+def _break_review(lab: Path, choose: Choice) -> str:
+    """Break a review, and put it in the run."""
+    file = lab / "in" / "review" / REVIEW_FILE
+    if choose.random() < 0.3:
+        said = mutate(file.parent, lab / "canary", choose)
+    else:
+        top = json.loads(file.read_text())
+        said = "; ".join(break_value(top, choose) for _ in range(choose.randint(1, 3)))
+        file.write_text(json.dumps(top))
+    for path in file.parent.iterdir():
+        shutil.move(path, lab / "out" / path.name)
+    return said
+
+
 def _finished_conversion(lab: Path) -> None:
     SAMPLES["coco"](lab / "in" / "data")
     done(lab, "-q", "convert", lab / "in" / "data", lab / "out", "--to", "voc")
@@ -391,10 +422,33 @@ INPUTS: tuple[Input, ...] = (
         lambda lab: [
             ["-q", "check", lab / "out" / "coco"],
             ["-q", "preview", lab / "out", "--out", lab / "own" / "sheet.png"],
+            ["-q", "report", lab / "out"],
             generate_words(lab, lab / "out", "--resume"),
         ],
         0.05,
         _same_output,
+    ),
+    Input(
+        "shards of a run",
+        _finished_merge,
+        _break_files("in/shards"),
+        lambda lab: [
+            ["-q", "status", lab / "in" / "shards"],
+            ["-q", "merge", lab / "in" / "shards", lab / "out", "--overwrite"],
+        ],
+        0.04,
+        _same_output,
+    ),
+    Input(
+        "review of a run",
+        _reviewed_run,
+        _break_review,
+        lambda lab: [
+            ["-q", "exclude", lab / "out", "--review"],
+            ["-q", "report", lab / "out"],
+            ["-q", "check", lab / "out" / "coco"],
+        ],
+        0.03,
     ),
     Input(
         "records of a conversion",

@@ -23,6 +23,7 @@ class Reference:
         scenario: The scenario.
         lab: Folder of the attacks.
         files: Digests of its output.
+        start: Digests of what is copied to the output first.
         around: Snapshot of everything else.
         writes: Number of writes.
         seconds: Time that it took.
@@ -31,6 +32,7 @@ class Reference:
     scenario: Scenario
     lab: Path
     files: dict[str, str]
+    start: dict[str, str]
     around: dict[str, tuple[object, ...]]
     writes: int
     seconds: float
@@ -44,6 +46,7 @@ def make_reference(scenario: Scenario, root: Path) -> Reference:
     """
     lab = new_lab(root / scenario.name.replace(" ", "-").replace(",", ""), scenario.prepare)
     around = snapshot(lab, "out", "own")
+    scenario.begin(lab)
     ended = _call(scenario, lab, UNDISTURBED)
     if ended.code:
         raise RuntimeError(f"{scenario.name}: exit {ended.code} without any disturbance\n{ended.output}\n{ended.log}")
@@ -55,9 +58,11 @@ def make_reference(scenario: Scenario, root: Path) -> Reference:
         read = fork_command(words, lab, lab / "own" / "other", flat=scenario.flat)
         if read.code:
             raise RuntimeError(f"{scenario.name}: {words} of finished output: exit {read.code}\n{read.output}")
-    return Reference(
-        scenario, lab, contents(lab / "out", scenario.left_out, scenario.trained), around, ended.writes, ended.seconds
+    files, start = (
+        contents(folder, scenario.left_out, scenario.trained) if folder.is_dir() else {}
+        for folder in (lab / "out", lab / (scenario.start or "none"))
     )
+    return Reference(scenario, lab, files, start, around, ended.writes, ended.seconds)
 
 
 def _call(scenario: Scenario, lab: Path, disturbance: Disturbance, options: tuple[str, ...] = ()) -> Outcome:
@@ -81,7 +86,7 @@ def disturbances(reference: Reference, number: int, choose: random.Random) -> It
 def attack(reference: Reference, case: str, disturbance: Disturbance, number: int) -> list[Finding]:
     """Disturb the command once, and check what is left and how it is finished."""
     scenario, lab, out = reference.scenario, reference.lab, reference.lab / "out"
-    shutil.rmtree(out, ignore_errors=True)
+    scenario.begin(lab)
     judge = Judge(f"kill {scenario.name}", case, reference)
     ended = _call(scenario, lab, disturbance)
     judge.ended("the command", ended, killed=True)
@@ -95,7 +100,7 @@ def attack(reference: Reference, case: str, disturbance: Disturbance, number: in
         read = fork_command(reader(out, other), lab, other, flat=scenario.flat)
         judge.ended(f"reader {k}", read)
         whole = {k: v for k, v in left.items() if not k.startswith(scenario.working)}
-        if read.code in (0, 1) and whole != reference.files and left:
+        if read.code in (0, 1) and whole not in (reference.files, reference.start) and left:
             differing = differences(whole, reference.files)
             judge.found("silent loss", f"{reader(out, other)[1]} accepts unfinished output: {differing}")
     judge.unchanged_around()

@@ -38,6 +38,7 @@ class Scenario:
         trained: Whether the output depends on weights that the command trains.
         share: Share of the kills.
         working: Beginnings of paths that a finished output may still contain: the command deletes them last.
+        start: Folder of the lab that is copied to the output first, for commands that change one; empty for none.
     """
 
     name: str
@@ -50,6 +51,13 @@ class Scenario:
     trained: bool = False
     share: float = 0.1
     working: tuple[str, ...] = ()
+    start: str = ""
+
+    def begin(self, lab: Path) -> None:
+        """Remove the output of an earlier attack, and copy what the command changes."""
+        shutil.rmtree(lab / "out", ignore_errors=True)
+        if self.start:
+            shutil.copytree(lab / self.start, lab / "out")
 
 
 def new_lab(root: Path, prepare: Callable[[Path], object]) -> Path:
@@ -81,6 +89,13 @@ def _coco(lab: Path) -> None:
 def _run(lab: Path) -> None:
     _coco(lab)
     done(lab, *generate_words(lab, lab / "in" / "run"))
+
+
+def write_shards(lab: Path) -> None:
+    """Write both shards of a run to `in/shards`."""
+    _coco(lab)
+    for number in (1, 2):
+        done(lab, *generate_words(lab, lab / "in" / "shards", "--shard", f"{number}/2"))
 
 
 def _pictures(lab: Path) -> None:
@@ -174,6 +189,31 @@ SCENARIOS: dict[str, Scenario] = {
             flat=False,
             share=0.03,
         ),
+        Scenario(
+            "generate --shard",
+            _coco,
+            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2"),
+            (RESUME, OVERWRITE),
+            share=0.06,
+        ),
+        Scenario(
+            "merge",
+            write_shards,
+            lambda lab: ["-q", "merge", lab / "in" / "shards", lab / "out"],
+            (RESUME, OVERWRITE),
+            READ_RUN,
+            share=0.06,
+        ),
+        Scenario(
+            "exclude",
+            _run,
+            lambda lab: ["-q", "exclude", lab / "out", "train/0_60_30_0_00001_c0"],
+            (SAME,),
+            READ_RUN,
+            share=0.06,
+            start="in/run",
+        ),
+        Scenario("report", _run, lambda lab: ["-q", "report", lab / "out"], (SAME,), share=0.02, start="in/run"),
         Scenario(
             "convert",
             _coco,

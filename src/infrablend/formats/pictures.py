@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import warnings
 from collections import Counter
@@ -158,6 +159,17 @@ def open_picture(path: Path, formats: Sequence[str] = PICTURE_FORMATS) -> Image.
     if not path.is_file():
         raise FileNotFoundError("no such file")
     return Image.open(path, formats=tuple(formats))
+
+
+def is_decodable(data: bytes, formats: Sequence[str] = PICTURE_FORMATS) -> bool:
+    """Return whether the header of a picture can be read, and its size is at most `MAX_PIXELS`."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
+            with Image.open(io.BytesIO(data), formats=tuple(formats)) as picture:
+                return bool(picture.width * picture.height <= MAX_PIXELS)
+    except Exception:  # PIL's decoders raise what they like on broken headers
+        return False
 
 
 def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem | None]:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.modes import recipe_from_json
 from infrablend.core.finished import COMPLETE, EXCLUDING
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
 from infrablend.pipeline.excluded import purge, read_choice, read_review
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.frame_selection import FrameSelection, similar
-from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.frame_selection import similar
+from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.rerender import recipe_json
 from infrablend.pipeline.run import run_plan
-from infrablend.pipeline.temperature_scale import with_scale
 
 BY_HAND = "by hand"
 
@@ -103,15 +99,15 @@ def choose_frames(
         )
     if "shard" in record:
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
-    plan = recorded_plan(record, data)
+    recorded = RecordedRun.from_record(record, folder.run_file)
+    plan = recorded.plan(data)
     before = read_choice(folder)
     after = _changed(before, choice, plan)
     changed = before.keys() ^ after.keys()
     counts: Mapping[str, Any] = record.get("counts", {})
     if changed or after != before or status == EXCLUDING:
-        machine = record["machine"]
-        flat = machine["renderer"] == "flat"
-        execution = Execution(machine.get("workers"), machine["device"], machine["renderer"], in_process=flat)
+        flat = recorded.renderer == "flat"
+        execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
         try:
             counts = run_plan(plan, run, execution, "resume", on_progress, excluded=after).counts
         except OtherSettingsError as error:
@@ -152,17 +148,3 @@ def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan)
     if len(after) >= len(plan.frames):
         raise ArgumentError("all frames of the run would be excluded; expected at least one to stay. Delete the run")
     return after
-
-
-def recorded_plan(record: Mapping[str, Any], data: Path | None) -> RunPlan:
-    """Return the plan of a recorded run, made again from its backgrounds."""
-    recipe = recipe_from_json(recipe_json(dict(record)))
-    request = record.get("request") or {}
-    reading = Reading(**request.get("reading", {}))
-    dataset = detection.read(data or Path(record["data"]["root"]), with_scale(reading, recipe))
-    warnings = [Problem(**p) for p in request.get("warnings", ())]
-    plan = make_plan(
-        recipe, dataset, record["seed"], splits=reading.splits,
-        selection=FrameSelection(**request.get("selection", {})), recipe_warnings=warnings,
-    )  # fmt: skip
-    return replace(plan, request=request)

@@ -19,7 +19,6 @@ from typing import Any, Literal, get_args
 
 from infrablend.annotation.classes import rename_classes
 from infrablend.compositing.mapping import measure_levels
-from infrablend.config.modes import recipe_from_json
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, real_path
@@ -39,7 +38,7 @@ from infrablend.pipeline.measure_objects import Measurements, MeasuringSettings,
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.plan import LEVELS_SAMPLE
 from infrablend.pipeline.record import FrameRecord, read_record
-from infrablend.pipeline.rerender import recipe_json
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.realism.class_comparison import (
     ClassComparison,
     compare_class,
@@ -131,9 +130,9 @@ def measure_populations(
             compare.
     """
     folder = RunFolder(run)
-    about = folder.read_run()
+    recorded = RecordedRun.read(folder)
     require_finished(run)
-    recipe = recipe_from_json(recipe_json(about))
+    recipe = recorded.recipe
     for o in recipe.objects:
         ready_model(o.model)
     dataset = rename_classes(dataset, recipe.labels.rename)
@@ -159,8 +158,8 @@ def measure_populations(
         recipe.model_dump_json(),
         measured,
         _run_levels(records, list(backgrounds.values())),
-        about["machine"]["renderer"],
-        about["machine"]["device"],
+        recorded.renderer,
+        recorded.device,
         not request.in_process,
     )
     surveyed = [PictureJob(i) for i in originals.values() if any(o.category in measured for o in i.instances)]

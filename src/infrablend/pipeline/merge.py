@@ -14,11 +14,11 @@ from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.choose import recorded_plan
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, differences, run_plan
 from infrablend.pipeline.shard import Shard
@@ -72,22 +72,22 @@ def merge_shards(
     shared, shards = _finished_shards(sources, partial)
     for source in sources:
         _require_apart(source, out)
-    record = shards[0].record
-    plan = recorded_plan(record, data)
+    recorded = RecordedRun.from_record(shards[0].record, shards[0].folder.run_file)
+    plan = recorded.plan(data)
     if changed := differences(shared.key, plan.key):
         raise OtherSettingsError(
-            f"{record['data']['root']}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
+            f"{recorded.data}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
             "or give their folder with --data."
         )
     places = _places(plan, shards)
     _require_intact(places, shards)
     if len(shards) < shared.count:
-        chosen = {**(record.get("request") or {}), "selection": {"frames": list(places)}}
-        plan = recorded_plan({**record, "request": chosen}, data)
-    machine = record["machine"]
-    execution = Execution(device=machine["device"], renderer=shared.renderer, in_process=shared.renderer == "flat")
+        plan = recorded.select(tuple(places)).plan(data)
+    execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
-    frames = FrameSource(_ShardFrames(places, failures, RunFolder(out)), shared.levels, machine, record["packages"])
+    frames = FrameSource(
+        _ShardFrames(places, failures, RunFolder(out)), shared.levels, recorded.machine, recorded.packages
+    )
     return run_plan(plan, out, execution, existing, on_progress, source=frames)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
 from infrablend.core.file_names import leaves, real_path
@@ -26,6 +25,7 @@ from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.occlusion import recorded_front
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
 
@@ -71,7 +71,7 @@ def rerender_frame(
         DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
-    record_run = folder.read_run()
+    recorded = RecordedRun.read(folder)
     if not leaves(frame_id) and (path := folder.record(frame_id)).is_file():
         try:
             record = load_record(path)
@@ -84,33 +84,25 @@ def rerender_frame(
         raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
-    background = Path(data or record_run["data"]["root"]) / record.background["path"]
+    background = Path(data or recorded.data) / record.background["path"]
     if not background.is_file():
         raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
     if sha256_of(real_path(background)) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the background of the frame (its SHA-256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
-    recipe = recipe_from_json(recipe_json(record_run))
-    for o in recipe.objects:
+    for o in recorded.recipe.objects:
         ready_model(o.model)
     job = Rerender(
         record.to_json(),
-        recipe.model_dump_json(),
+        recorded.recipe.model_dump_json(),
         background,
         target,
-        record_run["machine"]["renderer"],
-        record_run["machine"]["device"],
+        recorded.renderer,
+        recorded.device,
         overwrite,
     )
     run_once("infrablend.pipeline.rerender:make_rerenderer", job, frame_id)
     return target
-
-
-def recipe_json(record_run: dict[str, Any]) -> str:
-    """Return the recipe of a run from the run record, as JSON."""
-    recipe = upgrade_recorded(record_run["recipe"])
-    recipe["output"] = {**recipe["output"], "formats": record_run["formats"]}
-    return json.dumps(recipe)
 
 
 def render_record(

@@ -27,6 +27,7 @@ from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
+from infrablend.formats.pictures import is_decodable
 from infrablend.report.picture_mark import CONTACT_SHEET, software_of
 
 Draw = Literal["boxes", "obb", "masks"]
@@ -519,7 +520,9 @@ def _read_pixels(run: Path, path: Path) -> NDArray[Any]:
 
 
 def decode_picture(path: Path, folder: Path | None = None) -> NDArray[Any] | None:
-    """Return the pixels of a picture, (h, w), or (h, w, 3) in the order red, green, blue; None if it is unreadable.
+    """Return the pixels of a picture, (h, w), or (h, w, 3) in the order red, green, blue.
+
+    None if it cannot be read, or has more than `MAX_PIXELS` pixels.
 
     Args:
         path: The file.
@@ -529,7 +532,8 @@ def decode_picture(path: Path, folder: Path | None = None) -> NDArray[Any] | Non
         LinkOutError: It is a link out of the folder.
     """
     try:
-        pixels = cv2.imdecode(np.frombuffer(read_regular(path, folder), np.uint8), cv2.IMREAD_UNCHANGED)
+        data = read_regular(path, folder)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_decodable(data) else None
     except LinkOutError:
         raise
     except (OSError, ValueError, cv2.error):

@@ -151,6 +151,33 @@ def test_shards_of_other_runs(dataset, tmp_path):
     assert not (tmp_path / "merged").exists()
 
 
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda record: record["recipe"]["placement"].update(mode="nowhere"), "ValidationError"),
+        (lambda record: record["recipe"].update(output=[]), "TypeError"),
+        (lambda record: record["machine"].pop("renderer"), "machine.renderer"),
+        (lambda record: record.update(machine=3), "TypeError"),
+        (lambda record: record.update(data=None), "TypeError"),
+        (lambda record: record.update(seed="x"), "seed"),
+        (lambda record: record.setdefault("request", {}).update(reading={"what": 1}), "what"),
+        (lambda record: record.setdefault("request", {}).update(selection={"limit": -1}), "limit"),
+    ],
+)
+def test_damaged_records_are_named(dataset, tmp_path, damage, words):
+    out = tmp_path / "out"
+    make_shards(dataset, out, 1)
+    file = out / "shard-00001-of-00001" / "run.json"
+    record = json.loads(file.read_text())
+    damage(record)
+    file.write_text(json.dumps(record))
+    ended = run("merge", out, tmp_path / "merged")
+    assert ended.exit_code == 2, ended.output
+    assert "run.json: damaged" in ended.output.replace("\n", "")
+    assert words in ended.output
+    assert not (tmp_path / "merged").exists()
+
+
 def test_truncated_shards_are_repaired(dataset, tmp_path):
     out = tmp_path / "out"
     make_shards(dataset, out, 2)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from infrablend.report.preview import (
     load_frames,
     preview_run,
 )
+from tests.fuzzing import with_size
 
 SIZE_WH = (160, 120)
 
@@ -342,11 +344,17 @@ def test_preview_run_writes_a_picture(run):
         assert sheet.size[0] > 2 * 160
 
 
+def claim_size(picture: Path) -> None:
+    """Claim more pixels than memory holds."""
+    picture.write_bytes(with_size(picture.read_bytes(), 30_000, 30_000))
+
+
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
         (lambda run: (run / "images/test/a_c0.png").unlink(), r"a_c0\.png: not a readable image"),
         (lambda run: (run / "images/test/a_c0.png").write_bytes(b"x"), r"a_c0\.png: not a readable image"),
+        (lambda run: claim_size(run / "images/test/a_c0.png"), r"a_c0\.png: not a readable image"),
         (lambda run: (run / "coco/test.json").write_text("{"), r"test\.json: not a COCO file .*JSONDecodeError"),
         (lambda run: (run / "coco/test.json").write_text('{"images": []}'), r"not a COCO file .*KeyError"),
         (lambda run: (run / "coco").rename(run / "cocoa") and (run / "scenes").rename(run / "s"), "folder of a run"),

@@ -12,7 +12,6 @@ from typing import Any
 from infrablend import __version__
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import load_recipe
-from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import LINK_OUT, link_or_copy, load_json
@@ -22,7 +21,7 @@ from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_da
 from infrablend.pipeline.experiments.job import StageJob
 from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
 from infrablend.pipeline.plan import make_plan
-from infrablend.pipeline.rerender import recipe_json
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.training.presets import Preset
 
 ADOPTABLE = ("train", "generate", "convert")
@@ -86,7 +85,7 @@ def _check_run(job: StageJob, folder: Path) -> None:
     record = _read_record(folder / RUN_FILE, "a folder written by `infrablend generate`")
     spec: Generate = job.stage.spec
     recipe = load_recipe(spec.recipe, spec.settings)
-    recorded = recipe_from_json(recipe_json(record))
+    recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
     source, seed = job.needs["of"], job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
     keys = []

@@ -1,0 +1,130 @@
+"""The parts of a run's record that reproduce it: recipe, data, seed, choice of frames and machine, each verified."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.recipe import Recipe
+from infrablend.errors import ArgumentError, OutputError, Problem
+from infrablend.formats import detection
+from infrablend.formats.reading import Reading
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.frame_selection import FrameSelection
+from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.temperature_scale import with_scale
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """What a run was made from, read from its record.
+
+    Attributes:
+        recipe: Recipe, upgraded to this version, with the formats of the run.
+        seed: Seed.
+        data: Folder of the backgrounds.
+        request: Choices of the user, as recorded.
+        reading: How the backgrounds were read.
+        selection: Choice of frames.
+        warnings: Problems of the recipe that were reported.
+        machine: Machine of the run, as recorded, with `renderer` and `device`.
+        packages: Versions of the packages.
+    """
+
+    recipe: Recipe
+    seed: int
+    data: Path
+    request: Mapping[str, Any]
+    reading: Reading
+    selection: FrameSelection
+    warnings: tuple[Problem, ...]
+    machine: Mapping[str, Any]
+    packages: Mapping[str, str]
+
+    @property
+    def renderer(self) -> str:
+        """Name of the renderer."""
+        return str(self.machine["renderer"])
+
+    @property
+    def device(self) -> str:
+        """Device that it rendered on."""
+        return str(self.machine["device"])
+
+    @property
+    def workers(self) -> int | None:
+        """Number of worker processes; None for the default."""
+        found: int | None = self.machine.get("workers")
+        return found
+
+    @classmethod
+    def read(cls, folder: RunFolder) -> RecordedRun:
+        """Return what a folder's run was made from.
+
+        Raises:
+            OutputError: There is no run, or its record is damaged.
+        """
+        return cls.from_record(folder.read_run(), folder.run_file)
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], file: Path) -> RecordedRun:
+        """Return what a run was made from; `file` contains the record.
+
+        Raises:
+            OutputError: The record is damaged.
+        """
+        try:
+            recipe = upgrade_recorded(record["recipe"])
+            recipe["output"] = {**recipe["output"], "formats": record["formats"]}
+            request = dict(record.get("request") or {})
+            machine, seed, packages = dict(record["machine"]), record["seed"], dict(record.get("packages", {}))
+            _require(machine.get("renderer"), str, "machine.renderer")
+            _require(machine.get("device"), str, "machine.device")
+            _require(machine.get("workers"), (int, type(None)), "machine.workers")
+            _require(seed, int, "seed")
+            return cls(
+                recipe_from_json(json.dumps(recipe)),
+                seed,
+                Path(record["data"]["root"]),
+                request,
+                Reading(**request.get("reading", {})),
+                FrameSelection(**request.get("selection", {})),
+                tuple(Problem(**p) for p in request.get("warnings", ())),
+                machine,
+                packages,
+            )
+        except (LookupError, TypeError, ValueError, AttributeError, ArgumentError) as error:
+            raise OutputError(
+                f"{file}: damaged ({type(error).__name__}: {error}); expected the record of a run as "
+                "`infrablend generate` writes it. Repeat the command that wrote it with --resume or --overwrite."
+            ) from error
+
+    def select(self, frames: tuple[str, ...]) -> RecordedRun:
+        """Return the same run with these frames only."""
+        chosen = {**self.request, "selection": {"frames": list(frames)}}
+        return replace(self, request=chosen, selection=FrameSelection(frames=frames))
+
+    def plan(self, data: Path | None) -> RunPlan:
+        """Return the plan of the run, made again from its backgrounds.
+
+        Args:
+            data: Folder of the backgrounds, if it has moved.
+
+        Raises:
+            InfraBlendError: The backgrounds cannot be read.
+        """
+        dataset = detection.read(data or self.data, with_scale(self.reading, self.recipe))
+        plan = make_plan(
+            self.recipe, dataset, self.seed, splits=self.reading.splits, selection=self.selection,
+            recipe_warnings=self.warnings,
+        )  # fmt: skip
+        return replace(plan, request=self.request)
+
+
+def _require(value: object, kind: type | tuple[type, ...], name: str) -> None:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise TypeError(f"{name} is {str(value)[:40]!r}")
