@@ -13,9 +13,9 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 git -C "$root" archive "$commit" src | tar -x -C "$folder"
 
-tests=(tests/unit/pipeline/test_folder_attacks.py tests/unit/test_hostile_names.py tests/unit/test_hostile_models.py)
+tests=(tests/unit/pipeline/test_folder_attacks.py tests/unit/test_hostile_names.py tests/unit/test_hostile_models.py tests/unit/test_input_attacks.py)
 helpers=(
-    tests/__init__.py tests/clips.py tests/command_line.py tests/flat_renderer.py tests/hostile_models.py tests/killing.py tests/samples.py
+    tests/__init__.py tests/clips.py tests/command_line.py tests/flat_renderer.py tests/hostile_models.py tests/killing.py tests/run_files.py tests/samples.py
 )
 for file in "${tests[@]}" "${helpers[@]}"; do
     mkdir -p "$folder/$(dirname "$file")"
@@ -24,6 +24,7 @@ done
 # Pictures of datasets that are made on reading belong in the temporary folder, as in the tests of today.
 export XDG_CACHE_HOME="$folder/cache" PYTHONPATH="$folder/src:$folder" OMP_NUM_THREADS=1
 cd "$folder"
+ulimit -v 16000000 # an earlier version reads /dev/zero until memory is full
 "$root/.venv/bin/python" -c 'import infrablend, sys; sys.exit(0 if infrablend.__file__.startswith(sys.argv[1]) else 1)' "$folder"
 "$root/.venv/bin/python" -m pytest -c /dev/null --rootdir="$folder" -p no:cacheprovider --timeout 60 -v --tb=line \
     -k "not one_part_of_a_path and not distinct_names" "$@" "${tests[@]}" 2>&1 | grep -E --line-buffered '::|^(/|E )|(passed|failed)' || true

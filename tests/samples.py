@@ -25,7 +25,7 @@ from PIL import Image
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
-from infrablend.formats import coco, cvat, dota, hit_uav, huggingface, label_studio, masks, voc, yolo
+from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -237,6 +237,8 @@ def _coco_plain(folder: Path) -> Path:
 
 @sample("cvat")
 def _cvat(folder: Path) -> Path:
+    from infrablend.formats import cvat  # which sources of earlier versions do not have
+
     return _written(folder, lambda images, categories: cvat.write(folder, images, categories))
 
 
@@ -348,11 +350,15 @@ def _hit_uav_xml(folder: Path) -> Path:
 
 @sample("huggingface")
 def _huggingface(folder: Path) -> Path:
+    from infrablend.formats import huggingface  # which sources of earlier versions do not have
+
     return _written(folder, lambda images, categories: huggingface.write(folder, images, categories))
 
 
 @sample("label-studio")
 def _label_studio(folder: Path) -> Path:
+    from infrablend.formats import label_studio  # which sources of earlier versions do not have
+
     return _written(folder, lambda images, categories: label_studio.write(folder, images, categories))
 
 

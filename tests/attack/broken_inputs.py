@@ -209,10 +209,13 @@ def _same_output(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
     if outcome.code:
         return ""
     now = contents(lab / "out", _NOT_COMPARED)
+    if "an edited card" in outcome.output:  # which is kept, with a warning
+        now["README.md"] = before["README.md"]
     return differences(now, before) if any(now.get(k) != v for k, v in before.items()) else ""
 
 
-_NOT_COMPARED = ("log/", "mine/", "replaced/", "convert.json", "run.json", "preview.png", ".files.jsonl")
+_NOT_COMPARED = ("log/", "mine/", "replaced/", "convert.json", "run.json", "preview.png", "report.html", ".files.jsonl")
+"""Files that list warnings and times, and what is not of the command."""
 
 
 # -- the inputs
