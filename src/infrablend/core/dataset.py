@@ -40,6 +40,18 @@ class Category:
     ignore: bool = False
 
 
+def finite(coordinates: Any) -> NDArray[np.float64]:
+    """Return coordinates as an array.
+
+    Raises:
+        ValueError: One is not a finite number.
+    """
+    found = np.array(coordinates, np.float64)
+    if not np.isfinite(found).all():
+        raise ValueError(f"coordinates {str(found.tolist())[:80]}, expected finite numbers")
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Instance:
     """One labelled object.
@@ -97,11 +109,15 @@ class Instance:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Instance:
-        """Restore an instance from the values of `to_json`."""
+        """Restore an instance from the values of `to_json`.
+
+        Raises:
+            LookupError, TypeError, ValueError: The values are damaged.
+        """
         d = dict(data)
-        d["box_xyxy"] = np.array(d["box_xyxy"], np.float64)
+        d["box_xyxy"] = finite(d["box_xyxy"])
         if d["corners_xy"] is not None:
-            d["corners_xy"] = np.array(d["corners_xy"], np.float64)
+            d["corners_xy"] = finite(d["corners_xy"])
         if d["mask"] is not None:
             height, width = d["mask"]["size"]
             d["mask"] = Mask(d["mask"]["counts"], (height, width))

@@ -17,11 +17,13 @@ from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats import derived
 from infrablend.formats.anti_uav import step_of
 from infrablend.formats.base import Match, check_splits
 from infrablend.formats.box_checks import check_box
+from infrablend.formats.matlab import object_workspace
 from infrablend.formats.pictures import read_size
 from infrablend.formats.records import make_dataset
 from infrablend.formats.values import to_floats
@@ -110,8 +112,8 @@ def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Probl
         if path.stat().st_size > _MAX_LABEL_BYTES:
             most = f"at most {_MAX_LABEL_BYTES / 1e6:.0f} MB"
             return [], Problem(where, "annotation-too-large", f"{path.stat().st_size / 1e6:.0f} MB", most, todo)
-        boxes = list(decoder.load_groundtruth(path))
-    except Exception as error:  # scipy's and the decoder's parsers raise what they like on damaged files
+        boxes = list(decoder.extract_bboxes(object_workspace(read_regular(path))))
+    except Exception as error:  # the decoder's parser raises what it likes on damaged files
         found = f"cannot be decoded ({type(error).__name__}: {error})"[:120].replace(str(path), path.name)
         return [], Problem(where, "annotation-unreadable", found, expected, todo)
     if not any(b is not None for b in boxes):

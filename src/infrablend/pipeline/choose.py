@@ -102,7 +102,7 @@ def choose_frames(
     recorded = RecordedRun.from_record(record, folder.run_file)
     plan = recorded.plan(data)
     before = read_choice(folder)
-    after = _changed(before, choice, plan)
+    after = _changed(before, choice, plan, run)
     changed = before.keys() ^ after.keys()
     counts: Mapping[str, Any] = record.get("counts", {})
     if changed or after != before or status == EXCLUDING:
@@ -122,9 +122,9 @@ def choose_frames(
     return ChoiceReport(run, after, len(changed), deleted, counts)
 
 
-def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan) -> dict[str, str]:
+def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan, run: Path) -> dict[str, str]:
     """Return the excluded frames after a change."""
-    rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review)
+    rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review, run)
     ids: dict[str, list[str]] = {}
     for frame in plan.frames:
         background = frame.background

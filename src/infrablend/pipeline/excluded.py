@@ -113,12 +113,16 @@ def purge(layout: RunLayout, manifest: Manifest) -> int:
     return len(deleted)
 
 
-def read_review(path: Path) -> tuple[dict[str, str], set[str]]:
+def read_review(path: Path, run: Path) -> tuple[dict[str, str], set[str]]:
     """Return the rejected frames of a review, each with its reason, and the accepted ones.
+
+    Args:
+        path: The review; a file of the run may not be a link, any other may.
+        run: Folder of the run.
 
     Raises:
         OutputError: The file cannot be read.
     """
-    verdicts = read_verdicts(real_path(path))
+    verdicts = read_verdicts(path if path.parent == run else real_path(path))
     rejected = {k: v.reason or "review" for k, v in verdicts.items() if v.word == "reject"}
     return rejected, {k for k, v in verdicts.items() if v.word == "accept"}

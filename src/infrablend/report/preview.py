@@ -21,7 +21,7 @@ from PIL.PngImagePlugin import PngInfo
 from pycocotools import mask as coco_mask
 
 from infrablend.core.arguments import require_choices, require_whole
-from infrablend.core.dataset import SPLITS, Instance
+from infrablend.core.dataset import SPLITS, Instance, finite
 from infrablend.core.files import DAMAGED, LinkOutError, load_json, read_regular, write_bytes
 from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
@@ -454,11 +454,11 @@ def _record_entry(run: Path, path: Path) -> _Entry:
 
 def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
     x, y, w, h = (float(v) for v in a["bbox"])
-    corners = np.asarray(a["obb"], np.float64).reshape(4, 2) if a.get("obb") else None
+    corners = finite(a["obb"]).reshape(4, 2) if a.get("obb") else None
     visibility = a.get("visibility")
     return Instance(
         names[int(a["category_id"])],
-        np.array([x, y, x + w, y + h], np.float64),
+        finite([x, y, x + w, y + h]),
         corners,
         # An outline that was derived from a box is not a mask.
         _mask(a.get("segmentation"), size_wh) if a.get("segmentation_from", "mask") == "mask" else None,

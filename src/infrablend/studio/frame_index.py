@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.dataset import finite
 from infrablend.core.file_names import leaves
 from infrablend.core.files import read_regular
 from infrablend.core.run_layout import RunLayout
@@ -86,7 +87,8 @@ def row_of(record: Mapping[str, Any]) -> FrameRow:
     inserted, background = record["inserted"], record["background"]
     if leaves(record["image"]):
         raise ValueError("a path that leads out of its folder")
-    boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in (i["box_xyxy"] for i in inserted))
+    corners = [finite(i["box_xyxy"]) for i in inserted]
+    boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in corners)
     extra = [i.get("extra") or {} for i in inserted]
     warnings = [_words(w) for w in record.get("warnings", ())]
     if unplaced := sum((record.get("scene") or {}).get("draws", {}).get("absent", {}).values()):

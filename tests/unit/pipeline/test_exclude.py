@@ -138,6 +138,10 @@ def test_a_review_excludes_and_includes(made: Path) -> None:
     assert json.loads((made / "excluded.json").read_text())["frames"] == {every[0]: "blurred"}
     (made / "review.json").write_text('{"frames": {"a": {"verdict": "maybe"}}}')
     assert "cannot be read as a review" in refused("exclude", made, "--review")
+    (made / "review.json").unlink()
+    (made.parent / "review.json").write_text(json.dumps({"frames": verdicts}))
+    (made / "review.json").symlink_to(made.parent / "review.json")
+    assert "a link out of its folder" in " ".join(refused("exclude", made, "--review").split())
 
 
 def test_overwriting_a_run_forgets_the_choice(made: Path, words: list[object]) -> None:

@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -511,6 +512,17 @@ def test_record_that_is_no_regular_file_is_made_again(instead: str, words: list[
     assert ended.exit_code == 0, ended.output
     assert not record.is_symlink() and record.is_file()
     assert record.read_bytes() == content
+
+
+def test_preview_of_a_box_without_an_end_is_an_error_with_a_name(words: list[object], tmp_path: Path) -> None:
+    done(*words, "--set", "output.formats=[coco]")
+    for name in ("coco", "scenes"):
+        for path in (tmp_path / "run" / name).rglob("*.json"):
+            path.write_text(re.sub(r'("(?:bbox|box_xyxy)": *\[)[^,]*', r"\1Infinity", path.read_text()))
+        ended = run("preview", tmp_path / "run", "--out", tmp_path / "sheet.png")
+        assert ended.exit_code == 2, ended.output
+        assert "finite" in ended.output
+        shutil.rmtree(tmp_path / "run" / "coco", ignore_errors=True)
 
 
 def test_preview_follows_no_label_file_out_of_the_run(words: list[object], tmp_path: Path) -> None:
