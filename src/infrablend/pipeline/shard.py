@@ -11,6 +11,9 @@ from infrablend.errors import ArgumentError
 
 Item = TypeVar("Item")
 
+MAX_SHARDS = 100_000
+"""Largest number of shards of a run; their folders have numbers of five digits."""
+
 
 @dataclass(frozen=True)
 class Shard:
@@ -29,6 +32,8 @@ class Shard:
 
     def __post_init__(self) -> None:
         require_whole("shards", self.count, 1)
+        if self.count > MAX_SHARDS:
+            raise ArgumentError(f"{self.count} shards: expected at most {MAX_SHARDS}")
         if type(self.number) is not int or not 1 <= self.number <= self.count:
             raise ArgumentError(f"shard {self.number}/{self.count}: expected a number from 1 to {self.count}")
 

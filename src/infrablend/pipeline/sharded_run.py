@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
-from infrablend.core.files import output_error, read_object, replace_atomically
+from infrablend.core.files import DAMAGED, output_error, read_object, replace_atomically
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing, OutputFolder
 from infrablend.core.run_layout import SHARDS_FILE
@@ -31,7 +31,7 @@ from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, differences, run_plan
-from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.shard import MAX_SHARDS, Shard
 
 log = logging.getLogger(__name__)
 
@@ -78,12 +78,14 @@ class SharedPlan:
         """Return the plan from JSON values written by `to_json`.
 
         Raises:
-            LookupError, TypeError, ValueError: The values are damaged.
+            LookupError, TypeError, ValueError, ArithmeticError: The values are damaged.
         """
-        levels = data["levels"]
+        levels, count, frames = data["levels"], int(data["shards"]), int(data["frames"])
+        if not 1 <= count <= MAX_SHARDS or frames < 0:
+            raise ValueError(f"{count} shards of {frames} frames, expected 1 to {MAX_SHARDS} of at least 0")
         return cls(
-            int(data["shards"]),
-            int(data["frames"]),
+            count,
+            frames,
             dict(data["key"]),
             tuple(data["formats"]),
             str(data["renderer"]),
@@ -168,7 +170,7 @@ class ShardedRun:
             )
         try:
             return SharedPlan.from_json(read_object(self.file) or {})
-        except (LookupError, TypeError, ValueError) as error:
+        except DAMAGED as error:
             raise OutputError(
                 f"{self.file}: damaged ({type(error).__name__}: {error}); expected the plan of a run in shards. "
                 "Delete this file; the next shard writes it again."

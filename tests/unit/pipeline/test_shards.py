@@ -178,6 +178,19 @@ def test_damaged_records_are_named(dataset, tmp_path, damage, words):
     assert not (tmp_path / "merged").exists()
 
 
+def test_a_damaged_plan_is_named(dataset, tmp_path):
+    out = tmp_path / "out"
+    make_shards(dataset, out, 2)
+    file = out / "shards.json"
+    plan = json.loads(file.read_text())
+    for change in ({"shards": 10**20}, {"shards": 0}, {"frames": -1}, {"shards": float("inf")}, {"key": 1}):
+        file.write_text(json.dumps(plan | change))
+        for words in (("status", out), ("merge", out, tmp_path / "merged")):
+            ended = run(*words)
+            assert ended.exit_code == 2, (change, ended.output)
+            assert "shards.json: damaged" in ended.output.replace("\n", "")
+
+
 def test_truncated_shards_are_repaired(dataset, tmp_path):
     out = tmp_path / "out"
     make_shards(dataset, out, 2)
