@@ -234,8 +234,9 @@ class ShardedRun:
             return ShardState(shard, "missing", planned)
         record = read_object(folder.run_file) or {}
         claimed = folder.output.is_claimed()
-        if record.get("status") == COMPLETE and not claimed:
-            finished = int(record.get("counts", {}).get("frames", 0))
+        counts = record.get("counts")
+        finished = counts.get("frames") if isinstance(counts, Mapping) else None
+        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed:
             state: State = "done" if finished == planned else "failed"
             return ShardState(shard, state, planned, finished, planned - finished)
         return ShardState(shard, "running" if claimed else "stopped", planned, len(folder.records()))

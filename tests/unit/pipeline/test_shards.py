@@ -191,6 +191,16 @@ def test_a_damaged_plan_is_named(dataset, tmp_path):
             assert "shards.json: damaged" in ended.output.replace("\n", "")
 
 
+@pytest.mark.parametrize("counts", [None, [], {"frames": "x"}, {"frames": 1e400}])
+def test_a_shard_with_damaged_counts_is_not_finished(dataset, tmp_path, counts):
+    out = tmp_path / "out"
+    make_shards(dataset, out, 1)
+    file = out / "shard-00001-of-00001" / "run.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"counts": counts}))
+    assert "stopped" in run("status", out).output
+    assert run("merge", out, tmp_path / "merged").exit_code == 2
+
+
 def test_truncated_shards_are_repaired(dataset, tmp_path):
     out = tmp_path / "out"
     make_shards(dataset, out, 2)
