@@ -143,6 +143,14 @@ def test_declared_losses_occur(writer: Writer, field: str, tmp_path: Path) -> No
         assert held(field, image, again.images[0]), again.images[0]
 
 
+@every_writer
+def test_roll_and_field_of_view_are_kept_or_counted(writer: Writer, tmp_path: Path) -> None:
+    facts = {"pitch_deg": 60.0, "altitude_m": 50.0, "time_of_day": "night", "roll_deg": -7.5, "hfov_deg": 33.0}
+    again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
+    held_both = (again.images[0].roll_deg, again.images[0].hfov_deg) == (-7.5, 33.0)
+    assert held_both != bool(losses.get("telemetry_dropped"))
+
+
 REAL = {
     "hit-uav": (("hit-uav",), 290, 2460),
     "wisard": (("wisard",), 35, 97),

@@ -146,6 +146,9 @@ class PaperCamera(Camera):
 class MetricCamera(Camera):
     """The real camera of `placement.mode: metric`: at a height above the ground."""
 
+    roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
+    """Rotation about the optical axis, degrees, added to the gimbal's roll if the background's file, table or log
+    states it. 0 for a gimbal that holds the horizon."""
     altitude: Literal["metadata"] | FixedAltitude | RandomAltitude = "metadata"
     """Height above the ground: that of each background (`metadata`), `{fixed_m: 60}` or `{random_m: [60, 120]}`."""
     field_of_view: Literal["metadata", "recipe"] = "metadata"

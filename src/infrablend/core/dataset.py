@@ -161,6 +161,7 @@ class ImageRecord:
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air; None if
             nothing is known.
         hfov_deg: Field of view of the camera across the width of the picture; None if unknown.
+        roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it; None if unknown.
     """
 
     id: str
@@ -178,6 +179,7 @@ class ImageRecord:
     captured: str | None = None
     radiometry: Radiometry | None = None
     hfov_deg: float | None = None
+    roll_deg: float | None = None
 
     @property
     def name(self) -> str:

@@ -13,22 +13,24 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from infrablend.core.camera_angles import roll_of_gimbal
 from infrablend.core.dataset import TimeOfDay
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, read_text
 from infrablend.formats.csv_text import comma_of, delimiter_of
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
-_FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg")
+_FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg", "roll_deg")
 _KEYS = ("file", "stem", "sequence")
 # Further columns that `infrablend frames` writes: read for single pictures, or there for people and other programs.
-FURTHER = ("captured", "altitude_from", "frame", "time_s", "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg")
+FURTHER = ("captured", "altitude_from", "frame", "time_s", "yaw_deg", "latitude_deg", "longitude_deg")
 ALTITUDE_ORIGINS = ("take-off", "laser")
 """Heights that the aircraft measured, which need no correction for the errors of published tables."""
 # Key of the cells of a row beyond the last column.
 _SURPLUS = "\0"
 _RANGES = (
     ("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres"), ("hfov_deg", 0.1, 170.0, "degrees"),
+    ("roll_deg", -360.0, 360.0, "degrees"),
 )  # fmt: skip
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
@@ -36,7 +38,7 @@ _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", r
 
 @dataclass(frozen=True)
 class Capture:
-    """Pitch, altitude, time, field of view and flight of a picture; None where unknown.
+    """Pitch, roll, altitude, time, field of view and flight of a picture; None where unknown.
 
     Attributes:
         pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
@@ -46,6 +48,7 @@ class Capture:
         captured: Date or time of capture, ISO 8601.
         hfov_deg: Field of view across the width of the picture.
         altitude_from: Origin of the height if it was measured in flight: `take-off` or `laser`.
+        roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it.
     """
 
     pitch_deg: float | None = None
@@ -55,6 +58,7 @@ class Capture:
     captured: str | None = None
     hfov_deg: float | None = None
     altitude_from: str | None = None
+    roll_deg: float | None = None
 
     def over(self, other: Capture) -> Capture:
         """Return these values, completed by `other`'s."""
@@ -282,7 +286,8 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
     origin = str(row.get("altitude_from") or "").strip()
     if origin not in ("", *ALTITUDE_ORIGINS):
         return Capture(), ("table-value", f"altitude_from {origin!r}", f"{' or '.join(ALTITUDE_ORIGINS)}, or nothing")
-    return Capture(*known, sequence or None, captured or None, values["hfov_deg"], origin or None), None
+    roll = None if values["roll_deg"] is None else roll_of_gimbal(values["roll_deg"])
+    return Capture(*known, sequence or None, captured or None, values["hfov_deg"], origin or None, roll), None
 
 
 def _is_time(text: str) -> bool:

@@ -36,7 +36,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
 
 NAME = "coco"
 
@@ -180,7 +180,9 @@ def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
     record |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
-    return record | _known(sequence=image.sequence, date_captured=image.captured, hfov_deg=image.hfov_deg)
+    return record | _known(
+        sequence=image.sequence, date_captured=image.captured, hfov_deg=image.hfov_deg, roll_deg=image.roll_deg
+    )
 
 
 def _tidy(values: NDArray[np.float64]) -> list[float]:
@@ -436,13 +438,14 @@ def _image(
     captures: Captures,
     where: str,
 ) -> ImageRecord:
-    pitch, altitude, hfov = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m", "hfov_deg"))
+    pitch, altitude = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
     time = r.get("time_of_day")
     own = Capture(
         pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
         altitude[0] if altitude and altitude[0] >= 0 else None,
         time if time in ("day", "night") else None,
-        hfov_deg=hfov[0] if hfov and 0.1 <= hfov[0] <= 170 else None,
+        hfov_deg=to_float_within(r.get("hfov_deg"), 0.1, 170),
+        roll_deg=to_float_within(r.get("roll_deg"), -180, 180),
     )
     capture = captures.of(name, where, own, _text(r.get("sequence")))
     extra = {"source_id": r["source_id"]} if "source_id" in r else {}
@@ -450,6 +453,7 @@ def _image(
     return ImageRecord(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
         number, extra, name, _text(r.get("sequence")), _text(r.get("date_captured")), hfov_deg=capture.hfov_deg,
+        roll_deg=capture.roll_deg,
     )  # fmt: skip
 
 

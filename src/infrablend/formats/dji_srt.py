@@ -23,7 +23,7 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog, with_places
+from infrablend.formats.flight_log import FlightLog, with_places, with_rolls
 from infrablend.formats.log_text import read_log_text
 
 _TIME = re.compile(r"\s*(\d{1,3}):(\d{1,2}):(\d{1,2})[,.](\d{1,3})\s*-->", re.ASCII)
@@ -166,6 +166,8 @@ def _log(
         if back:
             text = f"{back} sample(s) with a gimbal that looks back under the aircraft"
             problems.append(Problem(path.name, "log-pitch", text, "-90 to 90 degrees", severity="warning"))
+    values, rolled = with_rolls(values, path.name)
+    problems += rolled
     counter = next((c for c in _COUNTERS if names[c]), "")
     frames = np.array([given.get(counter, math.nan) for _, given, _ in found], np.float64)
     frames = frames if (frames == 0).any() else frames - 1  # nearly all cameras count from 1

@@ -43,7 +43,7 @@ _ASKED = {
     "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
     "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
 }
-_RECORD_FIELDS = ("pitch_deg", "altitude_m", "hfov_deg", "captured")
+_RECORD_FIELDS = ("pitch_deg", "roll_deg", "altitude_m", "hfov_deg", "captured")
 GIVEN = "table, annotation or file name"
 
 
@@ -54,6 +54,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     """
     if dataset.format not in ANY_CAMERA:
         return dataset
+    dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     jpegs = [i for i in dataset.images if _is_jpeg(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
     looked_at = {i.id: f for i in jpegs[::step][:_LOOKED_AT] if isinstance(f := _read(i), CameraFacts)}
@@ -96,6 +97,11 @@ def _is_jpeg(image: ImageRecord) -> bool:
     """Return whether a picture is a JPEG file and no link; opening a pipe would wait for ever."""
     path = image.path
     return path.suffix.lower() in (".jpg", ".jpeg") and path.is_file() and not path.is_symlink()
+
+
+def _without_level_roll(image: ImageRecord) -> ImageRecord:
+    """Return the record without a roll of 0, which only matters where a header states another."""
+    return replace(image, roll_deg=None) if image.roll_deg == 0 and not _is_jpeg(image) else image
 
 
 def _read(image: ImageRecord) -> CameraFacts | Problem:
@@ -168,6 +174,8 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
         pitch_deg=f.value("pitch_deg") if image.pitch_deg is None else image.pitch_deg,
         altitude_m=f.value("altitude_m") if image.altitude_m is None else image.altitude_m,
         hfov_deg=f.value("hfov_deg") if image.hfov_deg is None else image.hfov_deg,
+        # Level cameras need no entry: a roll of 0 is written nowhere.
+        roll_deg=(f.value("roll_deg") or None) if image.roll_deg is None else image.roll_deg,
         captured=image.captured or (None if captured is None else str(captured.value)),
         extra={**image.extra, **extra},
     )

@@ -23,7 +23,7 @@ import numpy as np
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.csv_text import comma_of, delimiter_of
-from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places
+from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places, with_rolls
 from infrablend.formats.log_text import read_log_text
 
 _HEADER_LINES = 5
@@ -115,6 +115,8 @@ def read_flight_csv(path: Path) -> FlightLog:
         found = f"{lost} of {len(rows)} row(s) without a time, or out of order, left out"
         problems.append(Problem(path.name, "log-times", found, "times that increase", severity="warning"))
     values, height, more = _values(path, dialect, columns, rows, kept)
+    values, rolled = with_rolls(values, path.name)
+    more += rolled
     start = float(elapsed[kept][0])
     times = elapsed[kept] - start
     flags = next((columns[c] for c in dialect.recording if c in columns), None)

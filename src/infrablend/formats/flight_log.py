@@ -11,6 +11,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.camera_angles import is_plausible_roll, roll_of_gimbal
 from infrablend.errors import Problem
 from infrablend.formats.values import is_place
 
@@ -158,6 +159,26 @@ def with_places(values: Mapping[str, Values]) -> dict[str, Values]:
         return {k: v for k, v in values.items() if k not in ("latitude_deg", "longitude_deg")}
     places = {"latitude_deg": np.where(known, latitude, np.nan), "longitude_deg": np.where(known, longitude, np.nan)}
     return {**values, **places}
+
+
+def with_rolls(values: Mapping[str, Values], name: str) -> tuple[dict[str, Values], list[Problem]]:
+    """Return the values of a log without rolls that a camera cannot have, and a warning if there are any.
+
+    Args:
+        values: Values of the log, with the gimbal's own roll.
+        name: Name of the log's file.
+    """
+    rolls = values.get("roll_deg")
+    if rolls is None:
+        return {**values}, []
+    pitches = values.get("pitch_deg", np.full(len(rolls), np.nan))
+    pairs = zip(rolls.tolist(), pitches.tolist(), strict=True)
+    turned = np.array([roll_of_gimbal(r) for r in rolls.tolist()], np.float64)
+    known = np.array([is_plausible_roll(roll_of_gimbal(r), p) for r, p in pairs], np.bool_)
+    lost = int((np.isfinite(rolls) & ~known).sum())
+    found = f"{lost} sample(s) with a gimbal that is turned on its side or upside down: their roll is left out"
+    warning = Problem(name, "log-roll", found, "-45 to 45 degrees, or any near straight down", severity="warning")
+    return {**values, "roll_deg": np.where(known, turned, np.nan)}, [warning] if lost else []
 
 
 def in_order(values: Sequence[float] | Values) -> NDArray[np.bool_]:

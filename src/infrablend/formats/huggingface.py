@@ -41,7 +41,7 @@ from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import BOXES
 from infrablend.formats.pictures import PictureFolder, assign_ids
-from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
 
 NAME = "huggingface"
 TAKES_TABLE = False  # the lines contain pitch and altitude
@@ -54,6 +54,7 @@ _NUMBERS = {
     "pitch_deg": "telemetry_dropped",
     "altitude_m": "telemetry_dropped",
     "hfov_deg": "telemetry_dropped",
+    "roll_deg": "telemetry_dropped",
     "temperature_scale": "temperature_dropped",
 }
 _UNKNOWN_VISIBILITY = -1.0
@@ -121,6 +122,7 @@ class _Columns:
         if unknown:
             raise ValueError(f"{image.id}: category {unknown[0]!r} is not in the list of categories")
         numbers = {"pitch_deg": image.pitch_deg, "altitude_m": image.altitude_m, "hfov_deg": image.hfov_deg}
+        numbers["roll_deg"] = image.roll_deg
         return {
             "file_name": image.name,
             "width": w,
@@ -336,7 +338,7 @@ def _read_row(
         state.problems += [fault] if fault else []
         return None
     size_wh = to_size(row.get("width"), row.get("height"))
-    pitch, altitude, hfov = (to_floats([row.get(k)], 1) for k in ("pitch_deg", "altitude_m", "hfov_deg"))
+    pitch, altitude = (to_floats([row.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
     time = row.get("time_of_day")
     return ImageRecord(
         "", picture, split, size_wh,
@@ -345,7 +347,8 @@ def _read_row(
         time if time in ("day", "night") else None,
         _read_objects(row.get("objects"), where, size_wh, state), None, {}, name,
         _text(row.get("sequence")), _text(row.get("captured")), _read_scale(row, where, state),
-        hfov[0] if hfov and 0.1 <= hfov[0] <= 170 else None,
+        hfov_deg=to_float_within(row.get("hfov_deg"), 0.1, 170),
+        roll_deg=to_float_within(row.get("roll_deg"), -180, 180),
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ LOSSES: Mapping[str, str] = {
     "visibility_dropped": "visible share of an object: the format holds none",
     "occlusion_dropped": "flag `occluded` of a partly hidden object, or the boxes of the whole and of the visible part",
     "tracks_dropped": "track of an object: the format holds none",
-    "telemetry_dropped": "pitch, altitude or time of day of a picture: the format holds none",
+    "telemetry_dropped": "pitch, roll, altitude, field of view or time of day of a picture: the format lacks it",
     "inserted_dropped": "mark of an inserted object: the format holds none, so the object looks like an original",
     "not_finite_dropped": "number that is not finite, written as null",
     "sequence_dropped": "sequence or date of a picture: the format holds none",

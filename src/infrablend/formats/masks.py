@@ -39,7 +39,7 @@ from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_size
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables contain pitch and altitude
@@ -135,7 +135,7 @@ def _table(
         objects.append(row | _known(track_id=i.track_id, source_id=i.source_id))
     top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
     top |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
-    top |= _known(hfov_deg=image.hfov_deg)
+    top |= _known(hfov_deg=image.hfov_deg, roll_deg=image.roll_deg)
     return top | _known(sequence=image.sequence, captured=image.captured, source_id=image.source_id)
 
 
@@ -244,12 +244,13 @@ def _read_table(
         if unknown:
             found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
             problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
-    pitch, altitude, hfov = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m", "hfov_deg"))
+    pitch, altitude = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
     time: TimeOfDay | None = top["time_of_day"] if top.get("time_of_day") in ("day", "night") else None
     return ImageRecord(
         "", picture, split, size_wh, pitch[0] if pitch else None, altitude[0] if altitude else None, time,
         tuple(instances), _id(top.get("source_id")), {}, name, _text(top.get("sequence")), _text(top.get("captured")),
-        hfov_deg=hfov[0] if hfov and 0.1 <= hfov[0] <= 170 else None,
+        hfov_deg=to_float_within(top.get("hfov_deg"), 0.1, 170),
+        roll_deg=to_float_within(top.get("roll_deg"), -180, 180),
     )  # fmt: skip
 
 

@@ -54,7 +54,8 @@ def make_dataset(
     ids = assign_ids(inside)
     complete = []
     for name, record in sorted(inside.items()):
-        own = Capture(record.pitch_deg, record.altitude_m, record.time_of_day, hfov_deg=record.hfov_deg)
+        view = Capture(record.pitch_deg, hfov_deg=record.hfov_deg, roll_deg=record.roll_deg)
+        own = view.over(Capture(altitude_m=record.altitude_m, time_of_day=record.time_of_day))
         known = captures.of(name, name, own, record.sequence)
         complete.append(
             replace(
@@ -65,6 +66,7 @@ def make_dataset(
                 time_of_day=known.time_of_day,
                 captured=record.captured or known.captured,
                 hfov_deg=known.hfov_deg,
+                roll_deg=known.roll_deg,
             )
         )
     if table is not None:

@@ -181,11 +181,16 @@ def _file_key(name: str, by_stem: bool) -> str:
     return fold_name(str(PurePosixPath(name).with_suffix("")) if by_stem else name)
 
 
+# Formats that hold pitch and height, but neither field of view nor roll.
+_WITHOUT_LENS = ("hit-uav", "monet", "birdsai")
+
+
 def _telemetry_not_in_name(image: ImageRecord) -> Capture | None:
     """Return pitch, altitude and time of day of a picture, unless its name contains them."""
     facts = facts_from_name(image.name)
     said = facts.capture if facts else Capture()
-    known = Capture(image.pitch_deg, image.altitude_m, image.time_of_day, hfov_deg=image.hfov_deg)
+    angles = Capture(image.pitch_deg, hfov_deg=image.hfov_deg, roll_deg=image.roll_deg)
+    known = angles.over(Capture(altitude_m=image.altitude_m, time_of_day=image.time_of_day))
     return None if known.over(said) == said else known
 
 
@@ -201,7 +206,7 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     columns = ["pitch_deg", "altitude_m", "time_of_day"]
-    columns += ["hfov_deg"] if any(c.hfov_deg is not None for _, c in rows) else []
+    columns += [k for k in ("hfov_deg", "roll_deg") if any(getattr(c, k) is not None for _, c in rows)]
     table.writerow(("file", *columns))
     for name, c in rows:
         table.writerow((name, *("" if (v := getattr(c, k)) is None else v for k in columns)))
@@ -222,7 +227,10 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
         ),
         "temperature": sum(i.radiometry is not None and i.radiometry.scale is not None for i in images),
     }
-    return {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
+    losses = {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
+    if writer.name in _WITHOUT_LENS and (n := sum(bool(i.hfov_deg or i.roll_deg) for i in images)):
+        losses[FIELDS["telemetry"][1]] = n
+    return losses
 
 
 def _has_own_box(instance: Instance) -> bool:

@@ -70,8 +70,9 @@ class PlannedFrame:
         b = self.background
         when = b.time_of_day, b.sequence, b.captured
         return FrameKey(
-            b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg, b.altitude_m
-        )
+            b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg, b.altitude_m,
+            b.roll_deg,
+        )  # fmt: skip
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""
@@ -442,6 +443,8 @@ def fingerprint(dataset: Dataset) -> str:
     for image in dataset.images:
         facts = (image.id, image.split, image.pitch_deg, image.altitude_m, image.time_of_day, image.size_wh)
         digest.update(repr(facts if image.hfov_deg is None else (*facts, image.hfov_deg)).encode())
+        if image.roll_deg:
+            digest.update(repr(("roll", image.roll_deg)).encode())
         for i in image.instances:
             digest.update(i.category.encode() + i.box_xyxy.tobytes())
             if i.corners_xy is not None:

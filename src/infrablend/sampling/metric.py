@@ -136,7 +136,7 @@ def real_camera(
 ) -> tuple[CameraSpec, View]:
     """Return the background's own camera over the ground; height and roll are drawn where the recipe says so.
 
-    `like` has its pitch, lens and size.
+    `like` has its pitch, roll, lens and size; the recipe's roll is added to its own.
     """
     c = recipe.camera
     drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
@@ -149,7 +149,7 @@ def real_camera(
         stated = site.altitude_m
     else:
         raise ValueError("no altitude; the plan must have left this background out")
-    roll = math.radians(rng.uniform(*c.roll_deg))
+    roll = like.roll_rad + math.radians(rng.uniform(*c.roll_deg))
     camera = at_height(replace(like, roll_rad=roll), stated)
     # A height stated by the recipe is taken literally; only the metadata's height is nominal.
     nominal = c.calibrate and c.altitude == "metadata"

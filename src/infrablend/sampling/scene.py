@@ -64,6 +64,7 @@ class FrameKey:
         radiometry: What the picture's file states about the air; None if unknown.
         hfov_deg: Horizontal field of view of the background; None if unknown.
         altitude_m: Height of the camera according to the metadata; None if unknown.
+        roll_deg: Roll of the background's own camera, for metric placement; None if unknown.
     """
 
     background_id: str
@@ -77,6 +78,7 @@ class FrameKey:
     radiometry: Radiometry | None = None
     hfov_deg: float | None = None
     altitude_m: float | None = None
+    roll_deg: float | None = None
 
     @property
     def frame_id(self) -> str:
@@ -122,7 +124,8 @@ def sample_scene(
             tally.leave_out(unfit)
         wanted = []
     c, view = recipe.camera, None
-    like = CameraSpec(1.0, pitch_rad, 0.0, _focal_length_mm(frame, recipe), c.sensor_width_mm, frame.size_wh)
+    roll_rad = math.radians(frame.roll_deg or 0.0)
+    like = CameraSpec(1.0, pitch_rad, roll_rad, _focal_length_mm(frame, recipe), c.sensor_width_mm, frame.size_wh)
     if isinstance(recipe, MetricSections):
         if site is None:
             raise ValueError(f"{frame.frame_id}: metric placement needs the background")

@@ -78,6 +78,13 @@ def test_hostile_blocks_cost_no_time(tmp_path: Path) -> None:
         read_srt(srt(tmp_path / "a.srt", long, long))
 
 
+def test_rolls_are_those_of_cameras(tmp_path: Path) -> None:
+    rolls = ((45, 180), (45, -12.5), (89, 180))
+    log = read_srt(srt(tmp_path / "a.SRT", *(f"[rel_alt: 2] [gb_pitch: -{p} gb_roll: {r}]" for p, r in rolls)))
+    assert np.nan_to_num(log.values["roll_deg"], nan=-1.0).tolist() == [-1.0, -12.5, 180.0]
+    assert ["1 sample(s)" in p.found for p in log.problems if p.code == "log-roll"] == [True]
+
+
 def airdata(path: Path, unit: str = "feet", rows: int = 41, ground: str = "") -> Path:
     lines = [
         f"time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff({unit}),"

@@ -53,6 +53,39 @@ def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
     assert hfov(record) == pytest.approx(20.0) and np.degrees(record.scene.camera.pitch_rad) == pytest.approx(70.0)
 
 
+def test_the_camera_is_rolled_with_the_gimbal(tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 1, roll_deg=10.0)
+    shot(data / "DJI_0002_T.JPG", number=1, roll_deg=-180.0, pitch_deg=90.0)
+    shot(data / "DJI_0003_T.JPG", number=2, roll_deg=0.0)
+    shot(data / "DJI_0004_T.JPG", number=3, roll_deg=7.0)
+    (data / "metadata.csv").write_text("file,roll_deg\nDJI_0004_T.JPG,0\n")
+    rolled, from_above, level, corrected = (r.scene.camera for r in run(data, tmp_path / "out"))
+    assert np.degrees(rolled.roll_rad) == pytest.approx(10.0)
+    assert np.degrees(from_above.roll_rad) == pytest.approx(180.0)
+    assert level.roll_rad == corrected.roll_rad == 0.0
+
+
+def test_a_roll_to_the_right_lowers_the_right_side_of_the_camera(tmp_path: Path) -> None:
+    """As DJI defines it: its right side down, so the horizon in the picture rises to the right."""
+    data = flight(tmp_path / "in", 1, roll_deg=10.0, pitch_deg=20.0)
+    (record,) = run(data, tmp_path / "out")
+    camera = record.scene.camera
+    right_of_camera, down = camera.world_to_camera[0], np.array([0.0, 0.0, -1.0])
+    assert right_of_camera @ down > 0
+    # Two points far away on the horizon, to the left and to the right.
+    far = np.array([[-1e5, 1e6, 0.0], [1e5, 1e6, 0.0]]) + camera.position_m * [1, 1, 1]
+    (left, right), _ = camera.project(far)
+    tilt = np.degrees(np.arctan2(left[1] - right[1], right[0] - left[0]))
+    assert tilt == pytest.approx(10.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("roll", "words"), [(180.0, "GimbalRollDegree 180, left out"), (60.0, "60, left out")])
+def test_a_roll_that_may_be_a_turned_picture_is_left_out(roll: float, words: str, tmp_path: Path) -> None:
+    dataset = api.read_dataset(flight(tmp_path, 1, roll_deg=roll, pitch_deg=45.0))
+    assert dataset.images[0].roll_deg is None
+    assert any(p.code == "flight-roll" and words in p.found for p in dataset.problems)
+
+
 @pytest.mark.parametrize(
     ("changes", "code", "words"),
     [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-from infrablend.core.camera_angles import pitch_of_gimbal
+from infrablend.core.camera_angles import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg import lens
 from infrablend.formats.rjpeg.dji import has_raw_layer
@@ -180,16 +180,23 @@ def _add_angles(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> Non
     # Pix4D's names are used with other zeros too (0 straight down); only FLIR's use of them is known: MAVLink's.
     pix4d = (PIX4D,) if _is_flir(exif) else ()
     pitch = _xmp_number(xmp, (DJI, "GimbalPitchDegree"), *((n, "Pitch") for n in pix4d))
+    below = None
     if pitch is not None:
         below = pitch_of_gimbal(pitch[0])
         if -90.0 <= below <= 90.0:
             facts["pitch_deg"] = Fact(round(below, 6), pitch[1])
         else:
             warn("flight-pitch", f"{pitch[1]} {pitch[0]:g}, left out", "-90 (straight down) to 90 degrees")
-    for field, dji, other in (("roll_deg", "GimbalRollDegree", "Roll"), ("yaw_deg", "GimbalYawDegree", "Yaw")):
-        found = _xmp_number(xmp, (DJI, dji), *((n, other) for n in pix4d))
-        if found is not None and abs(found[0]) <= 360.0:
-            facts[field] = Fact(found[0], found[1])
+    roll = _xmp_number(xmp, (DJI, "GimbalRollDegree"), *((n, "Roll") for n in pix4d))
+    if roll is not None:
+        turned = roll_of_gimbal(roll[0])
+        if abs(roll[0]) <= 360.0 and is_plausible_roll(turned, below):
+            facts["roll_deg"] = Fact(round(turned, 6), roll[1])
+        else:
+            warn("flight-roll", f"{roll[1]} {roll[0]:g}, left out", "-45 to 45 degrees, or any near straight down")
+    yaw = _xmp_number(xmp, (DJI, "GimbalYawDegree"), *((n, "Yaw") for n in pix4d))
+    if yaw is not None and abs(yaw[0]) <= 360.0:
+        facts["yaw_deg"] = Fact(*yaw)
 
 
 def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
