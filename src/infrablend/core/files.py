@@ -120,12 +120,12 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
 
 
 def require_still_there(paths: Iterable[Path], todo: str = "repeat the command") -> None:
-    """Check that files which a command wrote have not been removed before its end.
+    """Check that files and folders which a command wrote have not been removed before its end.
 
     Raises:
         OutputError: One was; the message names it.
     """
-    gone = [str(p) for p in paths if not p.is_file()]
+    gone = [str(p) for p in paths if not p.exists()]
     if gone:
         expected = "the file that was written before"
         problems = [Problem(p, "output-removed", "no file", expected, todo) for p in gone]

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from infrablend import __version__
 from infrablend.core.arguments import require_names
 from infrablend.core.file_names import real_path
-from infrablend.core.files import output_error, sha256_of, write_json
+from infrablend.core.files import output_error, require_still_there, sha256_of, write_json
 from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
@@ -322,13 +322,14 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
         # Records the folder, because the entries that remain after some were moved may look like a wrapper.
         inside = content.relative_to(stage).as_posix()
         write_json(ready, {"facts": facts, "problems": [p.to_json() for p in problems], "content": inside})
-    _place(content, order.out / a.into)
+    places = _place(content, order.out / a.into)
     _write_source(order, a, facts)
     packed = order.work / a.file
     if order.keep_archive and packed.exists():
         packed.replace(order.out / a.file)
-    ready.unlink()
+    ready.unlink(missing_ok=True)
     _sweep(order, a)
+    require_still_there([order.out / SOURCE_FILE, *places], "delete the folder and repeat the command")
     return facts, problems
 
 
@@ -436,8 +437,9 @@ def _as_warning(p: Problem) -> Problem:
     return Problem(p.where, p.code, p.found, p.expected, p.todo, "warning")
 
 
-def _place(content: Path, target: Path) -> None:
-    """Move every entry of `content` into `target` without overwriting anything."""
+def _place(content: Path, target: Path) -> list[Path]:
+    """Move every entry of `content` into `target` without overwriting anything; return their new places."""
+    places = []
     try:
         target.mkdir(parents=True, exist_ok=True)
         for entry in sorted(os.scandir(content), key=lambda e: e.name):
@@ -445,10 +447,12 @@ def _place(content: Path, target: Path) -> None:
             if place.exists() or place.is_symlink():
                 raise OutputError(f"{place}: already exists; move it away and repeat the command")
             Path(entry).rename(place)
+            places.append(place)
     except OSError as error:
         if isinstance(error, OutputError):
             raise
         raise output_error(target, error) from error
+    return places
 
 
 def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:

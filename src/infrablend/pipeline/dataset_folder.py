@@ -76,6 +76,9 @@ class DatasetFolder:
         require_still_there(self._manifest.missing(), "repeat the command with --overwrite")
         head = {"infrablend": __version__, **header, **rest}
         self._write_record({**head, "status": COMPLETE, "written": self._manifest.to_json()})
+        require_still_there(
+            [*self._manifest.missing(), self.root / self._record], "repeat the command with --overwrite"
+        )
         self._manifest.delete()
 
     def problems(self) -> list[Problem]:

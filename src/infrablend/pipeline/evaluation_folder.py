@@ -7,10 +7,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from infrablend.core.files import part_path
+from infrablend.core.files import part_path, require_still_there
 from infrablend.core.manifest import JOURNAL, REPLACED, Manifest, files_below
 from infrablend.core.output import OutputFolder
-from infrablend.errors import Problem
+from infrablend.errors import OutputError, Problem
 from infrablend.evaluation.comparison import MATCHES, RECORD
 from infrablend.pipeline.detection_source import PREDICTIONS
 
@@ -51,7 +51,7 @@ class EvaluationFolder:
         Its detections stay until the new ones replace them.
 
         Raises:
-            OutputError: A file cannot be deleted.
+            OutputError: A file cannot be deleted, or files were removed before the end.
         """
         self._manifest.read()
         self._remove_record()
@@ -62,6 +62,11 @@ class EvaluationFolder:
         self._manifest.forget_missing()
         with self._manifest.recording():
             yield
+        try:
+            require_still_there(self._manifest.missing(), "repeat the command with --overwrite")
+        except OutputError:
+            self._remove_record()
+            raise
         self._manifest.forget_missing()
 
     def _remove_record(self) -> None:

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from infrablend import __version__
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.file_names import real_path
-from infrablend.core.files import NAME_TOO_LONG, output_error, sha256_of
+from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
 from infrablend.core.finished import EXCLUDING
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
@@ -29,6 +29,7 @@ from infrablend.errors import (
     Interrupted,
     MissingDependencyError,
     OtherSettingsError,
+    OutputError,
     Problem,
     RenderError,
 )
@@ -250,6 +251,8 @@ def run_plan(
                 "Repeat the command with --resume to write the labels."
             ) from error
         folder.write_run(record)
+        if status == "complete":
+            _require_whole(folder, manifest, records, {**record, "status": stopped})
         log.info("%s: %s", status, counts)
         for note in notes:
             log.info("%s", note)
@@ -408,6 +411,27 @@ def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State) -> list[tu
     state.inserted = sum(len(record.inserted) for _, record in found)
     state.finished = len(found)
     return found
+
+
+def _require_whole(
+    folder: RunFolder,
+    manifest: Manifest,
+    records: Sequence[tuple[PlannedFrame, FrameRecord]],
+    unfinished: dict[str, Any],
+) -> None:
+    """Check that nothing was removed until the run was marked as complete; else record it as unfinished.
+
+    Raises:
+        OutputError: Files were removed; the message names them.
+    """
+    written = [folder.run_file, *manifest.missing()]
+    written += [path for f, r in records for path in (folder.image(r.image), folder.record(f.frame_id))]
+    try:
+        require_still_there(written, "run again with --resume")
+    except OutputError:
+        with contextlib.suppress(OutputError):
+            folder.write_run(unfinished)
+        raise
 
 
 def _is_intact(folder: RunFolder, record: FrameRecord) -> bool:

@@ -71,6 +71,7 @@ class WorldFolder:
         """
         require_still_there(self._manifest.missing())
         self._write_record({**facts, "status": COMPLETE})
+        require_still_there(self._manifest.missing())
         self._manifest.delete()
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,8 @@ from PIL import Image
 from infrablend import api
 from infrablend.errors import Problem
 from infrablend.pipeline import request
+from infrablend.pipeline import run as pipeline_run
+from infrablend.pipeline.run_report import write_report
 from infrablend.report.run import page
 from infrablend.report.run.charts import bin_edges
 from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
@@ -219,3 +222,37 @@ def test_bins_are_few_and_cover_every_value(low: float, high: float) -> None:
     assert edges[0] <= low and edges[-1] > high
     assert edges == sorted(set(edges))
     assert 2 <= len(edges) <= 26
+
+
+@pytest.mark.parametrize("folder", ["coco", "images"])
+def test_what_is_removed_while_the_report_is_written_is_missed(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last check comes after the last file, and the run is left as one that can be resumed."""
+    out = tmp_path / "out"
+    fields = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
+    words = (
+        "generate",
+        "hit-uav-drone",
+        "--data",
+        SAMPLES["coco"](tmp_path / "data"),
+        "--out",
+        out,
+        "--to",
+        "coco",
+        *fields,
+    )
+
+    def write_and_remove(*arguments: object) -> object:
+        written = write_report(*arguments)  # type: ignore[arg-type]
+        shutil.rmtree(out / folder)
+        return written
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline_run, "write_report", write_and_remove)
+        ended = run(*words)
+    assert ended.exit_code in (2, 3), ended.output
+    assert "removed while the command was running" in ended.output
+    assert "unfinished" in run("check", out / "coco" if folder == "images" else out / "images").output
+    done(*words, "--resume")
+    done("check", out / "coco")

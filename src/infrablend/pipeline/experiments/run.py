@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from infrablend.core.files import output_error
+from infrablend.core.files import output_error, require_still_there
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.pipeline.experiments import making, training_setup
@@ -18,7 +18,7 @@ from infrablend.pipeline.experiments.graph import OTHER_SCALES
 from infrablend.pipeline.experiments.plan import LEARNING
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.results import collect_results
-from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+from infrablend.pipeline.experiments.stage import RECORD, FinishedStage, Stage
 from infrablend.report.results.write import write_page
 
 log = logging.getLogger(__name__)
@@ -118,6 +118,7 @@ class _Run:
                 self.write_unfinished(f"{type(error).__name__}: {stage.id}")
                 raise
         page, facts = self.write()
+        require_still_there([page, *(s.folder / RECORD for s in self.finished.values())], "run the same command again")
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
         problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
         scale, status = self.request.scale, facts["status"]
