@@ -86,6 +86,45 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
 
 
+def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:
+    fainter = frame_record("x")["inserted"][0] | {"extra": {"contrast_grey": -4.0}}
+    first, second = (
+        write_run(
+            tmp_path / name,
+            {
+                f"test/{n}_c0": frame_record(f"test/{n}_c0", background={"id": n}, image_sha256=f"{n}{name}")
+                | ({"inserted": [fainter]} if (n, name) == ("b", "second") else {})
+                for n in frames
+            },
+        )
+        for name, frames in (("first", "abc"), ("second", "bcd"))
+    )
+    with (
+        studio(tmp_path, "--run", first, "--compare", second) as (_, address),
+        browser_page(chromium) as (page, asked, errors),
+    ):
+        page.goto(address)
+        page.goto(address.partition("/?")[0] + "/compare")
+        page.get_by_text("2 frames in both, 0 with equal pictures; 1 only in A, 1 only in B").wait_for()
+        page.locator(".pair-line[aria-current]", has_text="test/b_c0").wait_for()
+        divider = page.get_by_label("Divider", exact=True).and_(page.locator("input[type=range]"))
+        divider.focus()
+        page.keyboard.press("ArrowRight")
+        assert "51%" in (page.locator(".wipe-line").get_attribute("style") or "")
+        page.locator(".pair-line[aria-current]").focus()
+        page.keyboard.press("ArrowDown")
+        page.keyboard.press("Enter")
+        page.locator(".pair-line[aria-current]", has_text="test/c_c0").wait_for()
+        page.keyboard.press("p")
+        page.locator(".pair-line[aria-current]", has_text="test/b_c0").wait_for()
+        page.get_by_role("switch", name="Divider").click()
+        page.locator(".compare-sides img").nth(1).wait_for()
+        for path in ("/compare/c/picture/0.png", "/compare/a/picture/9.png", "/compare/b/picture/..%2f..%2fx.png"):
+            assert page.request.get(address.partition("/?")[0] + path).status in (404, 422)
+    assert any("/compare/b/picture/" in a for a in asked)
+    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_axe_finds_no_serious_issue(
     chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
@@ -94,11 +133,13 @@ def test_axe_finds_no_serious_issue(
         pytest.skip("NEEDS AXE: `make tools` with npm fetches axe-core; accessibility is not tested without it")
     run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
     (run / "review.json").write_text('{"frames": {"test/a_c0": {"verdict": "accept"}}}')
+    other = write_run(tmp_path / "other", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "ab"})
     data = write_tiny_hit_uav(tmp_path / "data")
     shown = {"/review": ".frame-cell", "/review?frame=1": "img.picture", "/losses": "h2", "/tune": ".tune-form h2"}
+    shown["/compare"] = ".wipe img"
     found = []
     with (
-        studio(tmp_path, "--run", run, "--data", data) as (_, address),
+        studio(tmp_path, "--run", run, "--data", data, "--compare", other) as (_, address),
         browser_page(chromium, color_scheme=theme) as (page, _, _),
     ):
         page.goto(address)

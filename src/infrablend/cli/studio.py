@@ -40,6 +40,13 @@ def studio(
     run: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Run to review: folder that `generate` wrote.")
     ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RUN|RECIPE",
+            help="Second run to compare with that of --run, or second recipe to compare with RECIPE on --data.",
+        ),
+    ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port [default: any free one].")] = 0,
     no_open: Annotated[bool, typer.Option("--no-open", help="Only print the address; open no browser.")] = False,
     host: Annotated[str, typer.Option(help="Address to listen on; only this machine can connect by default.")] = (
@@ -56,14 +63,14 @@ def studio(
     metadata: MetadataOption = None,
     options: ReadingOption = None,
 ) -> None:
-    """Open a local page in the browser: review the frames of a run, or tune a recipe on its backgrounds."""
+    """Open a local page in the browser: review a run, tune a recipe on its backgrounds, compare runs or recipes."""
     session: Session = ctx.obj
     reading = make_reading(split, format, form, metadata, options)
 
     from infrablend.pipeline.request import Execution
     from infrablend.studio.server import Address, StudioRequest, serve
 
-    request = StudioRequest(recipe, data, run, seed, reading, Execution(1, device.value))
+    request = StudioRequest(recipe, data, run, compare, seed, reading, Execution(1, device.value))
 
     def ready(address: str) -> None:
         typer.echo(address)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ class FrameRow:
 
     Attributes:
         id: Id of the frame.
+        background: Id of its background; empty if the record cannot be read.
         image: Path of its image below `images/`; empty if the record cannot be read.
         digest: SHA-256 of the image.
         classes: Classes of its inserts, each once, sorted.
@@ -52,6 +53,7 @@ class FrameRow:
     """
 
     id: str
+    background: str = ""
     image: str = ""
     digest: str = ""
     classes: tuple[str, ...] = ()
@@ -65,13 +67,6 @@ class FrameRow:
     inserted: int = 0
     removed: tuple[Mapping[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
-
-
-def read_rows(layout: RunLayout, *, some: int = 500) -> Iterator[list[FrameRow]]:
-    """Yield the rows of a run in the order of their ids, some at a time; an unreadable record gives a bare row."""
-    records = layout.records()
-    for start in range(0, len(records), some):
-        yield [read_row(layout, path) for path in records[start : start + some]]
 
 
 def read_row(layout: RunLayout, record: Path) -> FrameRow:
@@ -95,6 +90,7 @@ def row_of(record: Mapping[str, Any]) -> FrameRow:
         warnings.append(f"{unplaced} object(s) not inserted")
     return FrameRow(
         id=str(record["frame_id"]),
+        background=str(background["id"]),
         image=str(record["image"]),
         digest=str(record["image_sha256"]),
         classes=tuple(sorted({str(i["category"]) for i in inserted})),
@@ -167,6 +163,11 @@ class View:
         for name, low, high in self.limits:
             found |= {f"{name}_{end}": f"{v:g}" for end, v in (("min", low), ("max", high)) if v is not None}
         return {k: v for k, v in found.items() if v}
+
+    @property
+    def needs_names_only(self) -> bool:
+        """Whether the ids of the frames and the verdicts decide what is shown."""
+        return self.sort == "id" and not (self.category or self.time_of_day or self.warned or self.limits)
 
     def apply(self, rows: Sequence[FrameRow], verdicts: Mapping[str, str]) -> list[int]:
         """Return the numbers of the rows to show, in order.

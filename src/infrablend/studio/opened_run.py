@@ -1,4 +1,4 @@
-"""A run that the studio has opened: checked, locked against a second studio, and read in the background."""
+"""Runs that the studio has opened: checked, read in the background, and locked against a second studio to review."""
 
 from __future__ import annotations
 
@@ -15,21 +15,90 @@ from infrablend.core.run_layout import SCENES
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.review import REVIEW_FILE
-from infrablend.studio.frame_index import FrameRow, read_rows
+from infrablend.studio.frame_index import FrameRow
+from infrablend.studio.original_labels import OriginalLabels
 from infrablend.studio.pictures import Thumbnails
+from infrablend.studio.row_reading import RowReading
 from infrablend.studio.verdicts import Review
 
 log = logging.getLogger(__name__)
 
 
-class OpenedRun:
-    """A finished run and its review.
+class RunFrames:
+    """The frames of a finished run.
 
     Attributes:
         layout: Paths of the run.
         record: Record of the run.
-        review: Verdicts on its frames.
         thumbnails: Small pictures of its frames.
+        originals: Original labels of its frames.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Check the run, and begin to read its frames.
+
+        Raises:
+            DatasetError: The run is being written, or has no frames.
+            OutputError: The folder is not a run.
+        """
+        self.layout = RunFolder(folder)
+        self.record: Mapping[str, Any] = self.layout.read_run()
+        require_finished(folder)
+        if not any((self.layout.root / SCENES).rglob("*.json")):
+            raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
+        self.thumbnails = Thumbnails(self.layout)
+        self._guard = threading.Lock()
+        self._begin()
+
+    @property
+    def name(self) -> str:
+        """Name of the run's folder."""
+        return self.layout.root.resolve().name
+
+    @property
+    def reading(self) -> RowReading:
+        """Rows of the frames, as far as they are read; read again after frames were excluded or included."""
+        with self._guard:
+            if self._stamp != self._stamp_now():
+                self._begin()
+            return self._reading
+
+    @property
+    def rows(self) -> list[FrameRow]:
+        """Rows of all frames, in the order of their ids; waits until they are read."""
+        return self.reading.wait()
+
+    def row(self, number: int) -> FrameRow:
+        """Return a row by its number, without waiting for the others.
+
+        Raises:
+            DatasetError: There is no such row.
+        """
+        reading = self.reading
+        if not 0 <= number < len(reading.ids):
+            raise DatasetError(f"frame {number}: no such frame; the run has {len(reading.ids)}")
+        return reading.row(number)
+
+    def close(self) -> None:
+        """Release the run."""
+
+    def _begin(self) -> None:
+        self._stamp = self._stamp_now()
+        self.originals = OriginalLabels(self.layout)
+        self._reading = RowReading(self.layout, self.thumbnails.folder / "rows.json")
+
+    def _stamp_now(self) -> int:
+        try:
+            return self.layout.run_file.stat().st_mtime_ns
+        except OSError:
+            return 0
+
+
+class OpenedRun(RunFrames):
+    """A run to review: only one studio has it open.
+
+    Attributes:
+        review: Verdicts on its frames.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -39,61 +108,13 @@ class OpenedRun:
             DatasetError: The run is being written, or has no frames.
             OutputError: The folder is not a run, its review is damaged, or another studio has it open.
         """
-        self.layout = RunFolder(folder)
-        self.record: Mapping[str, Any] = self.layout.read_run()
-        require_finished(folder)
-        if not self.layout.records():
-            raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
+        super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
         self._lock = self._locked()
-        self.thumbnails = Thumbnails(self.layout)
-        self._rows: list[FrameRow] = []
-        self._read = threading.Event()
-        self._stamp = self._stamp_now()
-        self._start()
-
-    @property
-    def rows(self) -> list[FrameRow]:
-        """Rows of all frames, in the order of their ids; waits until they are read."""
-        if self._read.is_set() and self._stamp != self._stamp_now():
-            self._read.clear()  # frames were excluded or included meanwhile
-            self._stamp = self._stamp_now()
-            self._start()
-        self._read.wait()
-        return self._rows
-
-    def row(self, number: int) -> FrameRow:
-        """Return a row by its number.
-
-        Raises:
-            DatasetError: There is no such row.
-        """
-        rows = self.rows
-        if not 0 <= number < len(rows):
-            raise DatasetError(f"frame {number}: no such frame; the run has {len(rows)}")
-        return rows[number]
 
     def close(self) -> None:
         """Release the run."""
         os.close(self._lock)
-
-    def _start(self) -> None:
-        threading.Thread(target=self._read_rows, name="studio-rows", daemon=True).start()
-
-    def _read_rows(self) -> None:
-        found: list[FrameRow] = []
-        try:
-            for some in read_rows(self.layout):
-                found += some
-        finally:
-            self._rows = found
-            self._read.set()
-
-    def _stamp_now(self) -> int:
-        try:
-            return self.layout.run_file.stat().st_mtime_ns
-        except OSError:
-            return 0
 
     def _locked(self) -> int:
         """Lock the folder of the records: it leaves no file, and does not keep commands from writing the run."""

@@ -22,11 +22,14 @@ from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.preview import INSERTED, decode_picture, draw_labels, to_rgb
 from infrablend.studio.frame_index import FrameRow
+from infrablend.studio.original_labels import OriginalLabel
 
 THUMBNAIL_PX = 208
 """Width of thumbnails, twice that of the smallest cell."""
 _VERSION = "1"
 _MARGIN_PX = 4
+_DASH_PX = 3
+ORIGINAL_COLOUR = (130, 220, 150)
 
 Rgb = NDArray[np.uint8]
 
@@ -105,14 +108,38 @@ def to_png(rgb: Rgb) -> bytes:
     return bytes(cv2.imencode(".png", rgb[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
-def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool) -> bytes:
+def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool, originals: Sequence[OriginalLabel] = ()) -> bytes:
     """Return the PNG of a frame, with the boxes and masks of its inserts if `boxes` is set.
+
+    Args:
+        layout: Paths of the run.
+        row: The frame.
+        boxes: Whether to draw the labels of its inserts.
+        originals: Original labels to draw, with dashed lines.
 
     Raises:
         DatasetError: The image or the record cannot be read.
     """
-    rgb = to_rgb(read_pixels(layout, row))
+    rgb = with_originals(to_rgb(read_pixels(layout, row)), originals)
     return to_png(draw_labels(rgb, inserted_labels(layout, row)) if boxes else rgb)
+
+
+def with_originals(rgb: Rgb, originals: Sequence[OriginalLabel]) -> Rgb:
+    """Return a picture with dashed boxes of original objects."""
+    if not originals:
+        return rgb
+    canvas = rgb.copy()
+    h, w = canvas.shape[:2]
+    for label in originals:
+        left, top, right, bottom = label.box_xyxy
+        x0, x1 = (int(np.clip(v, 0, w - 1)) for v in (left, np.ceil(right) - 1))
+        y0, y1 = (int(np.clip(v, 0, h - 1)) for v in (top, np.ceil(bottom) - 1))
+        for ax, ay, bx, by in ((x0, y0, x1, y0), (x1, y0, x1, y1), (x0, y1, x1, y1), (x0, y0, x0, y1)):
+            across = np.linspace(ax, bx, max(abs(bx - ax), abs(by - ay)) + 1).round().astype(int)
+            down = np.linspace(ay, by, len(across)).round().astype(int)
+            dash = np.arange(len(across)) % (2 * _DASH_PX) < _DASH_PX
+            canvas[down[dash], across[dash]] = ORIGINAL_COLOUR
+    return canvas
 
 
 def inserted_labels(layout: RunLayout, row: FrameRow) -> tuple[Instance, ...]:

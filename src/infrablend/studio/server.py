@@ -52,6 +52,7 @@ class StudioRequest:
         recipe: Recipe to tune: name, or path of a YAML file.
         data: Folder of the background dataset.
         run: Folder of a run to review.
+        compare: Folder of a second run, or a second recipe, to compare with.
         seed: Seed of the frames to tune.
         reading: How to read `data`.
         execution: Device and renderer.
@@ -60,6 +61,7 @@ class StudioRequest:
     recipe: str | None = None
     data: Path | None = None
     run: Path | None = None
+    compare: str | None = None
     seed: int = 0
     reading: Reading = READ_ALL
     execution: Execution = ONE_WORKER

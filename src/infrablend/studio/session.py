@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.trial import TrialRequest
-from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.comparison import Comparison, RecipeComparison, RunComparison
+from infrablend.studio.opened_run import OpenedRun, RunFrames
 from infrablend.studio.tuning import Tuning
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ class Session:
     Attributes:
         run: The opened run; None if there is none.
         tuning: Recipe and data to tune; None without data.
+        comparison: Two runs or two recipes to compare; None if there is nothing to compare with.
     """
 
     def __init__(self, request: StudioRequest) -> None:
@@ -47,6 +49,28 @@ class Session:
                     recipe, request.data, seed=request.seed, reading=request.reading, execution=request.execution
                 )
             )
+        self.comparison: Comparison | None = None
+        self._second: RunFrames | None = None
+        if request.compare is not None:
+            try:
+                self.comparison = self._compare(request.compare)
+            except BaseException:
+                self.close()
+                raise
+
+    def _compare(self, second: str) -> Comparison:
+        folder = Path(second)
+        if self.run is not None and folder.is_dir():
+            if folder.samefile(self.run.layout.root):
+                raise ArgumentError(f"--compare {second}: the run of --run itself; expected another run")
+            self._second = RunFrames(folder)
+            return RunComparison(self.run, self._second)
+        if self.tuning is None:
+            raise ArgumentError(
+                f"--compare {second}: no such folder; expected that of a second run. To compare recipes, give the "
+                "backgrounds with --data instead of --run"
+            )
+        return RecipeComparison(self.tuning, second)
 
     @property
     def title(self) -> str:
@@ -58,6 +82,10 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the run, and end the renderer."""
         if self.tuning is not None:
             self.tuning.close()
         if self.run is not None:

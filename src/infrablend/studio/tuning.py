@@ -19,13 +19,14 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
-from infrablend.errors import ArgumentError, OutputError
+from infrablend.errors import ArgumentError, DatasetError, OutputError
 from infrablend.formats import detection
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.pipeline.trial import Trial, TrialRequest, Trials, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
-from infrablend.studio.pictures import Rgb, decode, enlarged
+from infrablend.studio.original_labels import Box, OriginalLabel
+from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
@@ -55,11 +56,16 @@ class Tuned:
         rgb = to_rgb(frame.pixels)
         if ground and frame.scene is not None and self.has_ground:
             return draw_ground(rgb, frame.labels, frame.scene)[0]
-        if not boxes:
-            return rgb
-        # Names of the original objects would hide the picture.
-        originals = draw_labels(rgb, [i for i in frame.labels if not i.inserted], ("boxes",), names=False)
-        return draw_labels(originals, frame.inserted, ("boxes",))
+        return self.labelled(inserts=boxes, originals=boxes)
+
+    def labelled(self, *, inserts: bool, originals: bool) -> Rgb:
+        """Return the picture with the boxes of its inserts, and with dashed ones of its original objects."""
+        frame = self.trial.frame
+        rgb = to_rgb(frame.pixels)
+        if originals:
+            kept = [i for i in frame.labels if not i.inserted]
+            rgb = with_originals(rgb, [OriginalLabel(i.category, _corners(i)) for i in kept])
+        return draw_labels(rgb, frame.inserted, ("boxes",)) if inserts else rgb
 
     def crop(self, number: int) -> Rgb:
         """Return an insert, enlarged."""
@@ -145,6 +151,16 @@ class Tuning:
         """All backgrounds, in the order of the dataset."""
         return self.dataset.images
 
+    def background(self, number: int) -> ImageRecord:
+        """Return a background by its number.
+
+        Raises:
+            DatasetError: There is no such background.
+        """
+        if not 0 <= number < len(self.dataset.images):
+            raise DatasetError(f"background {number}: no such picture; the dataset has {len(self.dataset.images)}")
+        return self.dataset.images[number]
+
     def read(self, recipe: str, settings: Mapping[str, Any]) -> Recipe:
         """Return a recipe with settings.
 
@@ -208,6 +224,11 @@ class Tuning:
     def close(self) -> None:
         """End the renderer."""
         self._trials.close()
+
+
+def _corners(label: Instance) -> Box:
+    x0, y0, x1, y1 = (float(v) for v in label.box_xyxy)
+    return x0, y0, x1, y1
 
 
 def _size(label: Instance) -> float:

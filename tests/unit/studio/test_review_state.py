@@ -14,8 +14,9 @@ import pytest
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.review import Verdict, read_verdicts
-from infrablend.studio.frame_index import UNREADABLE, FrameRow, View, read_rows
+from infrablend.studio.frame_index import UNREADABLE, FrameRow, View, read_row
 from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.row_reading import RowReading
 from infrablend.studio.verdicts import Review
 from tests.studio_runs import frame_record, write_run
 
@@ -63,9 +64,32 @@ def test_rows_are_read_from_the_records_and_damaged_ones_are_shown(tmp_path: Pat
     (tmp_path / "scenes/test/b_c0.json").write_text("{")
     leaving = frame_record("test/c_c0") | {"image": "../../../etc/passwd"}
     (tmp_path / "scenes/test/c_c0.json").write_text(json.dumps(leaving))
-    a, b, c = (row for some in read_rows(RunLayout(tmp_path)) for row in some)
+    a, b, c = RowReading(RunLayout(tmp_path), tmp_path / "cache.json").wait()
     assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
     assert b.warnings == c.warnings == (UNREADABLE,)
+
+
+def test_rows_of_an_earlier_studio_are_taken_unless_the_record_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [f"test/{n}_c0" for n in "abc"]
+    layout, cache = RunLayout(write_run(tmp_path / "run", {n: frame_record(n) for n in names})), tmp_path / "rows.json"
+    first = RowReading(layout, cache).wait()
+    read: list[str] = []
+
+    def counted(of: RunLayout, record: Path) -> FrameRow:
+        read.append(record.stem)
+        return read_row(of, record)
+
+    monkeypatch.setattr("infrablend.studio.row_reading.read_row", counted)
+    assert RowReading(layout, cache).wait() == first
+    assert read == []
+    (tmp_path / "run/scenes/test/b_c0.json").write_text(json.dumps(frame_record("test/b_c0", inserted=[])))
+    assert [row.inserted for row in RowReading(layout, cache).wait()] == [1, 0, 1]
+    assert read == ["b_c0"]
+    for damaged in ("{", "[]", '{"version": 1, "rows": {"test/a_c0": [1]}}'):
+        cache.write_text(damaged)
+        assert len(RowReading(layout, cache).wait()) == 3
 
 
 def test_every_verdict_is_in_the_file_at_once_and_can_be_undone(tmp_path: Path) -> None:

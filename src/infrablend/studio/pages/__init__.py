@@ -6,7 +6,7 @@ from nicegui import app, ui
 from starlette.requests import Request
 from starlette.responses import RedirectResponse
 
-from infrablend.studio.pages import layout, losses, review, run_routes, tune
+from infrablend.studio.pages import compare, layout, losses, review, run_routes, tune
 from infrablend.studio.session import Session
 
 
@@ -40,3 +40,12 @@ def add_pages(session: Session) -> None:
         def tune_page(request: Request) -> None:
             with layout.page_frame(session, request, "/tune", "Tune"):
                 tune.TunePage(tuning, pictures).build()
+
+    comparison = session.comparison
+    if comparison is not None:
+        compare.add_routes(comparison)
+
+        @ui.page("/compare")
+        def compare_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/compare", "Compare"):
+                compare.ComparePage(comparison).build()

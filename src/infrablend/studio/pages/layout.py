@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from nicegui import app, ui
 from starlette.requests import Request
 
 from infrablend.errors import InfraBlendError, format_problems
+from infrablend.studio.opened_run import RunFrames
 from infrablend.studio.session import Session
 
 THEME_COOKIE = "infrablend_theme"
+_LOOK_S = 0.25
 _STYLE = Path(__file__).with_name("studio.css")
 
 
@@ -29,6 +31,8 @@ def pages_of(session: Session) -> dict[str, str]:
         found |= {"/review": "Review", "/losses": "Lost labels"}
     if session.tuning is not None:
         found["/tune"] = "Tune"
+    if session.comparison is not None:
+        found["/compare"] = "Compare"
     return found
 
 
@@ -60,6 +64,30 @@ def page_frame(session: Session, request: Request, path: str, title: str) -> Ite
             yield
         except InfraBlendError as error:
             show_error(error)
+
+
+def when_read(run: RunFrames, build: Callable[[], None]) -> None:
+    """Build a part of a page once the run's records are read; until then, the page shows how many are.
+
+    Nothing waits: the server answers other requests meanwhile.
+    """
+    if run.reading.is_complete:
+        build()
+        return
+    place = ui.column().classes("w-full gap-2")
+    with place:
+        progress = ui.label().props("role=status").classes("faint")
+
+    def look() -> None:
+        reading = run.reading
+        progress.set_text(f"{reading.count} of {len(reading.ids)} records read")
+        if reading.is_complete:
+            timer.cancel()
+            place.clear()
+            with place:
+                build()
+
+    timer = ui.timer(_LOOK_S, look)
 
 
 def show_error(error: InfraBlendError) -> None:

@@ -7,6 +7,7 @@ from collections import Counter
 from nicegui import ui
 
 from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.pages.layout import when_read
 
 REASONS = {
     "covered": "covered completely by inserted objects",
@@ -18,6 +19,10 @@ _SHOWN = 500
 
 def build(run: OpenedRun) -> None:
     """Show the losses, each with a link to its frame."""
+    when_read(run, lambda: _show(run))
+
+
+def _show(run: OpenedRun) -> None:
     found = [(n, row.id, loss) for n, row in enumerate(run.rows) for loss in row.removed]
     ui.html("<h2>Original labels that the run removed</h2>", sanitize=False)
     if not found:

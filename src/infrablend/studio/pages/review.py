@@ -15,7 +15,7 @@ from infrablend.errors import InfraBlendError
 from infrablend.pipeline.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import tell
+from infrablend.studio.pages.layout import tell, when_read
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
@@ -56,17 +56,17 @@ class ReviewPage:
 
     def build(self, frame: str = "") -> None:
         """Build the page; open the frame with this number."""
-        self._run.rows  # noqa: B018  # read before the order of frames is asked for
         self._list = ui.column().classes("w-full gap-2")
         with self._list:
-            self._build_filters()
+            when_read(self._run, self._build_filters)
+            self._counted = ui.label().props("role=status")
+            self._count_frames()
             self._grid = FrameGrid(self._source())
             self._grid.on("open", self._opened)
         self._detail = ui.column().classes("w-full gap-2")
         self._detail.set_visibility(False)
         ui.keyboard(self._key, ignore=["input", "select", "textarea"])
-        self._count_frames()
-        if frame.isdecimal() and int(frame) < len(self._run.rows):
+        if frame.isdecimal() and int(frame) < len(self._run.reading.ids):
             self._show(int(frame))
 
     # ---- the list
@@ -93,7 +93,6 @@ class ReviewPage:
                             f"{title}, {word}", on_change=lambda e, n=name, k=end: self._limit(n, k, e.value)
                         )
                         box.props("dense outlined debounce=250").classes("w-44")
-        self._counted = ui.label().props("role=status")
 
     def _select(self, title: str, options: Mapping[str, str], value: str, field: str) -> None:
         chosen = ui.select(
@@ -116,7 +115,8 @@ class ReviewPage:
         return "/run/rows?" + urlencode(self._view.to_query())
 
     def _count_frames(self) -> None:
-        review, rows = self._run.review, self._run.rows
+        review, reading = self._run.review, self._run.reading
+        rows = reading.wait() if reading.is_complete else [FrameRow(frame_id) for frame_id in reading.ids]
         self._order = self._view.apply(rows, review.words)
         counts = review.counts()
         self._counted.set_text(
@@ -273,9 +273,9 @@ class ReviewPage:
         if frame_id is None:
             ui.notify("Nothing to undo")
             return
-        number = next((n for n, row in enumerate(self._run.rows) if row.id == frame_id), None)
-        if number is not None:
-            self._show(number)
+        ids = self._run.reading.ids
+        if frame_id in ids:
+            self._show(ids.index(frame_id))
         ui.notify(f"Undone: {frame_id}", timeout=900)
 
     def _key(self, event: KeyEventArguments) -> None:

@@ -10,11 +10,11 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.studio.frame_index import View
-from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.frame_index import FrameRow, View
+from infrablend.studio.opened_run import OpenedRun, RunFrames
 from infrablend.studio.pictures import crop_picture, frame_picture
 
-_KEEP = {"cache-control": "private, max-age=3600"}
+KEEP = {"cache-control": "private, max-age=3600"}
 
 
 def add_routes(run: OpenedRun) -> None:
@@ -23,27 +23,44 @@ def add_routes(run: OpenedRun) -> None:
     @app.get("/run/rows")
     def rows(request: Request) -> Response:
         def answer() -> bytes:
-            found, verdicts = run.rows, run.review.words
-            chosen = View.from_query(dict(request.query_params)).apply(found, verdicts)
+            reading, verdicts = run.reading, run.review.words
+            view = View.from_query(dict(request.query_params))
+            complete = reading.is_complete
+            if not complete and view.needs_names_only:
+                found = [FrameRow(frame_id) for frame_id in reading.ids]
+            else:
+                found, complete = reading.wait(), True
+            chosen = view.apply(found, verdicts)
             listed = [(n, found[n].id, found[n].digest[:12], verdicts.get(found[n].id, "")) for n in chosen]
-            return json.dumps(listed).encode()
+            return json.dumps({"rows": listed, "complete": complete}).encode()
 
-        return _answered(answer, "application/json", {"cache-control": "no-store"})
+        return answered(answer, "application/json", {"cache-control": "no-store"})
 
     @app.get("/run/thumb/{number}.jpg")
     def thumbnail(number: int) -> Response:
-        return _answered(lambda: run.thumbnails.get(run.row(number)), "image/jpeg", _KEEP)
+        return answered(lambda: run.thumbnails.get(run.row(number)), "image/jpeg", KEEP)
 
     @app.get("/run/picture/{number}.png")
-    def picture(number: int, boxes: bool = False) -> Response:
-        return _answered(lambda: frame_picture(run.layout, run.row(number), boxes=boxes), "image/png", _KEEP)
+    def picture(number: int, boxes: bool = False, originals: bool = False) -> Response:
+        return answered(lambda: run_picture(run, number, boxes, originals), "image/png", KEEP)
 
     @app.get("/run/crop/{number}/{insert}.png")
     def crop(number: int, insert: int) -> Response:
-        return _answered(lambda: crop_picture(run.layout, run.row(number), insert), "image/png", _KEEP)
+        return answered(lambda: crop_picture(run.layout, run.row(number), insert), "image/png", KEEP)
 
 
-def _answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]) -> Response:
+def run_picture(run: RunFrames, number: int, boxes: bool, originals: bool) -> bytes:
+    """Return the PNG of a frame, with the labels of its inserts and of its original objects if they are asked for.
+
+    Raises:
+        DatasetError: There is no such frame, or it cannot be read.
+    """
+    row = run.row(number)
+    return frame_picture(run.layout, row, boxes=boxes, originals=run.originals.of(row.image) if originals else ())
+
+
+def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]) -> Response:
+    """Return what a function makes, or its error in words."""
     try:
         return Response(make(), media_type=media_type, headers=headers)
     except InfraBlendError as error:

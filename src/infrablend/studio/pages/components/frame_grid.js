@@ -21,7 +21,7 @@ export default {
     </div>`,
   props: { source: String },
   data() {
-    return { rows: null, problem: "", top: 0, height: 600, width: 800, focused: 0 };
+    return { rows: null, problem: "", top: 0, height: 600, width: 800, focused: 0, loaded: 0 };
   },
   computed: {
     columns() {
@@ -44,7 +44,7 @@ export default {
         const word = WORDS[verdict] || "";
         return {
           n, at, id, verdict, word,
-          src: `/run/thumb/${n}.jpg?d=${digest}`,
+          src: `/run/thumb/${n}.jpg?d=${digest || this.loaded}`,
           style: {
             left: (at % this.columns) * (this.cellWidth + GAP) + "px",
             top: Math.floor(at / this.columns) * this.lineHeight + "px",
@@ -68,6 +68,7 @@ export default {
   },
   unmounted() {
     this.observer.disconnect();
+    clearTimeout(this.timer);
   },
   methods: {
     async load() {
@@ -75,8 +76,11 @@ export default {
       try {
         const answer = await fetch(source);
         if (!answer.ok) throw new Error(await answer.text());
-        const found = await answer.json();
+        const { rows: found, complete } = await answer.json();
         if (source !== this.source) return;
+        clearTimeout(this.timer);
+        this.loaded = Date.now();
+        if (!complete) this.timer = setTimeout(() => this.load(), 1000);
         this.rows = Object.freeze(found);
         this.problem = "";
         this.focused = Math.min(this.focused, Math.max(0, found.length - 1));

@@ -1,0 +1,281 @@
+"""The comparison of two runs or recipes: the frames that differ most, side by side or with a divider between them."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from typing import Any, Literal
+from urllib.parse import urlencode
+
+from nicegui import app, run, ui
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments, KeyEventArguments
+from starlette.requests import Request
+from starlette.responses import Response
+
+from infrablend.errors import InfraBlendError
+from infrablend.studio.comparison import MEASURES, SORTS, Comparison, FramePair, PairView
+from infrablend.studio.frame_index import FrameRow
+from infrablend.studio.pages.layout import error_text, when_read
+from infrablend.studio.pages.run_routes import KEEP, answered
+
+_SIDES = ("a", "b")
+
+
+def add_routes(comparison: Comparison) -> None:
+    """Add the routes below `/compare/`. Frames are named by number, so that no path comes from a request."""
+
+    @app.get("/compare/pairs")
+    def pairs(request: Request) -> Response:
+        def answer() -> bytes:
+            found = comparison.pairs()
+            chosen = PairView.from_query(dict(request.query_params)).apply(found)
+            return json.dumps([(n, found[n].id, change_text(found[n])) for n in chosen]).encode()
+
+        return answered(answer, "application/json", {"cache-control": "no-store"})
+
+    @app.get("/compare/{side}/picture/{number}.png")
+    def picture(side: Literal["a", "b"], number: int, boxes: bool = False, originals: bool = False) -> Response:
+        def answer() -> bytes:
+            return comparison.picture(_SIDES.index(side), number, boxes=boxes, originals=originals)
+
+        return answered(answer, "image/png", KEEP)
+
+
+def change_text(pair: FramePair) -> str:
+    """Return what differs between two frames, in words."""
+    if pair.a is None or pair.b is None:
+        return ""
+    if pair.same:
+        return "same picture"
+    words = []
+    for name, change in pair.changes.items():
+        if name == "inserted":
+            words.append(f"{change:+.0f} insert{'' if abs(change) == 1 else 's'}")
+        elif name == "size_px":
+            words.append(f"size \u00d7 {2**change:.2f}")
+        elif name == "visibility":
+            words.append(f"visible {100 * change:+.0f} %")
+        else:
+            words.append(f"contrast {change:+.0f}")
+    if pair.same is None and not words:
+        return "not drawn yet"
+    return ", ".join(words) or "other pixels only"
+
+
+class PairList(Element, component="components/pair_list.js"):  # type: ignore[call-arg]
+    """The list of frames; it reads its lines from `source`."""
+
+    def __init__(self, source: str) -> None:
+        """Show the lines at an address."""
+        super().__init__()
+        self._props.update(source=source, chosen=-1)
+
+    def show(self, **props: Any) -> None:
+        """Show other lines, or another chosen one."""
+        self._props.update(props)
+        self.update()
+
+
+class Wipe(Element, component="components/wipe.js"):  # type: ignore[call-arg]
+    """Two pictures with a divider."""
+
+    def __init__(self, first: str, second: str, names: tuple[str, str]) -> None:
+        """Show the pictures at two addresses."""
+        super().__init__()
+        self._props.update(a=first, b=second, names=list(names))
+
+
+class ComparePage:
+    """The comparison in one browser tab."""
+
+    def __init__(self, comparison: Comparison) -> None:
+        """Begin with the frames that differ most; those of recipes are known once they are drawn."""
+        self._comparison = comparison
+        self._view = PairView(sort="difference" if comparison.runs else "id")
+        self._shown: int | None = None
+        self._wipe = True
+        self._labels = {"boxes": True, "originals": False}
+
+    def build(self) -> None:
+        """Build the page once all records are read."""
+        self._wait_for(list(self._comparison.runs))
+
+    def _wait_for(self, runs: list[Any]) -> None:
+        if runs:
+            when_read(runs[0], lambda: self._wait_for(runs[1:]))
+        else:
+            self._build()
+
+    def _build(self) -> None:
+        first, second = self._comparison.names
+        pairs = self._comparison.pairs()
+        ui.html("<h2>Compare</h2>", sanitize=False)
+        ui.label(f"A: {first} \u00a0 B: {second}")
+        ui.label(_count_text(pairs)).props("role=status")
+        with ui.element("div").classes("compare-view"):
+            with ui.element("section").props('aria-label="Frames"').classes("studio-card compare-frames"):
+                self._build_list(pairs)
+            with ui.element("section").props('aria-label="Pictures"').classes("compare-pictures"):
+                self._build_switches()
+                self._place = ui.element("div").classes("w-full")
+        ui.keyboard(self._key, ignore=["input", "select", "textarea"])
+        chosen = self._view.apply(pairs) or PairView(side="a").apply(pairs) or PairView(side="b").apply(pairs)
+        if chosen:
+            self._choose(chosen[0])
+
+    def _build_list(self, pairs: list[FramePair]) -> None:
+        counts = Counter("b" if p.a is None else "a" if p.b is None else "both" for p in pairs)
+        sides = {
+            "both": f"In both ({counts['both']})", "a": f"Only in A ({counts['a']})", "b": f"Only in B ({counts['b']})",
+        }  # fmt: skip
+        with ui.element("div").classes("studio-row"):
+            if self._comparison.runs:
+                self._select("Frames", sides, self._view.side, "side")
+            self._select("Largest change first", dict(SORTS), self._view.sort, "sort")
+            text = ui.input("Name contains", on_change=lambda e: self._change(text=e.value or ""))
+            text.props("dense outlined debounce=250").classes("w-full")
+            ui.switch("Leave out equal pictures", on_change=lambda e: self._change(changed=e.value))
+        self._list = PairList(self._source())
+        self._list.on("open", lambda e: self._opened(e))
+
+    def _select(self, title: str, options: dict[str, str], value: str, name: str) -> None:
+        chosen = ui.select(options, label=title, value=value, on_change=lambda e: self._change(**{name: e.value}))
+        chosen.props(f'dense outlined options-dense aria-label="{title}"').classes("w-full")
+
+    def _build_switches(self) -> None:
+        with ui.element("div").classes("studio-row"):
+            self._button("Previous", lambda: self._list.run_method("step", -1), "P")
+            self._button("Next", lambda: self._list.run_method("step", 1), "N")
+            ui.switch("Divider", value=self._wipe, on_change=lambda e: self._set_wipe(e.value)).tooltip("W")
+            for name, title in (("boxes", "Boxes"), ("originals", "Original objects")):
+                ui.switch(title, value=self._labels[name], on_change=lambda e, n=name: self._set_label(n, e.value))
+
+    @staticmethod
+    def _button(text: str, on_click: Any, key: str) -> None:
+        with ui.button(on_click=on_click).props("no-caps dense outline").classes("px-2"):
+            ui.label(text)
+            ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
+
+    def _source(self) -> str:
+        return "/compare/pairs?" + urlencode(self._view.to_query())
+
+    def _change(self, **fields: Any) -> None:
+        self._view = replace(self._view, **fields)
+        self._list.show(source=self._source())
+
+    def _set_wipe(self, on: bool) -> None:
+        self._wipe = on
+        self._redraw()
+
+    def _set_label(self, name: str, on: bool) -> None:
+        self._labels[name] = on
+        self._redraw()
+
+    def _opened(self, event: GenericEventArguments) -> None:
+        self._choose(int(event.args["n"]))
+
+    def _choose(self, number: int) -> None:
+        self._shown = number
+        self._list.show(chosen=number)
+        self._redraw()
+
+    def _redraw(self) -> None:
+        ui.timer(0.001, self._show, once=True)
+
+    async def _show(self) -> None:
+        number = self._shown
+        if number is None:
+            return
+        pair = self._comparison.pairs()[number]
+        try:
+            rows = await run.io_bound(self._comparison.rows, pair)
+        except InfraBlendError as error:
+            self._place.clear()
+            with self._place:
+                ui.label(error_text(error)).classes("studio-error").props("role=alert")
+            return
+        if number != self._shown:
+            return
+        if pair.same is None and None not in (pair.a, pair.b):
+            self._list.run_method("load")  # what differs is known now
+        self._place.clear()
+        with self._place:
+            self._build_pictures(pair, rows)
+            self._build_facts(rows)
+
+    def _build_pictures(self, pair: FramePair, rows: tuple[FrameRow | None, FrameRow | None]) -> None:
+        ui.label(pair.id).classes("verdict").props("role=status")
+        sources = [
+            None if n is None or row is None else self._address(side, n, row)
+            for side, n, row in zip(_SIDES, (pair.a, pair.b), rows, strict=True)
+        ]
+        first, second = sources
+        if first is not None and second is not None and self._wipe:
+            Wipe(first, second, self._comparison.names)
+            return
+        with ui.element("div").classes("compare-sides"):
+            for letter, name, source in zip("AB", self._comparison.names, sources, strict=True):
+                with ui.element("figure"):
+                    if source is None:
+                        ui.label(f"{letter} does not have this frame.").classes("frame-grid-note")
+                    else:
+                        picture = ui.element("img").classes("picture")
+                        picture.props["alt"], picture.props["src"] = f"{pair.id} in {name}", source
+                    with ui.element("figcaption").classes("faint"):
+                        ui.label(f"{letter}: {name}")
+
+    def _address(self, side: str, number: int, row: FrameRow) -> str:
+        words = {"d": row.digest[:12], **{k: int(v) for k, v in self._labels.items()}}
+        return f"/compare/{side}/picture/{number}.png?{urlencode(words)}"
+
+    @staticmethod
+    def _build_facts(rows: tuple[FrameRow | None, FrameRow | None]) -> None:
+        with ui.element("div").classes("scroll-x"), ui.element("table").classes("plain"):
+            with ui.element("thead"), ui.element("tr"):
+                for name in ("", "A", "B"):
+                    with ui.element("th" if name else "td").props("scope=col" if name else ""):
+                        ui.label(name)
+            with ui.element("tbody"):
+                for title, values in _facts(rows):
+                    with ui.element("tr"):
+                        with ui.element("th").props("scope=row"):
+                            ui.label(title)
+                        for text in values:
+                            with ui.element("td"):
+                                ui.label(text)
+
+    def _key(self, event: KeyEventArguments) -> None:
+        held = event.modifiers
+        if not event.action.keydown or held.ctrl or held.meta or held.alt:
+            return
+        step = {"n": 1, "p": -1}.get(event.key.name.lower())
+        if step is not None:
+            self._list.run_method("step", step)
+
+
+def _count_text(pairs: list[FramePair]) -> str:
+    both = [p for p in pairs if p.a is not None and p.b is not None]
+    same = sum(bool(p.same) for p in both)
+    only = [sum(p.b is None for p in pairs), sum(p.a is None for p in pairs)]
+    return f"{len(both)} frames in both, {same} with equal pictures; {only[0]} only in A, {only[1]} only in B"
+
+
+def _facts(rows: tuple[FrameRow | None, FrameRow | None]) -> list[tuple[str, list[str]]]:
+    found = [("Frame", ["-" if row is None else row.id for row in rows])]
+    for name, title in MEASURES.items():
+        values = [None if row is None else getattr(row, name) for row in rows]
+        found.append((title, [_value_text(name, value) for value in values]))
+    found.append(("Classes", ["-" if row is None else ", ".join(row.classes) or "none" for row in rows]))
+    found.append(("Warnings", ["-" if row is None else "; ".join(row.warnings) or "none" for row in rows]))
+    return found
+
+
+def _value_text(name: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if name == "visibility":
+        return f"{100 * value:.0f} %"
+    unit = {"size_px": " px", "contrast": " grey levels"}.get(name, "")
+    return f"{value:.1f}{unit}" if unit else f"{value:.0f}"
