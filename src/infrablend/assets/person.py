@@ -53,6 +53,7 @@ TOPS = ("jacket", "puffer", "coat")
 BOTTOMS = ("trousers", "skirt")
 HEADWEAR = ("none", "beanie", "cap", "hood")
 HAIR = ("short", "long")
+LENGTHS = ("long", "short")  # of sleeves and trousers: short ones leave forearms and lower legs bare
 BUILDS = ("slim", "average", "heavy")
 HEIGHT_M = (1.4, 2.1)
 DRAWN_HEIGHT_M = (1.5, 1.95)
@@ -66,6 +67,8 @@ PARTS: Mapping[str, PartRange] = {
     "ear": part_role("skin", (9.0, 20.0), "ears: cool like the nose"),
     "neck": part_role("skin", (15.0, 25.0), "neck and collar gap: hot"),
     "hand": part_role("skin", (10.0, 22.0), "bare skin, 24-34 C"),
+    "forearm": part_role("skin", (10.0, 20.0), "bare skin below a short sleeve: cooler than the face"),
+    "shin": part_role("skin", (8.0, 18.0), "bare skin below short trousers: cooler than the forearm"),
     "leg": part_role("cloth", (6.0, 14.0), "thin stocking over skin, between skin and clothing"),
     "hair": part_role("hair", (5.0, 11.0), "between skin and air"),
     "hat": part_role("cloth", (3.0, 7.0), "hat: cooler than hair"),
@@ -88,6 +91,7 @@ PARTS: Mapping[str, PartRange] = {
 # chilled, and warms hair and collar.
 _LIGHT: Mapping[str, tuple[float, float]] = {
     "face": (16.0, 26.0), "nose": (12.0, 22.0), "ear": (12.0, 22.0), "neck": (16.0, 26.0), "hand": (14.0, 24.0),
+    "forearm": (12.0, 22.0), "shin": (10.0, 20.0),
     "leg": (10.0, 18.0), "hair": (10.0, 16.0), "hat": (7.0, 10.0), "hood": (7.0, 10.0), "collar": (10.0, 16.0),
     "jacket": (8.0, 10.0), "sleeve": (8.0, 10.0), "coat_skirt": (6.0, 10.0), "trousers": (8.0, 10.0),
     "shoe": (4.0, 9.0),
@@ -106,7 +110,7 @@ SHADE_SHARE = (-0.1, 0.5)
 _GARMENTS: Mapping[str, tuple[str, ...]] = {
     "top": ("jacket", "sleeve", "coat_skirt", "collar", "hood"),
     "bottom": ("trousers", "leg"),
-    "skin": ("face", "nose", "ear", "neck", "hand"),
+    "skin": ("face", "nose", "ear", "neck", "hand", "forearm", "shin"),
     "backpack": ("backpack", "strap"),
 }
 _SURFACE = {part: garment for garment, parts in _GARMENTS.items() for part in parts}
@@ -358,7 +362,7 @@ def _arm_line(arm: _Arm, sign: int, top: str, build_name: str) -> tuple[FloatArr
 
 
 @lru_cache(maxsize=256)
-def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool) -> Piece:
+def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
     """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
     rows = _trunk_rows(top, build_name, seated)
     pad, girth = _PADDING[top], _GIRTH[build_name]
@@ -386,10 +390,15 @@ def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool) 
         )
     for sign, arm in zip((1, -1), _ARMS[arms], strict=True):
         a, b, c = _arm_line(arm, sign, top, build_name)
-        width = np.array([0.0385, 0.0365, 0.0335, 0.0315, 0.0275]) * girth + pad * np.array([0.8, 0.9, 0.8, 0.8, 0.45])
+        bare = sleeves == "short"
+        padding = pad * np.array([0.8, 0.9, 0.8, *((0.0, 0.0) if bare else (0.8, 0.45))])
+        width = np.array([0.0385, 0.0365, 0.0335, 0.0315, 0.0275]) * girth + padding
         path = [a, 0.5 * (a + b), b, 0.45 * b + 0.55 * c, c]
         side = (1.0, 0.0, 0.0) if abs(unit(c - a)[0]) < 0.8 else (0.0, 0.0, 1.0)
-        primitives.append(tube("sleeve", path, width, side=side, blend=0.020, caps=(0.04, 0.008), steps=2))
+        beyond = ((2, "forearm"),) if bare else ()
+        primitives.append(
+            tube("sleeve", path, width, side=side, blend=0.020, caps=(0.04, 0.008), steps=2, beyond=beyond)
+        )
     primitives.append(
         tube(
             "collar",
@@ -476,8 +485,8 @@ def _leg_lines(pose: _Pose) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
 
 
 @lru_cache(maxsize=64)
-def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
-    """Return trousers with the hips, or stockinged legs under a skirt."""
+def _legs(pose_name: str, variant: str, bottom: str, build_name: str, length: str) -> Piece:
+    """Return trousers with the hips, or stockinged legs under a skirt; short trousers end at the knee."""
     pose = _POSES[pose_name, variant]
     girth = _GIRTH[build_name]
     bare = bottom == "skirt"
@@ -498,6 +507,8 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
             width = np.array([0.042, 0.046, 0.033, 0.034, 0.022, 0.021]) * (0.5 + 0.5 * girth)
         else:
             width = np.array([0.050, 0.053, 0.044, 0.043, 0.039, 0.037]) * (0.4 + 0.6 * girth)
+            if length == "short":
+                width[3:] = np.array([0.034, 0.023, 0.021]) * (0.5 + 0.5 * girth)
         end = ankle + (0.020 if not bare else 0.0) * unit(knee - ankle)
         shank = end - knee
         bent = unit(knee - hip) @ unit(knee - ankle) > -0.5
@@ -506,7 +517,10 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str) -> Piece:
             # The calf bulges backward.
             calf = calf - np.array([0.008, 0.0, 0.0])
         path = [hip, 0.5 * (hip + knee), knee, calf, knee + 0.75 * shank, end]
-        primitives.append(tube(part, path, width, side=(0.0, 1.0, 0.0), blend=0.022, caps=(0.05, 0.008), steps=2))
+        beyond = ((2, "shin"),) if length == "short" and not bare else ()
+        primitives.append(
+            tube(part, path, width, side=(0.0, 1.0, 0.0), blend=0.022, caps=(0.05, 0.008), steps=2, beyond=beyond)
+        )
     return _skin(Body(tuple(primitives), floor=True), CLOTH_CELL)
 
 
@@ -691,9 +705,19 @@ DEFAULTS: Mapping[str, Any] = {
     "mirror": False,
     "time_of_day": "night",
     "clothing": "winter",
+    "sleeves": "long",
+    "legs": "long",
 }
 _CHECKS = Checks("person")
-_WORDS = {"top": TOPS, "bottom": BOTTOMS, "headwear": HEADWEAR, "hair": HAIR, "build": BUILDS}
+_WORDS = {
+    "top": TOPS,
+    "bottom": BOTTOMS,
+    "headwear": HEADWEAR,
+    "hair": HAIR,
+    "build": BUILDS,
+    "sleeves": LENGTHS,
+    "legs": LENGTHS,
+}
 _LIMITS: Mapping[str, tuple[float, float]] = {
     "height_m": HEIGHT_M,
     "width_factor": (0.85, 1.2),
@@ -742,6 +766,7 @@ def build(params: Params) -> Mesh:
             mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
             clothing: `winter` or `light`; for the temperatures.
+            sleeves, legs: See `LENGTHS`; coats and puffers always have long sleeves.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -754,7 +779,8 @@ def build(params: Params) -> Mesh:
     on_seat = (pose_name, variant) == ("sitting", "seat")
     hooded = p["headwear"] == "hood"
 
-    trunk = [_upper(p["top"], arms, girth, seated, not hooded and p["top"] != "coat")]
+    sleeves = p["sleeves"] if p["top"] == "jacket" else "long"
+    trunk = [_upper(p["top"], arms, girth, seated, not hooded and p["top"] != "coat" and sleeves == "long", sleeves)]
     hands = _hands(p["top"], arms, girth)
     if hands is not None:
         trunk.append(hands)
@@ -771,7 +797,7 @@ def build(params: Params) -> Mesh:
     neck = (_NECK - at_hip) @ lean.T + hip
     pieces.append((_head_turned(v, nod, p["head_turn_rad"]) + neck, t, parts))
 
-    pieces.append(_legs(pose_name, variant, p["bottom"], girth))
+    pieces.append(_legs(pose_name, variant, p["bottom"], girth, p["legs"]))
     pieces.append(_shoes(pose_name, variant))
     # A coat reaches lower than a skirt and hides it.
     hanging = "coat" if p["top"] == "coat" else p["bottom"]
@@ -834,6 +860,10 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         names = _CHECKS.some_of(f"option {name}", options.get(name, allowed), allowed)
         return pick(names, [odds[n] for n in names], share)
 
+    def length(name: str, share: float) -> str:
+        names = _CHECKS.some_of(f"option {name}", options.get(name, LENGTHS[:1]), LENGTHS)
+        return pick(names, [1.0] * len(names), share)
+
     def flag(name: str, likely: float, share: float) -> bool:
         return _CHECKS.flag(f"option {name}", options[name]) if name in options else share < likely
 
@@ -886,6 +916,9 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "mirror": u[17] < 0.5,
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
         "clothing": _CHECKS.one_of("option clothing", options.get("clothing", "winter"), CLOTHING),
+        # Later digits of draws that decide something else: more draws would change everybody.
+        "sleeves": length("sleeves", 1000.0 * u[9] % 1.0),
+        "legs": length("legs", 1000.0 * u[7] % 1.0),
     }
 
 
@@ -912,6 +945,8 @@ OPTIONS: Mapping[str, str] = {
     "height_m": f"a number from {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g}, or [low, high]; by default adults of both sexes",
     "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, or night",
     "clothing": "winter or light: light clothes have a warmer outer surface; by default winter",
+    "sleeves": "long or short, or both for one person in two: short ones leave the forearms bare; jackets only",
+    "legs": "long or short, or both for one person in two: short trousers leave the lower legs bare",
 }
 
 MODEL = ObjectModel(

@@ -92,6 +92,42 @@ def test_height_is_what_was_asked_for(pose: str, variant: str, build: str) -> No
         assert mesh.size_m[2] == pytest.approx(height, rel=0.02)
 
 
+@pytest.mark.parametrize(("pose", "variant"), SHAPES)
+def test_short_sleeves_and_trousers_leave_the_skin_below_elbows_and_knees_bare(pose: str, variant: str) -> None:
+    given = {"pose": pose, "variant": variant, "clothing": "light"}
+    dressed, bare = (person.build({**given, "sleeves": n, "legs": n}) for n in person.LENGTHS)
+    check_surface(bare)
+    assert {*bare.part_names} - {*dressed.part_names} == {"forearm", "shin"}
+    forearms, shins = vertices_of(bare, "forearm"), vertices_of(bare, "shin")
+    assert 0.1 < np.ptp(np.vstack([forearms, vertices_of(bare, "hand")])[:, :3], axis=0).max() < 1.1
+    knees = vertices_of(dressed, "trousers")[:, 2].max()
+    assert shins[:, 2].min() < 0.35 * knees
+    share = areas(bare)[np.isin(bare.part_of_triangle, [bare.part_names.index(n) for n in ("forearm", "shin")])]
+    assert 0.08 < share.sum() / areas(bare).sum() < 0.25
+    warm = person.parts_for({"clothing": "light"})
+    assert warm["forearm"].delta_t_k[0] > warm["sleeve"].delta_t_k[1]
+
+
+def test_coats_and_puffers_keep_their_sleeves() -> None:
+    for top in ("coat", "puffer"):
+        assert "forearm" not in person.build({"top": top, "sleeves": "short"}).part_names
+
+
+def test_lengths_do_not_change_what_else_is_drawn() -> None:
+    """Lengths are long unless an option names short ones, and of two about half the people have each."""
+    found = []
+    for k in range(200):
+        plain, both = (
+            person.sample(stream(k, "a"), options)
+            for options in ({}, {n: ["long", "short"] for n in ("sleeves", "legs")})
+        )
+        assert (plain["sleeves"], plain["legs"]) == ("long", "long")
+        found.append((both.pop("sleeves"), both.pop("legs")))
+        assert both == {n: v for n, v in plain.items() if n not in ("sleeves", "legs")}
+    assert all(60 < sum(pair[n] == "short" for pair in found) < 140 for n in (0, 1))
+    assert len({*found}) == 4
+
+
 def test_walking_is_a_little_and_sitting_much_lower() -> None:
     heights = {s: person.build({"pose": s[0], "variant": s[1]}).size_m[2] / 1.75 for s in SHAPES}
     assert all(0.95 < h < 1.005 for (pose, _), h in heights.items() if pose == "walking")
@@ -157,7 +193,7 @@ def test_turning_the_head_moves_the_head_and_nothing_else() -> None:
 def test_draws_vary_and_build() -> None:
     drawn = [person.sample(stream(seed, "s"), {}) for seed in range(300)]
     for name, allowed in person._WORDS.items():
-        assert {d[name] for d in drawn} == set(allowed)
+        assert {d[name] for d in drawn} == set(person.LENGTHS[:1] if allowed == person.LENGTHS else allowed)
     assert {d["arms"] for d in drawn} == set(person.ALL_ARMS)
     assert {d["backpack"] for d in drawn} == {True, False}
     heights = np.array([d["height_m"] for d in drawn])
