@@ -115,6 +115,7 @@ def read_flight_csv(path: Path) -> FlightLog:
         found = f"{lost} of {len(rows)} row(s) without a time, or out of order, left out"
         problems.append(Problem(path.name, "log-times", found, "times that increase", severity="warning"))
     values, height, more = _values(path, dialect, columns, rows, kept)
+    problems += _undated(path, dialect, columns, rows) if clock_s is None else []
     values, rolled = with_rolls(values, path.name)
     more += rolled
     start = float(elapsed[kept][0])
@@ -200,6 +201,22 @@ def _times(
         # Clocks are written in whole seconds, rounded down: the largest difference is the closest to the truth.
         clock_s = elapsed + float(np.nanmax(clock_s - elapsed))
     return elapsed, clock_s, clock is not None and clock.unit == "utc"
+
+
+def _undated(
+    path: Path, dialect: _Dialect, columns: Mapping[str, _Column], rows: Sequence[Sequence[str]]
+) -> list[Problem]:
+    """Return a warning if the log has a column of dates that cannot be used, so that times of capture are unknown."""
+    names = (dialect.date,) if dialect.date else dialect.clock
+    column = next((columns[c] for c in names if c in columns), None)
+    text = "" if column is None else next((t for row in rows if (t := row[column.index].strip())), "")
+    if not text:
+        return []
+    found = (
+        f"dates whose order is not certain, or not in every row, such as {text[:40]!r}: the time of capture is unknown"
+    )
+    todo = "export the log with dates such as 2024-05-01, or state --time day or night"
+    return [Problem(path.name, "log-date", found, "year, month and day in each row", todo, "warning")]
 
 
 def _elapsed(column: _Column, rows: Sequence[Sequence[str]]) -> Values:

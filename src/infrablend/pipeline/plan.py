@@ -326,13 +326,15 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
     """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
     height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
-    # A picture from a card names its camera. The recipe's lens is another camera's: it would give a wrong scale.
-    own = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata" and "camera" in image.extra
-    lens = own and image.hfov_deg is None
+    # A picture from a card names its camera, and a frame of a video where its height comes from. The recipe's lens is
+    # another camera's: it would give a wrong scale.
+    own = "camera" in image.extra or "altitude_from" in image.extra
+    metric = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata"
+    lens = metric and own and image.hfov_deg is None
     if not pitch and not height and not lens:
         return None
     found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
-    found += ["unknown field of view of " + str(image.extra.get("camera"))] * lens
+    found += ["unknown field of view of " + str(image.extra.get("camera", "the video's camera"))] * lens
     wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
     fields += ["camera.focal_length_mm"] * lens

@@ -319,7 +319,9 @@ def _scale_text(image: ImageRecord) -> str:
 
 
 def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
-    where, problems = dataset.root.name, []
+    # What is missing is asked for when the layers are used.
+    problems = [p for p in dataset.problems if p.code.startswith("flight-") and p.code != "flight-missing"]
+    where = dataset.root.name
     alone = [w for w in layers if _scale_text(w.record) == _COUNTS_ALONE]
     if alone:
         makers = {w.record.extra.get("camera", "") for w in alone}

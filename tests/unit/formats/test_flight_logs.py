@@ -78,6 +78,14 @@ def test_hostile_blocks_cost_no_time(tmp_path: Path) -> None:
         read_srt(srt(tmp_path / "a.srt", long, long))
 
 
+def test_dates_of_uncertain_order_are_reported(tmp_path: Path) -> None:
+    text = airdata(tmp_path / "a.csv").read_text("utf-8")
+    assert not [p for p in read_flight_csv(tmp_path / "a.csv").problems if p.code == "log-date"]
+    (tmp_path / "b.csv").write_text(text.replace("2024-05-01", "5/1/2024"), "utf-8")
+    (warning,) = [p for p in read_flight_csv(tmp_path / "b.csv").problems if p.code == "log-date"]
+    assert "'5/1/2024 10:00:00'" in warning.found
+
+
 def test_rolls_are_those_of_cameras(tmp_path: Path) -> None:
     rolls = ((45, 180), (45, -12.5), (89, 180))
     log = read_srt(srt(tmp_path / "a.SRT", *(f"[rel_alt: 2] [gb_pitch: -{p} gb_roll: {r}]" for p, r in rolls)))

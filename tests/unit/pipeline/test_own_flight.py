@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend import api
 from infrablend.errors import DatasetError
@@ -51,6 +52,18 @@ def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
     (data / "metadata.csv").write_text("file,hfov_deg,pitch_deg\nDJI_0001_T.JPG,20,70\n")
     (record,) = run(data, tmp_path / "out")
     assert hfov(record) == pytest.approx(20.0) and np.degrees(record.scene.camera.pitch_rad) == pytest.approx(70.0)
+
+
+def test_frames_of_a_video_without_a_field_of_view_are_named(tmp_path: Path) -> None:
+    flight(tmp_path, 1, raw=False)
+    with Image.open(tmp_path / "DJI_0001_T.JPG") as picture:
+        picture.save(tmp_path / "frame.png")
+    (tmp_path / "DJI_0001_T.JPG").unlink()
+    (tmp_path / "metadata.csv").write_text("file,pitch_deg,altitude_m,altitude_from\nframe.png,60,40,take-off\n")
+    with pytest.raises(DatasetError) as caught:
+        api.plan("hit-uav-people", tmp_path)
+    assert [p.code for p in caught.value.problems] == ["no-field-of-view"]
+    assert api.plan("hit-uav-people", tmp_path, settings=["camera.focal_length_mm=60"]).facts["frames"] == 1
 
 
 def test_the_camera_is_rolled_with_the_gimbal(tmp_path: Path) -> None:

@@ -90,8 +90,11 @@ def test_scales_that_do_not_fit_are_refused(arguments: tuple[str, ...], words: s
 def test_pictures_without_a_layer_are_counted_and_the_rest_is_written(tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 2, "flir")
     plain_jpeg(source / "plain.jpg")
+    plain_jpeg(source / "IMG_0001.jpg", exif={271: "Apple", 272: "iPhone"})
     command = ["temperatures", str(source), "--out", str(tmp_path / "out"), "--json"]
     result = CliRunner().invoke(build_app(), command)
     report = json.loads(result.stdout)
     assert result.exit_code == 1 and report["pictures"] == 2 and report["ok"] is False
-    assert [p["code"] for p in report["problems"]] == ["raw-missing"]
+    assert [p["code"] for p in report["problems"] if p["severity"] == "error"] == ["raw-missing"]
+    (left_out,) = [p["found"] for p in report["problems"] if p["code"] == "flight-left-out"]
+    assert left_out.startswith("1 picture(s) left out: of another camera (Apple iPhone)")
