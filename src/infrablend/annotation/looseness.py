@@ -29,16 +29,19 @@ def loosen_inserted(images: Sequence[ImageRecord], factors: Factors) -> tuple[li
     Returns:
         The images, and the number of boxes that were enlarged.
     """
-    loose, count = [], 0
-    for image in images:
-        instances = []
-        for one in image.instances:
-            factor = factors.get(one.category, 1.0) if isinstance(factors, Mapping) else factors
-            if one.inserted and factor > 1 and image.size_wh is not None:
-                one, count = _loosened(one, factor, image.size_wh), count + 1
-            instances.append(one)
-        loose.append(replace(image, instances=tuple(instances)))
-    return loose, count
+    loose = [loosen_image(image, factors) for image in images]
+    return [image for image, _ in loose], sum(count for _, count in loose)
+
+
+def loosen_image(image: ImageRecord, factors: Factors) -> tuple[ImageRecord, int]:
+    """Enlarge the boxes of the inserted objects of one image, see `loosen_inserted`."""
+    instances, count = [], 0
+    for one in image.instances:
+        factor = factors.get(one.category, 1.0) if isinstance(factors, Mapping) else factors
+        if one.inserted and factor > 1 and image.size_wh is not None:
+            one, count = _loosened(one, factor, image.size_wh), count + 1
+        instances.append(one)
+    return replace(image, instances=tuple(instances)), count
 
 
 def loosened_text(count: int, factors: Factors) -> str:

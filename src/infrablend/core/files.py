@@ -156,6 +156,14 @@ def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
     return write_bytes(path, text.encode("utf-8", "backslashreplace"), durable=durable)
 
 
+def write_chunks(path: Path, chunks: Iterable[str]) -> Path:
+    """Write text that comes in pieces atomically, like `write_text`; one piece is in memory at a time."""
+    with replace_atomically(path) as temporary, temporary.open("wb") as stream:
+        for chunk in chunks:
+            stream.write(chunk.encode("utf-8", "backslashreplace"))
+    return path
+
+
 DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 """What reading fields of a record raises if the file or a field is missing, damaged or of another type."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Split
+from infrablend.core.stored_images import StoredImages
 from infrablend.errors import DatasetError, Problem
 
 
@@ -87,6 +88,23 @@ def sort_images(images: Iterable[ImageRecord]) -> tuple[ImageRecord, ...]:
     return tuple(sorted(images, key=lambda image: (SPLITS.index(image.split), image.id)))
 
 
+def in_order(images: Iterable[ImageRecord]) -> Sequence[ImageRecord]:
+    """Return the images in the order of `sort_images`; images that are stored sorted stay where they are."""
+    return images if isinstance(images, StoredImages) else sort_images(images)
+
+
+def split_parts(ordered: Sequence[ImageRecord]) -> dict[Split, Sequence[ImageRecord]]:
+    """Return the images of each split that has some; `ordered` is sorted."""
+    counts = Counter(i.split for i in ordered)
+    parts: dict[Split, Sequence[ImageRecord]] = {}
+    start = 0
+    for split in SPLITS:
+        if counts[split]:
+            parts[split] = ordered[start : start + counts[split]]
+            start += counts[split]
+    return parts
+
+
 def require_size(image: ImageRecord) -> tuple[int, int]:
     """Return `image.size_wh`, which writers need; ValueError if it is unknown."""
     if image.size_wh is None:
@@ -96,7 +114,7 @@ def require_size(image: ImageRecord) -> tuple[int, int]:
 
 def number_ids(
     images: Sequence[ImageRecord], ids: Literal["source", "new"], first: int
-) -> tuple[list[int], list[list[int]]]:
+) -> tuple[Sequence[int], Sequence[Sequence[int]]]:
     """Return image ids and annotation ids for sorted images, counted from `first` over all splits, or the source's.
 
     With the source's ids, inserted objects get the numbers after the largest.
@@ -117,9 +135,9 @@ def number_ids(
         return image_ids, object_ids  # type: ignore[return-value]
     new_ids, start = [], first
     for image in images:
-        new_ids.append(list(range(start, start + len(image.instances))))
+        new_ids.append(range(start, start + len(image.instances)))
         start += len(image.instances)
-    return list(range(first, first + len(images))), new_ids
+    return range(first, first + len(images)), new_ids
 
 
 def category_ids(categories: Iterable[Category]) -> dict[str, int]:

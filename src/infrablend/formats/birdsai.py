@@ -26,7 +26,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Sp
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, require_options, sort_images
+from infrablend.formats.base import Match, check_splits, in_order, require_options
 from infrablend.formats.box_checks import check_box, snap
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
@@ -449,7 +449,7 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A category is not in the list.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     losses: Counter[str] = Counter()
     species = _species_numbers(categories)
     ignored = {c.name for c in categories if c.ignore and dont_care == "drop"}
@@ -462,7 +462,7 @@ def write(
         tracks[places[image.id][0]].reserve(o.track_id for o in image.instances)
     for (split, sequence), group in _grouped(ordered, places).items():
         table = lines.setdefault(f"{folder_of[split]}/annotations/{sequence}.csv", [])
-        for image in group:
+        for image in (ordered[n] for n in group):
             kept = [o for o in image.instances if o.category not in ignored]
             losses["ignore_dropped"] += len(image.instances) - len(kept)
             losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
@@ -516,19 +516,19 @@ def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int
 
 def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
     """Return (sequence, frame) by image id; images keep their own if these are unique names in BIRDSAI's form."""
-    groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
+    groups: dict[tuple[Split, str], list[tuple[str, int | None]]] = defaultdict(list)
     for image in images:
-        groups[image.split, image.sequence or ""].append(image)
+        groups[image.split, image.sequence or ""].append((image.id, _frame_of(image)))
     names = sorted({sequence for _, sequence in groups})
     own = {n for n in names if _SEQUENCE.fullmatch(n)}
     free = iter(s for k in range(len(names) + len(own)) if (s := f"{k:010d}_{0:010d}") not in own)
     named = {n: n if n in own else next(free) for n in names}
     places: dict[str, tuple[str, int]] = {}
     for (_, sequence), group in groups.items():
-        frames = [_frame_of(image) for image in group]
+        frames = [frame for _, frame in group]
         if None in frames or len(set(frames)) != len(frames):
             frames = list(range(len(group)))
-        places |= {i.id: (named[sequence], f or 0) for i, f in zip(group, frames, strict=True)}
+        places |= {i: (named[sequence], f or 0) for (i, _), f in zip(group, frames, strict=True)}
     return places
 
 
@@ -541,10 +541,13 @@ def _frame_of(image: ImageRecord) -> int | None:
 
 def _grouped(
     images: Sequence[ImageRecord], places: Mapping[str, tuple[str, int]]
-) -> dict[tuple[Split, str], list[ImageRecord]]:
-    groups: dict[tuple[Split, str], list[ImageRecord]] = defaultdict(list)
-    for image in sorted(images, key=lambda i: places[i.id]):
-        groups[image.split, places[image.id][0]].append(image)
+) -> dict[tuple[Split, str], list[int]]:
+    """Return the indices of the images of each sequence, in the order of their frames."""
+    groups: dict[tuple[Split, str], list[int]] = defaultdict(list)
+    keys = [(places[image.id], image.split) for image in images]
+    for n in sorted(range(len(keys)), key=lambda n: keys[n][0]):
+        (sequence, _), split = keys[n]
+        groups[split, sequence].append(n)
     return groups
 
 

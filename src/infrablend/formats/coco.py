@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
 from infrablend.core.dataset import SPLITS, TIGHT_BOX, TIGHT_OBB, Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.files import finite, link_or_copy, write_text
+from infrablend.core.files import link_or_copy, write_chunks
+from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
@@ -23,12 +25,14 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    in_order,
     is_ignored_name,
     number_ids,
     require_size,
     shorten,
     sort_images,
     split_of_stem,
+    split_parts,
 )
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
@@ -82,26 +86,28 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size, category or id is missing.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     if from_one:
         categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
-    texts, losses = coco_files(ordered, categories, ids=ids, without_mask=without_mask, info=info)
+    losses: Counter[str] = Counter()
+    texts = coco_chunks(ordered, categories, losses, ids=ids, without_mask=without_mask, info=info)
     prefix = "annotations/instances_" if pictures else ""
-    files = [write_text(out / f"{prefix}{name}", text) for name, text in texts.items()]
+    files = [write_chunks(out / f"{prefix}{name}", chunks) for name, chunks in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
-    return Written(tuple(files), losses)
+    return Written(tuple(files), {k: v for k, v in sorted(losses.items()) if v})
 
 
-def coco_files(
+def coco_chunks(
     images: Iterable[ImageRecord],
     categories: Sequence[Category],
+    losses: Counter[str],
     *,
     ids: Literal["source", "new"] = "new",
     without_mask: WithoutMask = "polygon",
     info: Mapping[str, Any] | None = None,
-) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the texts of the files `<split>.json` by name, and the losses; equal records give equal bytes.
+) -> dict[str, Iterator[str]]:
+    """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
     `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their ids. A category to
     ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
@@ -109,47 +115,62 @@ def coco_files(
     Args:
         images: Images with known `size_wh`.
         categories: Categories with the ids to write.
+        losses: Counts what is lost while the pieces are composed.
         ids: `new` numbers images and annotations from 1 over all splits (0 means "no match" to pycocotools) and writes
             the source's ids as `source_id`; `source` keeps the source's ids.
         without_mask: `segmentation` of objects without a mask: `polygon` writes that of the oriented box, else of the
             box; `omit` leaves the field out. `segmentation_from` is `mask`, `obb` or `box`.
         info: The `info` object; dates in it would make the files differ between runs.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     of_category = category_ids(categories)
     ignored = {c.name for c in categories if c.ignore}
     image_ids, object_ids = number_ids(ordered, ids, 1)
-    losses: Counter[str] = Counter()
-    texts: dict[str, str] = {}
-    names = category_records(categories)
-    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
-        records, annotations = [], []
-        common = info_of_scale([i for i in ordered if i.split == split])
-        for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
-            if image.split != split:
-                continue
-            record = _image_record(image, image_id, ids == "new")
-            if common is None and image.radiometry is not None and image.radiometry.scale is not None:
-                record[_SCALE] = image.radiometry.scale.to_json()
-            record |= _camera_settings(image)
-            record |= {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
-            records.append(record)
+    new = ids == "new"
+
+    def annotations(part: _Numbered) -> Iterator[dict[str, Any]]:
+        for image, image_id, numbers in part():
             for instance, number in zip(image.instances, numbers, strict=True):
-                a = annotation_record(instance, require_size(image), ids == "new", without_mask)
+                a = annotation_record(instance, require_size(image), new, without_mask)
                 a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
                 a["iscrowd"] |= int(instance.category in ignored)
-                annotations.append(a)
+                yield a
+
+    texts: dict[str, Iterator[str]] = {}
+    start = 0
+    for split, images_of_split in split_parts(ordered).items():
+        end = start + len(images_of_split)
+        part = partial(_numbered, images_of_split, image_ids[start:end], object_ids[start:end])
+        common = info_of_scale(images_of_split)
         top = {
             "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
-            "images": records,
-            "annotations": annotations,
-            "categories": names,
+            "images": Streamed(_file_record(i, n, new, common is not None) for i, n, _ in part()),
+            "annotations": Streamed(annotations(part)),
+            "categories": category_records(categories),
         }
-        texts[f"{split}.json"] = (
-            json.dumps(finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
-        )
-    return texts, {k: v for k, v in sorted(losses.items()) if v}
+        texts[f"{split}.json"] = chain(json_chunks(top, losses), "\n")
+        start = end
+    return texts
+
+
+_Numbered = Callable[[], Iterator[tuple[ImageRecord, int, Sequence[int]]]]
+"""Returns each image with its id and the ids of its objects."""
+
+
+def _numbered(
+    images: Sequence[ImageRecord], image_ids: Sequence[int], object_ids: Sequence[Sequence[int]]
+) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
+    return zip(images, image_ids, object_ids, strict=True)
+
+
+def _file_record(image: ImageRecord, number: int, new: bool, one_scale: bool) -> dict[str, Any]:
+    """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
+    record = _image_record(image, number, new)
+    if not one_scale and image.radiometry is not None and image.radiometry.scale is not None:
+        record[_SCALE] = image.radiometry.scale.to_json()
+    record |= _camera_settings(image)
+    return record | {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
 
 
 def _camera_settings(image: ImageRecord) -> dict[str, Any]:

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import link_or_copy, open_regular, write_json, write_text
+from infrablend.core.files import link_or_copy, open_regular, write_chunks, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_xml
@@ -33,11 +33,12 @@ from infrablend.formats.base import (
     category_ids,
     check_splits,
     ignored_by_class,
+    in_order,
     is_ignored_name,
     require_size,
     shorten,
-    sort_images,
     split_of_stem,
+    split_parts,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
 from infrablend.formats.losses import Written
@@ -67,14 +68,13 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size is missing, or a category is not in the list.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
     unsaid = ignored_by_class(categories)
     files = [write_json(out / LABELS_FILE, _labels(categories))]
-    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
-        chosen = [i for i in ordered if i.split == split]
-        files.append(write_text(out / f"{split}.xml", _document(split, chosen, known, losses)))
+    for split, part in split_parts(ordered).items():
+        files.append(write_chunks(out / f"{split}.xml", _document(split, part, known, losses)))
     for image in ordered:
         losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
         if pictures:
@@ -97,7 +97,10 @@ def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
     return [{"name": c.name, "attributes": attributes} for c in categories]
 
 
-def _document(split: str, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str]) -> str:
+def _document(
+    split: str, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str]
+) -> Iterator[str]:
+    """Yield the text of a split in pieces of one picture each."""
     lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>", "  <meta>"]
     lines += ["    <task>", f"      <name>{split}</name>", f"      <size>{len(images)}</size>"]
     lines += ["      <mode>annotation</mode>", "      <labels>"]
@@ -110,18 +113,19 @@ def _document(split: str, images: Sequence[ImageRecord], known: Mapping[str, int
             for n, kind in ATTRIBUTES.items()
         ]
         lines += ["          </attributes>", "        </label>"]
-    lines += ["      </labels>", "    </task>", "  </meta>"]
+    lines += ["      </labels>", "    </task>", "  </meta>", ""]
+    yield "\n".join(lines)
     for number, image in enumerate(images):
         w, h = require_size(image)
-        lines.append(f'  <image id="{number}" name={quoteattr(image.name)} width="{w}" height="{h}">')
+        lines = [f'  <image id="{number}" name={quoteattr(image.name)} width="{w}" height="{h}">']
         groups = itertools.count(1)
         for i in image.instances:
             if i.category not in known:
                 raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
             losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
             lines += _shapes(i, next(groups) if i.mask is not None else 0, losses)
-        lines.append("  </image>")
-    return "\n".join([*lines, "</annotations>", ""])
+        yield "\n".join([*lines, "  </image>", ""])
+    yield "</annotations>\n"
 
 
 def _shapes(i: Instance, group: int, losses: Counter[str]) -> Iterator[str]:

@@ -26,7 +26,7 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, is_ignored_name, require_size, shorten, sort_images
+from infrablend.formats.base import Match, check_splits, in_order, is_ignored_name, require_size, shorten, sort_images
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, overhang_px
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
 from infrablend.formats.losses import Written
@@ -70,7 +70,7 @@ def write(
     losses: Counter[str] = Counter(class_name_changed=sum(a != b for a, b in names.items()))
     files: list[Path] = []
     seen: set[tuple[str, str]] = set()
-    for image in sort_images(images):
+    for image in in_order(images):
         stem = Path(image.name).stem
         if "/" in image.name or (image.split, stem) in seen:
             raise ValueError(f"{image.name}: DOTA needs names without folders and unique stems in a split")

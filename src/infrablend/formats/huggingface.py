@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.files import finite, link_or_copy, write_text
+from infrablend.core.files import finite, link_or_copy, write_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
@@ -32,10 +33,12 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    in_order,
     is_ignored_name,
     require_size,
     shorten,
     sort_images,
+    split_parts,
 )
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.losses import Written
@@ -58,6 +61,7 @@ _NUMBERS = {
     "temperature_scale": "temperature_dropped",
 }
 _UNKNOWN_VISIBILITY = -1.0
+_OBJECTS = "objects"
 _DIGITS = 9
 _ON = "on "  # before dates
 
@@ -77,17 +81,16 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size is missing, or a category is not in the list.
     """
-    ordered = sort_images(images)
-    table = _Columns.of(ordered, categories)
-    rows: dict[Split, list[dict[str, Any]]] = {}
-    for image in ordered:
-        rows.setdefault(image.split, []).append(table.row(image))
+    ordered = in_order(images)
     losses: Counter[str] = Counter()
-    problems = _drop_untyped(rows, losses)
+    parts = split_parts(ordered)
+    table = _Columns.of(ordered, categories)
+    typed = {split: _Typed.of(part) for split, part in parts.items()}
+    written, dropped, problems = _drop_untyped(typed, losses)
+    table = replace(table, dropped=dropped)
     files = []
-    for split, of_split in rows.items():
-        lines = [json.dumps(finite(r, losses), allow_nan=False, separators=(",", ":")) for r in _typed_first(of_split)]
-        files.append(write_text(out / split / FILE, "".join(f"{line}\n" for line in lines)))
+    for split in written:
+        files.append(write_chunks(out / split / FILE, table.lines(parts[split], typed[split], losses)))
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / image.split / image.name))
     return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems))
@@ -101,18 +104,31 @@ class _Columns:
         ids: Number of each category.
         ignored: Names of the categories to ignore.
         optional: Value of each further column for an object.
+        dropped: Columns of pictures that are left out.
     """
 
     ids: Mapping[str, int]
     ignored: frozenset[str]
     optional: Mapping[str, Callable[[Instance], Any]]
+    dropped: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, images: Sequence[ImageRecord], categories: Sequence[Category]) -> _Columns:
         """Return the columns that the objects of the images need."""
-        objects = [o for i in images for o in i.instances]
-        optional = {n: value for n, (needed, value) in _OPTIONAL.items() if any(needed(o) for o in objects)}
+        needed: set[str] = set()
+        for image in images:
+            for o in image.instances:
+                needed |= {n for n, (is_needed, _) in _OPTIONAL.items() if n not in needed and is_needed(o)}
+        optional = {n: value for n, (_, value) in _OPTIONAL.items() if n in needed}
         return cls(category_ids(categories), frozenset(c.name for c in categories if c.ignore), optional)
+
+    def lines(self, images: Sequence[ImageRecord], typed: _Typed, losses: Counter[str]) -> Iterator[str]:
+        """Yield the lines of a split: first those that give each column its type, then the others in order."""
+        ahead = sorted({n for name, n in typed.first.items() if name not in self.dropped})
+        rest = (image for n, image in enumerate(images) if n not in set(ahead))
+        for image in chain((images[n] for n in ahead), rest):
+            row = {k: v for k, v in self.row(image).items() if k not in self.dropped}
+            yield json.dumps(finite(row, losses), allow_nan=False, separators=(",", ":")) + "\n"
 
     def row(self, image: ImageRecord) -> dict[str, Any]:
         """Return the line of a picture; the columns in `_NUMBERS` may be null."""
@@ -132,7 +148,7 @@ class _Columns:
             "time_of_day": image.time_of_day or "",
             "sequence": _as_text(image.sequence),
             "captured": _as_text(image.captured),
-            "objects": {
+            _OBJECTS: {
                 "bbox": [_xywh(i.box_xyxy) for i in image.instances],
                 "category": [i.category for i in image.instances],
                 "category_id": [self.ids[i.category] for i in image.instances],
@@ -185,39 +201,56 @@ _OPTIONAL: Mapping[str, tuple[Callable[[Instance], bool], Callable[[Instance], A
 """Columns of objects that are written if any object of the dataset needs them: when it does, and its value."""
 
 
-def _drop_untyped(rows: dict[Split, list[dict[str, Any]]], losses: Counter[str]) -> list[Problem]:
-    """Take out what would have another type in some split than in the others, and count or report it."""
+@dataclass(frozen=True)
+class _Typed:
+    """Pictures of a split that have values of columns which may be null or empty.
+
+    Attributes:
+        known: Number of pictures with a value, by column.
+        first: Index of the first of them, by column.
+    """
+
+    known: Mapping[str, int]
+    first: Mapping[str, int]
+
+    @classmethod
+    def of(cls, images: Sequence[ImageRecord]) -> _Typed:
+        """Return those of the pictures of a split."""
+        known: Counter[str] = Counter()
+        first: dict[str, int] = {}
+        for n, image in enumerate(images):
+            scale = None if image.radiometry is None else image.radiometry.scale
+            values = {"temperature_scale": scale, _OBJECTS: image.instances or None}
+            values |= {name: getattr(image, name) for name in _NUMBERS if name not in values}
+            for name in (k for k, v in values.items() if v is not None):
+                known[name] += 1
+                first.setdefault(name, n)
+        return cls(known, first)
+
+
+def _drop_untyped(
+    typed: Mapping[Split, _Typed], losses: Counter[str]
+) -> tuple[list[Split], frozenset[str], list[Problem]]:
+    """Return the splits to write, the columns to leave out, and problems.
+
+    A column would have another type in a split without any of its values; what is left out is counted or reported.
+    """
+    dropped = set()
     for name, loss in _NUMBERS.items():
-        known = {s: sum(r[name] is not None for r in of_split) for s, of_split in rows.items()}
-        if all(known.values()):
-            continue
-        losses[loss] += sum(known.values())
-        for r in (r for of_split in rows.values() for r in of_split):
-            del r[name]
-    empty = [s for s, of_split in rows.items() if not any(r["objects"]["bbox"] for r in of_split)]
-    if len(empty) == len(rows):
-        for r in (r for of_split in rows.values() for r in of_split):
-            del r["objects"]
-        return []
-    for split in empty:
-        del rows[split]
+        known = [t.known.get(name, 0) for t in typed.values()]
+        if not all(known):
+            losses[loss] += sum(known)
+            dropped.add(name)
+    empty = [s for s, t in typed.items() if not t.known.get(_OBJECTS)]
+    if len(empty) == len(typed):
+        return list(typed), frozenset({*dropped, _OBJECTS}), []
+    written = [s for s in typed if s not in empty]
     if not empty:
-        return []
+        return written, frozenset(dropped), []
     found = f"no object in any picture of {', '.join(empty)}, so {FILE} is not written for it"
     todo = "load those pictures without metadata, or leave them out"
-    return [Problem(NAME, "split-without-objects", found, "an object in each split", todo, "warning")]
-
-
-def _typed_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows with those first that give each column its type; the others keep their order."""
-    first: dict[str, int] = {}
-    for n, row in enumerate(rows):
-        for name in (k for k in _NUMBERS if row.get(k) is not None):
-            first.setdefault(name, n)
-        if row.get("objects", {}).get("bbox"):
-            first.setdefault("objects", n)
-    ahead = sorted(set(first.values()))
-    return [rows[n] for n in ahead] + [r for n, r in enumerate(rows) if n not in set(ahead)]
+    problem = Problem(NAME, "split-without-objects", found, "an object in each split", todo, "warning")
+    return written, frozenset(dropped), [problem]
 
 
 # -- reading ---------------------------------------------------------------------------------------------------

@@ -9,11 +9,11 @@ with four channels. Label Studio's local storage serves the pictures: an address
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import link_or_copy, open_regular, write_text
+from infrablend.core.files import link_or_copy, open_regular, write_chunks, write_text
+from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json
@@ -34,11 +35,12 @@ from infrablend.formats.base import (
     category_ids,
     check_splits,
     ignored_by_class,
+    in_order,
     is_ignored_name,
     require_size,
     shorten,
-    sort_images,
     split_of_stem,
+    split_parts,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
 from infrablend.formats.losses import Written
@@ -69,16 +71,15 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size is missing, or a category is not in the list.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
     unsaid = ignored_by_class(categories)
     masks = any(o.mask is not None for i in ordered for o in i.instances)
     files = [write_text(out / CONFIG_FILE, _config(list(known), masks))]
-    for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
-        tasks = [_task(i, known, losses) for i in ordered if i.split == split]
-        text = json.dumps(tasks, sort_keys=True, allow_nan=False, separators=(",", ":"))
-        files.append(write_text(out / f"{split}.json", text + "\n"))
+    for split, part in split_parts(ordered).items():
+        tasks = Streamed(_task(i, known, losses) for i in part)
+        files.append(write_chunks(out / f"{split}.json", chain(json_chunks(tasks, None), "\n")))
     for image in ordered:
         losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
         if pictures:

@@ -29,6 +29,7 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    in_order,
     is_ignored_name,
     require_size,
     shorten,
@@ -69,7 +70,7 @@ def write(
     losses: Counter[str] = Counter()
     files: list[Path] = []
     seen: set[Path] = set()
-    for image in sort_images(images):
+    for image in in_order(images):
         target = out / "masks" / image.split / PurePosixPath(image.name).with_suffix(".png")
         if target in seen:
             raise ValueError(f"{image.name}: another picture of the split has the same stem")

@@ -34,10 +34,10 @@ from infrablend.formats.base import (
     category_ids,
     check_splits,
     ignored_by_class,
+    in_order,
     is_ignored_name,
     require_options,
     require_size,
-    sort_images,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
 from infrablend.formats.losses import Written
@@ -395,7 +395,7 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size is missing, a category is not in the list, or two pictures have the same stem.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     known = category_ids(categories)
     losses: Counter[str] = Counter()
     unsaid = ignored_by_class(categories)

@@ -29,8 +29,9 @@ from infrablend.core.format_table import (
     find_writer,
     written_names,
 )
+from infrablend.core.stored_images import StoredImages
 from infrablend.errors import Problem
-from infrablend.formats.base import sort_images
+from infrablend.formats.base import in_order, sort_images
 from infrablend.formats.capture import Capture, facts_from_name
 from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
@@ -130,7 +131,7 @@ def write(
         writer = find_writer(name)
     if settings.category_ids == "from_one":
         categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
-    ordered, renamed = fitting_names(sort_images(images), writer.layout)
+    ordered, renamed = fitting_names(in_order(images), writer.layout)
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
@@ -149,7 +150,7 @@ def _native_not_writable(source: Dataset) -> Written:
     )
 
 
-def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[ImageRecord], int]:
+def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[Sequence[ImageRecord], int]:
     """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names.
 
     Names that differ in case alone clash, because some disks take them for one file. Names with characters that label
@@ -157,23 +158,29 @@ def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[list[I
     """
     together = layout in ("unique", "shared")
     by_stem = layout != "nested"
-    fitting = list(images)
-    for split in dict.fromkeys("" if together else i.split for i in images):
-        chosen = [n for n, i in enumerate(images) if together or i.split == split]
-        keys = {n: _file_key(images[n].name, by_stem) for n in chosen}
+    flat = layout in ("flat", "shared")
+    found = [(image.split, image.name) for image in images]
+    changed: dict[int, str] = {}
+    for split in dict.fromkeys("" if together else s for s, _ in found):
+        chosen = [n for n, (s, _) in enumerate(found) if together or s == split]
+        names = {n: found[n][1] for n in chosen}
+        keys = {n: _file_key(name, by_stem) for n, name in names.items()}
         count = Counter(keys.values())
-        flat = layout in ("flat", "shared")
-        clashing = [n for n in chosen if flat or count[keys[n]] > 1 or fit_name(images[n].name) != images[n].name]
+        clashing = [n for n, name in names.items() if flat or count[keys[n]] > 1 or fit_name(name) != name]
         if not clashing:
             continue
-        paths = {n: f"{images[n].split}/{images[n].name}" if together else images[n].name for n in chosen}
+        paths = {n: f"{found[n][0]}/{name}" if together else name for n, name in names.items()}
         ids = assign_ids(paths.values())
-        left = {n: _file_key(images[n].name, by_stem) for n in set(chosen) - set(clashing)}
+        left = {n: keys[n] for n in set(chosen) - set(clashing)}
         stems = distinct_names([fit_name(ids[paths[n]]) for n in clashing], [k for k in left.values() if "/" not in k])
         for n, stem in zip(clashing, stems, strict=True):
-            name = stem + PurePosixPath(images[n].name).suffix
-            fitting[n] = replace(images[n], file_name=name) if name != images[n].name else images[n]
-    return fitting, sum(a is not b for a, b in zip(fitting, images, strict=True))
+            name = stem + PurePosixPath(names[n]).suffix
+            if name != names[n]:
+                changed[n] = name
+    if isinstance(images, StoredImages):
+        return images.renamed(changed), len(changed)
+    renamed = [replace(i, file_name=changed[n]) if n in changed else i for n, i in enumerate(images)]
+    return renamed, len(changed)
 
 
 def _file_key(name: str, by_stem: bool) -> str:
@@ -217,19 +224,20 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
     """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, and more."""
     # HIT-UAV's reader derives sequence and date from fields that its writer keeps.
     dated = writer.reader == "hit-uav"
-    found = {
-        "boxes": 0 if "obb" in writer.lacks else sum(_has_own_box(o) for i in images for o in i.instances),
-        "tracks": sum(o.track_id is not None for i in images for o in i.instances),
-        "inserted": sum(o.inserted for i in images for o in i.instances),
-        "telemetry": sum(_telemetry_not_in_name(i) is not None for i in images),
-        "sequence": sum(
-            (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date")) for i in images
-        ),
-        "temperature": sum(i.radiometry is not None and i.radiometry.scale is not None for i in images),
-    }
+    own_boxes = "obb" not in writer.lacks
+    found: Counter[str] = Counter()
+    lens = 0
+    for i in images:
+        found["boxes"] += sum(_has_own_box(o) for o in i.instances) if own_boxes else 0
+        found["tracks"] += sum(o.track_id is not None for o in i.instances)
+        found["inserted"] += sum(o.inserted for o in i.instances)
+        found["telemetry"] += _telemetry_not_in_name(i) is not None
+        found["sequence"] += (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date"))
+        found["temperature"] += i.radiometry is not None and i.radiometry.scale is not None
+        lens += bool(i.hfov_deg or i.roll_deg)
     losses = {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
-    if writer.name in _WITHOUT_LENS and (n := sum(bool(i.hfov_deg or i.roll_deg) for i in images)):
-        losses[FIELDS["telemetry"][1]] = n
+    if writer.name in _WITHOUT_LENS and lens:
+        losses[FIELDS["telemetry"][1]] = lens
     return losses
 
 

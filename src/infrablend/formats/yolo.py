@@ -27,7 +27,7 @@ from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, is_ignored_name, require_size, shorten, sort_images
+from infrablend.formats.base import Match, check_splits, in_order, is_ignored_name, require_size, shorten, sort_images
 from infrablend.formats.box_checks import check_box, overhang_px, snap
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
 from infrablend.formats.losses import Text, Written
@@ -281,10 +281,10 @@ def write(
     without_mask: WithoutMask = "omit",
 ) -> Written:
     """Write a dataset: every image with `write_frame`, and `data.yaml` with `write_data_yaml`."""
-    ordered = sort_images(images)
+    ordered = in_order(images)
     classes = yolo_classes(categories, dont_care)
-    frames = [write_frame(out, image, classes, task, without_mask=without_mask) for image in ordered]
-    return Written.together([*frames, write_data_yaml(out, classes, {i.split for i in ordered})])
+    frames = Written.together(write_frame(out, i, classes, task, without_mask=without_mask) for i in ordered)
+    return Written.together([frames, write_data_yaml(out, classes, {i.split for i in ordered})])
 
 
 # -- reading one label file ------------------------------------------------------------------------------------

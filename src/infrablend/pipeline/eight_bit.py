@@ -13,10 +13,12 @@ from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import write_bytes
+from infrablend.core.spool import Spool
+from infrablend.core.stored_images import StoredImages
 from infrablend.formats.images import load_background, png_bytes
 
 
-def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> tuple[list[ImageRecord], int]:
+def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> tuple[Sequence[ImageRecord], int]:
     """Write an 8-bit PNG per picture to `folder`/<split>/; equal pictures give equal bytes.
 
     Returns:
@@ -27,7 +29,8 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
         OutputError: A file cannot be written.
         ValueError: A fixed range of temperatures, and a picture without a scale.
     """
-    copies, as_they_are = [], 0
+    copies: Spool[ImageRecord] = Spool(folder)
+    as_they_are = 0
     for image in images:
         pixels = load_background(image.path, image.size_wh).pixels
         if pixels.dtype == np.uint16:
@@ -38,4 +41,5 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
         name = str(PurePosixPath(image.name).with_suffix(".png"))
         path = write_bytes(join_inside(folder / image.split, name), png_bytes(levels))
         copies.append(replace(image, path=path, file_name=name, radiometry=None))
-    return copies, as_they_are
+    stored = isinstance(images, StoredImages)
+    return StoredImages(copies, range(len(copies))) if stored else list(copies), as_they_are

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 import statistics
+import sys
+from array import array
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.annotation.looseness import loosen_inserted
+from infrablend.annotation.looseness import loosen_image
 from infrablend.compositing.gain import Doubt
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES
+from infrablend.core.spool import Spool
+from infrablend.core.stored_images import store_images
 from infrablend.errors import Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
@@ -48,19 +52,56 @@ class LabelSummary:
     problems: tuple[Problem, ...] = ()
 
 
-def read_frames(plan: RunPlan, folder: RunFolder) -> list[tuple[PlannedFrame, FrameRecord]]:
+@dataclass(frozen=True)
+class FinishedFrames:
+    """Finished frames of a run, in the order of the plan.
+
+    Attributes:
+        frames: The frames.
+        records: Record of each; all but the first are on disk, see `Spool`.
+    """
+
+    frames: list[PlannedFrame]
+    records: Spool[FrameRecord]
+
+    @classmethod
+    def none(cls, folder: RunFolder) -> FinishedFrames:
+        """Return no frames, to be added to; the records are on the disk of the folder of the run."""
+        return cls([], Spool(folder.root))
+
+    def add(self, frame: PlannedFrame, record: FrameRecord) -> None:
+        """Add a frame."""
+        self.frames.append(frame)
+        self.records.append(record)
+
+
+def read_frames(plan: RunPlan, folder: RunFolder) -> FinishedFrames:
     """Return the frames that have a record, in the order of the plan."""
-    return [(f, r) for f in plan.frames if (r := read_record(folder.record(f.frame_id))) is not None]
+    found = FinishedFrames.none(folder)
+    for frame in plan.frames:
+        if (record := read_record(folder.record(frame.frame_id))) is not None:
+            found.add(frame, record)
+    return found
 
 
-def write_formats(
-    plan: RunPlan, folder: RunFolder, records: Sequence[tuple[PlannedFrame, FrameRecord]]
-) -> LabelSummary:
-    """Write the card and all formats of the recipe; the same records give the same bytes."""
-    # The records keep the exact boxes.
-    images, loosened = loosen_inserted(
-        [labelled_image(f, r, folder.image(r.image)) for f, r in records], plan.recipe.labels.loosen
-    )
+def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFrames) -> LabelSummary:
+    """Write the card and all formats of the recipe; the same records give the same bytes.
+
+    One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
+    """
+    records = finished_frames.records
+    loosened = 0
+
+    def labelled() -> Iterator[ImageRecord]:
+        nonlocal loosened
+        for frame, record in zip(finished_frames.frames, records, strict=True):
+            # The records keep the exact boxes.
+            image = labelled_image(frame, record, folder.image(record.image))
+            image, count = loosen_image(image, plan.recipe.labels.loosen)
+            loosened += count
+            yield image
+
+    images = store_images(labelled(), folder.root)
     losses: Counter[str] = Counter()
     problems: list[Problem] = []
     for name in plan.recipe.output.formats if images else ():
@@ -73,14 +114,14 @@ def write_formats(
     problems += beside.problems
     if plan.recipe.output.agc is not None and images:
         problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
-    problems += frame_warnings([r for _, r in records])
+    problems += frame_warnings(records)
     finished = summarize(plan, records, images)
     if loosened:
         by = plan.recipe.labels.loosen
         finished = replace(finished, counts={**finished.counts, "boxes_loosened": loosened, "loosened_by": by})
     problems += absent_warnings(finished.draws)
-    problems += limit_warnings([r for _, r in records])
-    problems += air_warnings([r for _, r in records])
+    problems += limit_warnings(records)
+    problems += air_warnings(records)
     problems += hiding_warnings(finished.counts)
     if images:
         problems += write_card(
@@ -194,8 +235,11 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
 
     The estimates are the height of the camera (metric placement) and the gain (physical look).
     """
-    heights = [at_limit for r in records if (at_limit := _height_at_limit(r)) is not None]
-    gains = [doubts for r in records for doubts in _gain_doubts(r)]
+    heights: list[bool] = []
+    gains: list[Sequence[str]] = []
+    for r in records:
+        heights += [] if (at_limit := _height_at_limit(r)) is None else [at_limit]
+        gains += [tuple(map(sys.intern, doubts)) for doubts in _gain_doubts(r)]
     problems = []
     if heights and 5 * sum(heights) >= len(heights):
         low, high = FACTOR_BOUNDS
@@ -243,42 +287,49 @@ def warning_codes(record: FrameRecord) -> set[str]:
     return codes | {_DOUBTS[kind][0] for kind in _DOUBTS for doubts in _gain_doubts(record) if kind in doubts}
 
 
-def summarize(
-    plan: RunPlan, records: Sequence[tuple[PlannedFrame, FrameRecord]], images: Sequence[ImageRecord]
-) -> LabelSummary:
+def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
     """Return counts and placement statistics of the finished frames."""
-    labels: Counter[str] = Counter(i.category for image in images for i in image.instances)
+    pictures: Counter[str] = Counter()
     per_split: dict[str, Counter[str]] = {}
     for image in images:
+        pictures[image.split] += 1
         per_split.setdefault(image.split, Counter()).update(i.category for i in image.instances)
-    removed = [
-        {"frame_id": r.frame_id, **item} for _, r in records for item in r.removed if item["reason"] == "covered"
-    ]
-    reasons = Counter(item["reason"] for _, r in records for item in r.removed)
-    drops = Counter(d["reason"] for _, r in records for d in r.facts.get("drops", ()))
-    fallbacks = sum(len(r.facts.get("mask_fallbacks", ())) for _, r in records)
-    other_size = sum(
-        r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px) for _, r in records
-    )
+    labels: Counter[str] = Counter()
+    for of_split in per_split.values():
+        labels.update(of_split)
+    removed: list[Mapping[str, Any]] = []
+    reasons: Counter[str] = Counter()
+    drops: Counter[str] = Counter()
+    inserted: Counter[str] = Counter()
+    covered = fallbacks = without = other_size = 0
+    for r in records:
+        removed += [{"frame_id": r.frame_id, **item} for item in r.removed if item["reason"] == "covered"]
+        reasons.update(item["reason"] for item in r.removed)
+        drops.update(d["reason"] for d in r.facts.get("drops", ()))
+        inserted.update(i.category for i in r.inserted)
+        covered += len(r.covered)
+        fallbacks += len(r.facts.get("mask_fallbacks", ()))
+        without += not r.inserted
+        other_size += r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px)
     counts = {
         "images": len(images),
-        "images_per_split": dict(sorted(Counter(i.split for i in images).items())),
+        "images_per_split": dict(sorted(pictures.items())),
         "labels": dict(sorted(labels.items())),
         "labels_per_split": {s: dict(sorted(c.items())) for s, c in sorted(per_split.items())},
-        "labels_inserted": dict(sorted(Counter(i.category for _, r in records for i in r.inserted).items())),
+        "labels_inserted": dict(sorted(inserted.items())),
         "labels_removed": dict(sorted(reasons.items())),
-        "labels_partly_covered": sum(len(r.covered) for _, r in records),
+        "labels_partly_covered": covered,
         "objects_without_label": dict(sorted(drops.items())),
         "masks_of_one_pixel": fallbacks,
-        "frames_without_object": sum(not r.inserted for _, r in records),
-        "frames_without_object_because": empty_frames([r for _, r in records]),
+        "frames_without_object": without,
+        "frames_without_object_because": empty_frames(records),
         "frames_of_other_size": other_size,
     }
-    if hiding := hiding_statistics([r for _, r in records]):
+    if hiding := hiding_statistics(records):
         counts["partly_hidden"] = hiding
-    if contrast := contrast_statistics([r for _, r in records]):
+    if contrast := contrast_statistics(records):
         counts["contrast_grey"] = contrast
-    return LabelSummary(counts, draw_statistics([r for _, r in records]), tuple(removed))
+    return LabelSummary(counts, draw_statistics(records), tuple(removed))
 
 
 def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
@@ -299,8 +350,12 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
 
 def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
     """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
-    asked = [o for r in records for o in r.facts.get("occlusion", ())]
-    return {"wanted": len(asked), "hidden": sum("window" in o for o in asked)} if asked else {}
+    wanted = hidden = 0
+    for r in records:
+        asked = r.facts.get("occlusion", ())
+        wanted += len(asked)
+        hidden += sum("window" in o for o in asked)
+    return {"wanted": wanted, "hidden": hidden} if wanted else {}
 
 
 def hiding_warnings(counts: Mapping[str, Any]) -> list[Problem]:
@@ -318,46 +373,51 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
 
     The contrast is the smaller of the change of the object's pixels and the change of its box against the ring.
     """
+    measured: dict[str, array[float]] = {"labelled": array("d"), "before the limit": array("d")}
+    for r in records:
+        kept = r.facts.get("contrast", ())
+        for name, values in (("labelled", kept), ("before the limit", r.facts.get("contrast_first", kept))):
+            measured[name].extend(float(min(c["changed"], c.get("change", c["changed"]))) for c in values)
     found = {}
-    for name in ("labelled", "before the limit"):
-        values = []
-        for r in records:
-            kept = r.facts.get("contrast", ())
-            measured = kept if name == "labelled" else r.facts.get("contrast_first", kept)
-            values += [min(c["changed"], c.get("change", c["changed"])) for c in measured]
-        if values:
-            one, five, half = _quantiles(values, 0.01, 0.05, 0.5)
+    for name, levels in measured.items():
+        if levels:
+            one, five, half = _quantiles(levels, 0.01, 0.05, 0.5)
             found[name] = f"1 % {one:.0f}; 5 % {five:.0f}; median {half:.0f}"
     return found
 
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
-    scenes = [r.scene for r in records if r.scene is not None and r.scene.draws.get("wanted")]
-    if not scenes:
-        return {}
-    first = [float(s.draws["first_distance_m"]) for s in scenes]
-    last = [s.camera.distance_m for s in scenes]
+    first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
     rejected: Counter[str] = Counter()
     absent: Counter[str] = Counter()
-    for s in scenes:
-        rejected.update(s.draws["rejected"])
-        absent.update(s.draws["absent"])
-    attempts = [int(s.draws["attempts"]) for s in scenes]
-    sizes = [
-        max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1]))
-        for r in records
-        for i in r.inserted
-    ]
+    scenes = wanted = attempts = most = 0
+    for r in records:
+        for i in r.inserted:
+            sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
+        if r.scene is None or not r.scene.draws.get("wanted"):
+            continue
+        draws = r.scene.draws
+        scenes += 1
+        wanted += int(draws["wanted"])
+        attempts += int(draws["attempts"])
+        most = max(most, int(draws["attempts"]))
+        first.append(float(draws["first_distance_m"]))
+        last.append(r.scene.camera.distance_m)
+        pitches.append(math.degrees(r.scene.camera.pitch_rad))
+        rejected.update(draws["rejected"])
+        absent.update(draws["absent"])
+    if not scenes:
+        return {}
     return {
-        "scenes": len(scenes),
-        "wanted": sum(int(s.draws["wanted"]) for s in scenes),
-        "attempts_total": sum(attempts),
-        "attempts_max": max(attempts),
+        "scenes": scenes,
+        "wanted": wanted,
+        "attempts_total": attempts,
+        "attempts_max": most,
         "rejected": dict(sorted(rejected.items())),
         "absent": dict(sorted(absent.items())),
         "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
-        "pitch_deg": _spread([math.degrees(s.camera.pitch_rad) for s in scenes]),
+        "pitch_deg": _spread(pitches),
         "size_px": _spread(sizes),
     }
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
-from infrablend.core.files import link_or_copy, sha256_of
+from infrablend.core.files import link_or_copy
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
@@ -80,13 +81,14 @@ def merge_shards(
             "or give their folder with --data."
         )
     places = _places(plan, shards)
-    _require_intact(places, shards)
+    checked = CheckedFiles()
+    _require_intact(places, shards, checked)
     if len(shards) < shared.count:
         plan = recorded.select(tuple(places)).plan(data)
     execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
     frames = FrameSource(
-        _ShardFrames(places, failures, RunFolder(out)), shared.levels, recorded.machine, recorded.packages
+        _ShardFrames(places, failures, RunFolder(out)), shared.levels, recorded.machine, recorded.packages, checked
     )
     return run_plan(plan, out, execution, existing, on_progress, source=frames)
 
@@ -158,7 +160,7 @@ def _places(plan: RunPlan, shards: Iterable[_Finished]) -> dict[str, _Finished]:
     return {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
 
 
-def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]) -> None:
+def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished], checked: CheckedFiles) -> None:
     """Check that the record and picture of every frame that a shard has finished are there and unchanged.
 
     Raises:
@@ -166,7 +168,7 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
     """
     broken: dict[Shard, list[str]] = {}
     for frame_id, one in places.items():
-        if frame_id not in one.failures and not _is_intact(one.folder, frame_id):
+        if frame_id not in one.failures and not _is_intact(one.folder, frame_id, checked):
             broken.setdefault(one.shard, []).append(frame_id)
     if broken:
         problems = [
@@ -183,12 +185,13 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
         raise OutputError(f"{len(broken)} shards are truncated; nothing was written", problems)
 
 
-def _is_intact(folder: RunFolder, frame_id: str) -> bool:
+def _is_intact(folder: RunFolder, frame_id: str, checked: CheckedFiles) -> bool:
     try:
         record = load_record(folder.record(frame_id))
-        return record.frame_id == frame_id and sha256_of(folder.image(record.image), folder.root) == record.image_sha256
-    except (RecordError, OSError, ValueError):
+        image = folder.image(record.image)
+    except (RecordError, ValueError):
         return False
+    return record.frame_id == frame_id and checked.has_digest(image, folder.root, record.image_sha256)
 
 
 def _require_apart(source: Path, out: Path) -> None:

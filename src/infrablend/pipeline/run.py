@@ -8,8 +8,9 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from pydantic import ValidationError
 
 from infrablend import __version__
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
 from infrablend.core.finished import EXCLUDING
@@ -40,7 +42,7 @@ from infrablend.pipeline.excluded import place_frames, read_choice, write_choice
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.frame_settings import FrameDone
-from infrablend.pipeline.label_files import LabelSummary, write_formats
+from infrablend.pipeline.label_files import FinishedFrames, LabelSummary, write_formats
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
@@ -117,12 +119,14 @@ class FrameSource:
         levels: Range of grey levels with which they were rendered.
         machine: Machine that rendered them, as in a run record.
         packages: Versions of the packages that rendered them.
+        checked: Pictures that the executor has verified already.
     """
 
     executor: Executor
     levels: tuple[float, float] | None
     machine: Mapping[str, Any]
     packages: Mapping[str, Any]
+    checked: CheckedFiles
 
 
 def run_plan(
@@ -211,13 +215,14 @@ def run_plan(
             raise
         made = time.monotonic()
         finished, notes = LabelSummary(), []
-        records: list[tuple[PlannedFrame, FrameRecord]] = []
+        records = FinishedFrames.none(folder)
         try:
             if status == "complete":
-                records = _finished_frames(plan, folder, state)
+                checked = CheckedFiles() if source is None else source.checked
+                records = _finished_frames(plan, folder, state, checked)
                 if plan.shard is None:
                     finished = write_formats(plan, folder, records)
-                if records:  # labels of frames that are gone
+                if records.frames:  # labels of frames that are gone
                     manifest.remove_unwritten([*PICTURE_TABLES, *plan.recipe.output.formats, EIGHT_BIT])
             problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
             counts = _counts(plan, state, finished)
@@ -242,8 +247,8 @@ def run_plan(
             }
             if status == "complete":
                 if plan.shard is None:
-                    write_report(folder, record, (r for _, r in records), kept_out)
-                notes = _file_notes(folder, manifest, records)
+                    write_report(folder, record, records.records, kept_out)
+                notes = _file_notes(plan, folder, manifest, records.frames)
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": stopped})
             raise Interrupted(
@@ -252,7 +257,7 @@ def run_plan(
             ) from error
         folder.write_run(record)
         if status == "complete":
-            _require_whole(folder, manifest, records, {**record, "status": stopped})
+            _require_whole(plan, folder, manifest, records.frames, {**record, "status": stopped})
         log.info("%s: %s", status, counts)
         for note in notes:
             log.info("%s", note)
@@ -387,18 +392,20 @@ def _make_way(plan: RunPlan, folder: RunFolder, manifest: Manifest, frame: Plann
             manifest.move_aside(name)
 
 
-def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State) -> list[tuple[PlannedFrame, FrameRecord]]:
+def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State, checked: CheckedFiles) -> FinishedFrames:
     """Return the frames whose record and image are there and intact; the others are counted as failed.
 
     Files may have been removed or changed while the run was going on.
     """
-    found = []
+    found = FinishedFrames.none(folder)
+    inserted = 0
     for frame in plan.frames:
         if frame.frame_id in state.unfinished:
             continue
         record = _record_of(plan, folder, frame)
-        if record is not None and _is_intact(folder, record):
-            found.append((frame, record))
+        if record is not None and checked.has_digest(folder.image(record.image), folder.root, record.image_sha256):
+            found.add(frame, record)
+            inserted += len(record.inserted)
             continue
         state.failures[frame.frame_id] = Problem(
             frame.frame_id,
@@ -408,16 +415,13 @@ def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State) -> list[tu
             "run again with --resume",
         )
         log.error("%s", state.failures[frame.frame_id])
-    state.inserted = sum(len(record.inserted) for _, record in found)
-    state.finished = len(found)
+    state.inserted = inserted
+    state.finished = len(found.frames)
     return found
 
 
 def _require_whole(
-    folder: RunFolder,
-    manifest: Manifest,
-    records: Sequence[tuple[PlannedFrame, FrameRecord]],
-    unfinished: dict[str, Any],
+    plan: RunPlan, folder: RunFolder, manifest: Manifest, frames: Sequence[PlannedFrame], unfinished: dict[str, Any]
 ) -> None:
     """Check that nothing was removed until the run was marked as complete; else record it as unfinished.
 
@@ -425,30 +429,20 @@ def _require_whole(
         OutputError: Files were removed; the message names them.
     """
     written = [folder.run_file, *manifest.missing()]
-    written += [path for f, r in records for path in (folder.image(r.image), folder.record(f.frame_id))]
+    of_frames = (folder.root / name for frame in frames for name in _frame_files(plan, frame))
     try:
-        require_still_there(written, "run again with --resume")
+        require_still_there(chain(written, of_frames), "run again with --resume")
     except OutputError:
         with contextlib.suppress(OutputError):
             folder.write_run(unfinished)
         raise
 
 
-def _is_intact(folder: RunFolder, record: FrameRecord) -> bool:
-    image = folder.image(record.image)
-    try:
-        return image.is_file() and sha256_of(image, folder.root) == record.image_sha256
-    except OSError:
-        return False
-
-
-def _file_notes(
-    folder: RunFolder, manifest: Manifest, records: Sequence[tuple[PlannedFrame, FrameRecord]]
-) -> list[Problem]:
+def _file_notes(plan: RunPlan, folder: RunFolder, manifest: Manifest, frames: Iterable[PlannedFrame]) -> list[Problem]:
     """Return warnings about files in the folder that the run did not write, or that were changed since."""
     manifest.drop_equal()
     known = {*manifest.paths}
-    known |= {name for f, r in records for name in (f"{IMAGES}/{r.image}", f"{SCENES}/{f.frame_id}.json")}
+    known |= {name for f in frames for name in _frame_files(plan, f)}
     return manifest.problems() + [
         Problem(name, "file-foreign", "not written by this run", "", "kept; move it elsewhere", "warning")
         for name in folder.strays(known)

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, leaves
-from infrablend.core.files import write_bytes, write_text
+from infrablend.core.files import write_bytes, write_chunks
 from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import ArgumentError, DatasetError, Problem
-from infrablend.formats.coco import coco_files
+from infrablend.formats.coco import coco_chunks
 from infrablend.formats.images import png_bytes
 from infrablend.formats.rjpeg.facts import read_facts
 from infrablend.formats.rjpeg.lens import zoomed
@@ -221,8 +221,8 @@ def extract_temperatures(
         images = [w.record for w in layers]
         if not images:
             raise DatasetError(f"{dataset.root}: no temperatures in {len(dataset.images)} picture(s)", problems)
-        for split, text in coco_files(images, ())[0].items():
-            write_text(out / "annotations" / f"instances_{split}", text)
+        for split, chunks in coco_chunks(images, (), Counter()).items():
+            write_chunks(out / "annotations" / f"instances_{split}", chunks)
         scales = Counter(_scale_text(i) for i in images)
         problems += _remarks(dataset, layers) + folder.problems()
         ranges = [w.range_k for w in layers if w.range_k is not None]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core import checked_files, spool
 from infrablend.core.output import OutputFolder
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.shard import Shard, ShardRequest
@@ -46,7 +47,7 @@ def test_shards_partition_the_frames():
         ShardRequest(4, size=4).of(10)
 
 
-def test_merged_shards_have_the_bytes_of_one_run(dataset, tmp_path):
+def test_merged_shards_have_the_bytes_of_one_run(dataset, tmp_path, monkeypatch):
     done(*command(dataset, tmp_path / "whole"))
     expected = hashes(tmp_path / "whole")
     assert json.loads((tmp_path / "whole/run.json").read_text())["levels"]
@@ -61,7 +62,25 @@ def test_merged_shards_have_the_bytes_of_one_run(dataset, tmp_path):
         for folder in used:
             shutil.rmtree(folder)  # the merged run does not need them
     assert hashes(tmp_path / "merged7") == expected
+    # Records and labels that do not fit into memory.
+    monkeypatch.setattr(spool, "IN_MEMORY", 2)
+    done(*command(dataset, tmp_path / "stored"))
+    assert hashes(tmp_path / "stored") == expected
     done("check", tmp_path / "merged7")
+
+
+def test_merge_reads_every_picture_once(dataset, tmp_path, monkeypatch):
+    make_shards(dataset, tmp_path / "out", 2)
+    read = []
+    sha256_of = checked_files.sha256_of
+
+    def counted(path: Path, folder: Path | None = None) -> str:
+        read.append(path.name)
+        return sha256_of(path, folder)
+
+    monkeypatch.setattr(checked_files, "sha256_of", counted)
+    done("merge", tmp_path / "out", tmp_path / "merged")
+    assert len(read) == len(set(read)) == sum(p.is_file() for p in (tmp_path / "merged/images").rglob("*.jpg"))
 
 
 def test_levels_are_those_of_the_plan(dataset, tmp_path):

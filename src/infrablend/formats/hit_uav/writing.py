@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from xml.sax.saxutils import escape, quoteattr
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
-from infrablend.core.files import finite, link_or_copy, write_text
-from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
+from infrablend.core.files import link_or_copy, write_chunks
+from infrablend.core.json_stream import SPACED, Streamed, json_chunks
+from infrablend.formats.base import category_ids, in_order, number_ids, require_size, split_parts
 from infrablend.formats.box_checks import is_rectangle, obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
@@ -57,14 +58,14 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size, category or id is missing.
     """
-    ordered = sort_images(images)
-    texts, losses = native_files(ordered, categories, forms=forms, ids=ids, extra=extra)
-    files = [write_text(out / name, text) for name, text in texts.items()]
+    ordered = in_order(images)
+    texts = native_chunks(ordered, categories, forms=forms, ids=ids, extra=extra)
+    files = [write_chunks(out / name, chunks) for name, chunks in texts.files]
     for form in forms if pictures else ():
         for image in ordered:
             folder = out / form / ("JPEGImages" if form.endswith("_xml") else image.split)
             files.append(link_or_copy(image.path, folder / image.name))
-    return Written(tuple(files), losses)
+    return Written(tuple(files), texts.losses)
 
 
 def native_files(
@@ -76,27 +77,72 @@ def native_files(
     extra: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
     """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`."""
-    ordered = sort_images(images)
-    of_category = category_ids(categories)
-    image_ids, object_ids = number_ids(ordered, ids, 0)
-    numbered = list(zip(ordered, image_ids, object_ids, strict=True))
-    losses: Counter[str] = Counter()
-    texts: dict[str, str] = {}
-    for form in forms:
-        counted: Counter[str] = Counter()
-        if form.endswith("_json"):
-            for split in [s for s in SPLITS if any(i.split == s for i in ordered)]:
-                part = [n for n in numbered if n[0].split == split]
-                top = _json_file(form, part, categories, ids == "new", extra or {}, counted)
-                # ASCII, as in the original.
-                texts[f"{form}/annotations/{split}.json"] = json.dumps(finite(top, counted), allow_nan=False)
-        else:
-            texts.update(_xml_texts(form, ordered, of_category, counted))
-        losses.update({f"{form}.{k}": v for k, v in counted.items() if v})
-    return texts, dict(sorted(losses.items()))
+    texts = native_chunks(images, categories, forms=forms, ids=ids, extra=extra)
+    whole = {name: "".join(chunks) for name, chunks in texts.files}
+    return whole, texts.losses
 
 
-_Numbered = tuple[ImageRecord, int, list[int]]
+@dataclass(frozen=True)
+class NativeTexts:
+    """Annotation files that are composed one after the other, in pieces.
+
+    Attributes:
+        files: POSIX path below the output folder and text of each file.
+        counted: Losses per form, complete once all texts are composed.
+    """
+
+    files: Iterator[tuple[str, Iterable[str]]]
+    counted: Mapping[Form, Counter[str]]
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """Losses so far, by `<form>.<kind>`."""
+        return dict(sorted((f"{form}.{k}", v) for form, counts in self.counted.items() for k, v in counts.items() if v))
+
+
+def native_chunks(
+    images: Sequence[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    forms: Sequence[Form] = ("normal_json", "rotate_json"),
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+) -> NativeTexts:
+    """Return every annotation file in pieces, and the losses; see `write`."""
+    ordered = in_order(images)
+    counted: dict[Form, Counter[str]] = {form: Counter() for form in forms}
+    numbers = number_ids(ordered, ids, 0)
+
+    def files() -> Iterator[tuple[str, Iterable[str]]]:
+        for form in forms:
+            if form.endswith("_json"):
+                parts = split_parts(ordered)
+                start = 0
+                for split, part in parts.items():
+                    end = start + len(part)
+                    numbered = _Numbered(part, numbers[0][start:end], numbers[1][start:end])
+                    top = _json_file(form, numbered, categories, ids == "new", extra or {}, counted[form])
+                    # ASCII, as in the original.
+                    chunks = json_chunks(top, counted[form], separators=SPACED, sort_keys=False)
+                    yield f"{form}/annotations/{split}.json", chunks
+                    start = end
+            else:
+                yield from _xml_texts(form, ordered, category_ids(categories), counted[form])
+
+    return NativeTexts(files(), counted)
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    """Images with their ids and those of their objects."""
+
+    images: Sequence[ImageRecord]
+    image_ids: Sequence[int]
+    object_ids: Sequence[Sequence[int]]
+
+    def __iter__(self) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
+        """Yield each image with its id and the ids of its objects."""
+        return zip(self.images, self.image_ids, self.object_ids, strict=True)
 
 
 def _count_losses(instance: Instance, form: Form, losses: Counter[str]) -> None:
@@ -163,7 +209,7 @@ _TOP: Mapping[str, Any] = {
 
 def _json_file(
     form: Form,
-    numbered: Sequence[_Numbered],
+    numbered: _Numbered,
     categories: Sequence[Category],
     new: bool,
     extra: Mapping[str, Any],
@@ -172,19 +218,22 @@ def _json_file(
     """Return the content of a JSON file, with keys in the order of the original."""
     normal = form == "normal_json"
     of_category = category_ids(categories)
-    images, objects = [], []
-    for image, image_id, object_ids in numbered:
-        record = _normal_image(image, image_id) if normal else _rotate_image(image, image_id)
-        images.append(record | _source_fields(image, new))
-        for instance, object_id in zip(image.instances, object_ids, strict=True):
-            _count_losses(instance, form, losses)
-            ids = {"id": object_id, "image_id": image_id, "category_id": of_category[instance.category]}
-            if normal:
-                annotation = _normal_object(_truncated_box(instance.box_xyxy, require_size(image), losses), ids)
-            else:
-                difficult = bool(instance.difficult)
-                annotation = {**ids, "difficult": difficult, "bbox": _oriented_numbers(instance, losses)}
-            objects.append(annotation | _source_fields(instance, new) | _marks(instance))
+    image_record = _normal_image if normal else _rotate_image
+    images = Streamed(image_record(image, n) | _source_fields(image, new) for image, n, _ in numbered)
+
+    def annotations() -> Iterator[dict[str, Any]]:
+        for image, image_id, object_ids in numbered:
+            for instance, object_id in zip(image.instances, object_ids, strict=True):
+                _count_losses(instance, form, losses)
+                ids = {"id": object_id, "image_id": image_id, "category_id": of_category[instance.category]}
+                if normal:
+                    annotation = _normal_object(_truncated_box(instance.box_xyxy, require_size(image), losses), ids)
+                else:
+                    difficult = bool(instance.difficult)
+                    annotation = {**ids, "difficult": difficult, "bbox": _oriented_numbers(instance, losses)}
+                yield annotation | _source_fields(instance, new) | _marks(instance)
+
+    objects = Streamed(annotations())
     if normal:
         names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
         top = {k: extra.get(k, _TOP[k]) for k in ("info", "licenses")}
@@ -230,20 +279,18 @@ def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str,
 
 def _xml_texts(
     form: Form, images: Sequence[ImageRecord], of_category: Mapping[str, int], losses: Counter[str]
-) -> dict[str, str]:
-    """Return one VOC or roLabelImg file per picture, and the lists of splits."""
-    texts: dict[str, str] = {}
+) -> Iterator[tuple[str, Iterable[str]]]:
+    """Yield path and text of one VOC or roLabelImg file per picture, and of the lists of splits."""
     stems: dict[str, list[str]] = defaultdict(list)
     for image in images:
         if "/" in image.name:
             raise ValueError(f"{image.id}: the XML forms are flat, but {image.name!r} is in a folder")
         stem = image.name.rpartition(".")[0]
         stems[image.split].append(stem)
-        texts[f"{form}/Annotations/{stem}.xml"] = _xml_text(form, image, stem, of_category, losses)
+        yield f"{form}/Annotations/{stem}.xml", (_xml_text(form, image, stem, of_category, losses),)
     stems["trainval"] = stems["train"] + stems["val"]
     for split in (*SPLITS, "trainval"):
-        texts[f"{form}/ImageSets/Main/{split}.txt"] = "".join(f"{s}\n" for s in stems[split])
-    return texts
+        yield f"{form}/ImageSets/Main/{split}.txt", (f"{s}\n" for s in stems[split])
 
 
 def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[str, int], losses: Counter[str]) -> str:

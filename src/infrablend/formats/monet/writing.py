@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name
-from infrablend.core.files import finite, link_or_copy, write_text
+from infrablend.core.files import link_or_copy, write_chunks
+from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.errors import Problem
 from infrablend.formats import coco
-from infrablend.formats.base import category_ids, number_ids, require_size, sort_images
+from infrablend.formats.base import category_ids, in_order, number_ids, require_size
 from infrablend.formats.losses import Written
 from infrablend.formats.monet.folders import split_in
 from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
@@ -49,13 +50,15 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size, category or id is missing, or two pictures would get the same name.
     """
-    ordered = sort_images(images)
-    texts, losses = native_files(ordered, categories, ids=ids, extra=extra)
-    files = [write_text(out / name, text) for name, text in texts.items()]
+    ordered = in_order(images)
+    losses: Counter[str] = Counter()
+    texts = native_chunks(ordered, categories, losses, ids=ids, extra=extra)
+    files = [write_chunks(out / name, chunks) for name, chunks in texts.items()]
     folders = _folder_names(ordered)
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / image.split / _picture_name(image, folders)))
-    return Written(tuple(files), losses, tuple(_pitch_remarks(ordered)))
+    found = {k: v for k, v in sorted(losses.items()) if v}
+    return Written(tuple(files), found, tuple(_pitch_remarks(ordered)))
 
 
 def native_files(
@@ -65,51 +68,74 @@ def native_files(
     ids: Literal["source", "new"] = "new",
     extra: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`.
+    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`."""
+    losses: Counter[str] = Counter()
+    chunks = native_chunks(images, categories, losses, ids=ids, extra=extra)
+    texts = {name: "".join(pieces) for name, pieces in chunks.items()}
+    return texts, {k: v for k, v in sorted(losses.items()) if v}
+
+
+def native_chunks(
+    images: Sequence[ImageRecord],
+    categories: Sequence[Category],
+    losses: Counter[str],
+    *,
+    ids: Literal["source", "new"] = "new",
+    extra: Mapping[str, Any] | None = None,
+) -> dict[str, Iterator[str]]:
+    """Return the text of every annotation file in pieces, by POSIX path below the output folder; see `write`.
 
     Image records keep the source's fields, with pitch and altitude at their original place, else as `g_pitch` and
     `alt` in `metadata`. Annotations equal those of `coco.write`: masks as run lengths, oriented boxes in `obb`.
+    `losses` is complete once all texts are composed.
     """
-    ordered = sort_images(images)
+    ordered = in_order(images)
     of_category = category_ids(categories)
     ignored = {c.name for c in categories if c.ignore}
     image_ids, object_ids = number_ids(ordered, ids, 1)
     new = ids == "new"
-    losses: Counter[str] = Counter()
     # Without any pitch, nothing would identify these files as MONET.
     unknown = all(i.pitch_deg is None for i in ordered)
-    tops: dict[str, dict[str, Any]] = {}
-    taken: set[tuple[str, str]] = set()
     folders = _folder_names(ordered)
-    for image, image_id, numbers in zip(ordered, image_ids, object_ids, strict=True):
+    groups: dict[str, list[int]] = {}
+    taken: set[tuple[str, str]] = set()
+    for n, image in enumerate(ordered):
         name = _picture_name(image, folders)
         if (image.split, name) in taken:
             raise ValueError(f"{image.id}: a second picture would be {image.split}/{name}")
         taken.add((image.split, name))
-        top = tops.setdefault(
-            f"{image.split}/{folders[image.sequence] or image.split}.json",
-            {
-                "info": (extra or {}).get("info", _INFO),
-                "licenses": (extra or {}).get("licenses", []),
-                "categories": coco.category_records(categories),
-                "images": [],
-                "annotations": [],
-            },
-        )
-        record = _image_record(image, image_id, name, new, losses)
-        if unknown:
-            _put(record, (NEST, PITCH_KEYS[0]), None)
-        top["images"].append(record)
-        for instance, number in zip(image.instances, numbers, strict=True):
-            a = coco.annotation_record(instance, require_size(image), new, "polygon")
-            a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
-            a["iscrowd"] |= int(instance.category in ignored)
-            top["annotations"].append(a)
-    texts = {
-        name: json.dumps(finite(top, losses), sort_keys=True, allow_nan=False, separators=(",", ":")) + "\n"
-        for name, top in sorted(tops.items())
+        groups.setdefault(f"{image.split}/{folders[image.sequence] or image.split}.json", []).append(n)
+
+    def records(group: Sequence[int]) -> Iterator[dict[str, Any]]:
+        for n in group:
+            record = _image_record(ordered[n], image_ids[n], _picture_name(ordered[n], folders), new, losses)
+            if unknown:
+                _put(record, (NEST, PITCH_KEYS[0]), None)
+            yield record
+
+    def annotations(group: Sequence[int]) -> Iterator[dict[str, Any]]:
+        for n in group:
+            image = ordered[n]
+            for instance, number in zip(image.instances, object_ids[n], strict=True):
+                a = coco.annotation_record(instance, require_size(image), new, "polygon")
+                a |= {"id": number, "image_id": image_ids[n], "category_id": of_category[instance.category]}
+                a["iscrowd"] |= int(instance.category in ignored)
+                yield a
+
+    common = {
+        "info": (extra or {}).get("info", _INFO),
+        "licenses": (extra or {}).get("licenses", []),
+        "categories": coco.category_records(categories),
     }
-    return texts, {k: v for k, v in sorted(losses.items()) if v}
+    return {
+        name: chain(
+            json_chunks(
+                {**common, "images": Streamed(records(group)), "annotations": Streamed(annotations(group))}, losses
+            ),
+            "\n",
+        )
+        for name, group in sorted(groups.items())
+    }
 
 
 def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:

@@ -174,7 +174,7 @@ def write_training_data(
     remove_folders(manifest, [DATA, TILES, EIGHT_BIT])  # of a call that was killed here
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
-        images, _ = eight_bit_copies(images, out / EIGHT_BIT, request.agc)
+        images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]
     counts: dict[str, Any] = {
         "pictures": dict(Counter(i.split for i in images)),
         "objects": {s: dict(sorted(Counter(o.category for i in images if i.split == s for o in i.instances).items()))

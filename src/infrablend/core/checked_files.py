@@ -1,0 +1,36 @@
+"""Files whose digests have been verified, so that no picture is read twice for the same question."""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+from pathlib import Path
+
+from infrablend.core.files import sha256_of
+
+
+class CheckedFiles:
+    """Remembers files by device, inode, size and times: a hard link to a verified file needs no second reading."""
+
+    def __init__(self) -> None:
+        """Start without any file."""
+        self._known: set[bytes] = set()
+
+    def has_digest(self, path: Path, folder: Path, sha256: str) -> bool:
+        """Return whether a file of `folder` has this SHA-256; False if it is missing or cannot be read.
+
+        A file that was read before is only read again if it has been changed or replaced since.
+        """
+        try:
+            status = path.lstat()
+            facts = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, sha256)
+            key = hashlib.blake2b(repr(facts).encode(), digest_size=16).digest()
+            if key in self._known:
+                return True
+            if not path.is_file() or sha256_of(path, folder) != sha256:
+                return False
+        except (OSError, ValueError):
+            return False
+        if stat.S_ISREG(status.st_mode):  # a link does not change with the file that it leads to
+            self._known.add(key)
+        return True

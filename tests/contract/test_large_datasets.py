@@ -1,0 +1,109 @@
+"""Writing in little memory: stored images give the bytes of images in memory, and memory does not grow with them."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.contract.test_formats import CATEGORIES, golden_images
+
+from infrablend.core import spool
+from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.format_table import WRITERS
+from infrablend.core.json_stream import COMPACT, SPACED, Streamed, json_chunks
+from infrablend.core.spool import Spool
+from infrablend.core.stored_images import store_images
+from infrablend.formats import writing
+
+
+def varied_images(folder: Path) -> list[ImageRecord]:
+    """Pictures of all splits, with and without labels, pitch, sequence, date and folder in the name."""
+    images = []
+    for image in golden_images(folder):
+        for k in range(4):
+            images.append(
+                replace(
+                    image,
+                    id=f"{image.id}-{k}",
+                    file_name=f"sub/{image.id}-{k}.png" if k == 3 else f"{image.id}-{k}.png",
+                    split=("train", "val", "test", "train")[k],
+                    sequence=f"s{k}" if k else None,
+                    captured="2020-01-01" if k == 2 else None,
+                    pitch_deg=None if k == 1 else image.pitch_deg,
+                    instances=() if k == 2 else image.instances,
+                )
+            )
+    return images
+
+
+@pytest.mark.parametrize("name", [w.name for w in WRITERS])
+def test_stored_images_give_the_same_bytes(tmp_path, monkeypatch, name):
+    images = varied_images(tmp_path / "in")
+    written = writing.write(name, tmp_path / "memory", images, CATEGORIES)
+    monkeypatch.setattr(spool, "IN_MEMORY", 2)
+    again = writing.write(name, tmp_path / "disk", store_images(reversed(images), tmp_path), CATEGORIES)
+    assert contents(tmp_path / "disk") == contents(tmp_path / "memory")
+    assert (again.losses, again.problems) == (written.losses, written.problems)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def made_up_images(count: int) -> Iterator[ImageRecord]:
+    for n in range(count):
+        box = np.array([1.0, 2.0, 30.0 + n % 7, 40.0])
+        objects = tuple(Instance("drone", box + k, inserted=True) for k in range(3))
+        yield ImageRecord(f"{n:06d}", Path(f"{n:06d}.png"), "train", (64, 64), 30.0, None, None, objects)
+
+
+@pytest.mark.parametrize("name", ["coco", "monet", "label-studio", "cvat", "huggingface"])
+def test_memory_does_not_grow_with_the_number_of_images(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(spool, "IN_MEMORY", 10)
+    peaks = []
+    for count in (50, 250):
+        images = store_images(made_up_images(count), tmp_path)
+        tracemalloc.start()
+        settings = writing.WriteSettings(pictures=False)
+        writing.write(name, tmp_path / str(count), images, (Category(1, "drone"),), settings=settings)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # A picture with three objects takes 3 kB in memory, and some hundred bytes of names and numbers remain.
+    assert (peaks[1] - peaks[0]) / 200 < 1000
+
+
+@pytest.mark.parametrize("separators", [COMPACT, SPACED])
+@pytest.mark.parametrize("sort_keys", [True, False])
+def test_pieces_are_the_text_of_the_whole(separators, sort_keys):
+    value = {"b": [{"z": 1.5, "a": "ä"}, [], None], "a": [], "c": {"y": 1, "x": [True]}, "ü": "d"}
+    streamed = {**value, "b": Streamed(iter(value["b"])), "a": Streamed(iter(()))}
+    expected = json.dumps(value, separators=separators, sort_keys=sort_keys)
+    found = json_chunks(streamed, Counter(), separators=separators, sort_keys=sort_keys)
+    assert "".join(found) == expected
+    assert "".join(json_chunks(Streamed([1, "b"]), None)) == '[1,"b"]'
+
+
+def test_numbers_that_are_not_finite():
+    losses: Counter[str] = Counter()
+    assert "".join(json_chunks({"a": Streamed([float("nan"), 1.0])}, losses)) == '{"a":[null,1.0]}'
+    assert losses == {"not_finite_dropped": 1}
+    with pytest.raises(ValueError, match="JSON compliant"):
+        "".join(json_chunks(Streamed([float("nan")]), None))
+
+
+def test_a_spool_is_a_sequence_and_leaves_nothing_behind(tmp_path):
+    items: Spool[tuple[int, str]] = Spool(tmp_path, in_memory=2)
+    for n in range(5):
+        items.append((n, "x" * n))
+    assert list(tmp_path.iterdir()) == []
+    assert (len(items), items[1], items[4], items[-1]) == (5, (1, "x"), (4, "xxxx"), (4, "xxxx"))
+    assert [n for n, _ in items] == [0, 1, 2, 3, 4]
+    assert [n for n, _ in items[1:4]] == [1, 2, 3]
+    with pytest.raises(IndexError):
+        items[5]
