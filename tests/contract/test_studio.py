@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,8 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.samples import picture
 from tests.studio_runs import frame_record, write_run
+from tests.unit.studio.test_results import REALISM
 
+from infrablend import api
+from infrablend.pipeline.request import Execution
 from infrablend.pipeline.review import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
@@ -136,7 +141,9 @@ def test_axe_finds_no_serious_issue(
     other = write_run(tmp_path / "other", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "ab"})
     data = write_tiny_hit_uav(tmp_path / "data")
     shown = {"/review": ".frame-cell", "/review?frame=1": "img.picture", "/losses": "h2", "/tune": ".tune-form h2"}
-    shown["/compare"] = ".wipe img"
+    shown |= {"/compare": ".wipe img", "/results": ".result-plots img"}
+    picture(run / "realism/car_random.png", 1)
+    (run / "realism/realism.json").write_text(json.dumps(REALISM))
     found = []
     with (
         studio(tmp_path, "--run", run, "--data", data, "--compare", other) as (_, address),
@@ -146,11 +153,33 @@ def test_axe_finds_no_serious_issue(
         for path, selector in shown.items():
             page.goto(address.partition("/?")[0] + path)
             page.locator(selector).first.wait_for()
-            page.evaluate(AXE.read_text("utf-8"))
-            for issue in page.evaluate("async () => (await axe.run()).violations"):
-                if issue["impact"] in ("serious", "critical"):
-                    found.append((path, issue["id"], issue["nodes"][0]["html"][:200]))
+            found += [(path, *issue) for issue in serious_issues(page)]
     assert found == []
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_no_serious_issue_in_the_report_of_a_run(
+    chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    if not AXE.is_file():
+        pytest.skip("NEEDS AXE: `make tools` with npm fetches axe-core; accessibility is not tested without it")
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone", data, run, limit=2, execution=flat)
+    report = run / "report.html"
+    with browser_page(chromium, color_scheme=theme) as (page, asked, errors):
+        page.goto(report.as_uri())
+        page.locator("h1").first.wait_for()
+        assert serious_issues(page) == []
+    assert all(a.startswith(("file:", "data:")) for a in asked)
+    assert errors == []
+
+
+def serious_issues(page: Any) -> list[tuple[str, str]]:
+    """Return what axe finds in a page: rule, and the first element."""
+    page.evaluate(AXE.read_text("utf-8"))
+    found = page.evaluate("async () => (await axe.run()).violations")
+    return [(i["id"], i["nodes"][0]["html"][:200]) for i in found if i["impact"] in ("serious", "critical")]
 
 
 def test_a_wrong_field_is_marked_and_the_last_picture_stays(

@@ -47,6 +47,10 @@ def studio(
             help="Second run to compare with that of --run, or second recipe to compare with RECIPE on --data.",
         ),
     ] = None,
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Folder of a further report on the run, such as an evaluation; repeatable."),
+    ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port [default: any free one].")] = 0,
     no_open: Annotated[bool, typer.Option("--no-open", help="Only print the address; open no browser.")] = False,
     host: Annotated[str, typer.Option(help="Address to listen on; only this machine can connect by default.")] = (
@@ -70,7 +74,7 @@ def studio(
     from infrablend.pipeline.request import Execution
     from infrablend.studio.server import Address, StudioRequest, serve
 
-    request = StudioRequest(recipe, data, run, compare, seed, reading, Execution(1, device.value))
+    request = StudioRequest(recipe, data, run, compare, tuple(results or ()), seed, reading, Execution(1, device.value))
 
     def ready(address: str) -> None:
         typer.echo(address)

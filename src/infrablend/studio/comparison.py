@@ -203,7 +203,7 @@ class RunComparison:
         """
         run = self._sides[side]
         row = run.row(number)
-        shown = run.originals.of(row.image) if originals else ()
+        shown = run.labels.originals(row.image) if originals else ()
         return frame_picture(run.layout, row, boxes=boxes, originals=shown)
 
 

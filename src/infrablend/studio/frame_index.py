@@ -13,6 +13,7 @@ from infrablend.core.dataset import finite
 from infrablend.core.file_names import leaves
 from infrablend.core.files import read_regular
 from infrablend.core.run_layout import RunLayout
+from infrablend.studio.disagreement import Disagreement
 
 SORTS: Mapping[str, str] = {
     "id": "Name",
@@ -24,9 +25,11 @@ SORTS: Mapping[str, str] = {
     "inserted": "Number of inserts",
     "removed": "Removed labels",
     "warnings": "Warnings",
+    "disagreement": "Detector disagrees",
 }
 """Columns to sort by, with their names in the page."""
 
+NONE: Mapping[str, Disagreement] = {}
 UNREADABLE = "record cannot be read"
 
 
@@ -169,17 +172,24 @@ class View:
         """Whether the ids of the frames and the verdicts decide what is shown."""
         return self.sort == "id" and not (self.category or self.time_of_day or self.warned or self.limits)
 
-    def apply(self, rows: Sequence[FrameRow], verdicts: Mapping[str, str]) -> list[int]:
+    def apply(
+        self, rows: Sequence[FrameRow], verdicts: Mapping[str, str], disagreement: Mapping[str, Disagreement] = NONE
+    ) -> list[int]:
         """Return the numbers of the rows to show, in order.
 
         Args:
             rows: All rows.
             verdicts: `accept` or `reject` by frame id.
+            disagreement: Disagreement of a detector by image.
         """
+
         found = [n for n, row in enumerate(rows) if self._shows(row, verdicts.get(row.id, "open"))]
         if self.sort == "id":
             return found[::-1] if self.descending else found
-        known = [(v, n) for n in found if (v := self._value(rows[n], self.sort)) is not None]
+        if self.sort == "disagreement":
+            known = [(float(d.total), n) for n in found if (d := disagreement.get(rows[n].image)) is not None]
+        else:
+            known = [(v, n) for n in found if (v := self._value(rows[n], self.sort)) is not None]
         known.sort(key=lambda pair: (-pair[0] if self.descending else pair[0], pair[1]))
         # Frames without the value come last in either order.
         listed = {n for _, n in known}
@@ -204,7 +214,7 @@ class View:
 
     @staticmethod
     def _value(row: FrameRow, name: str) -> float | None:
-        value = getattr(row, name)
+        value = getattr(row, name, None)
         if isinstance(value, tuple):
             return float(len(value))
         return None if value is None or isinstance(value, str) else float(value)

@@ -6,19 +6,22 @@ import fcntl
 import logging
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.finished import require_finished
 from infrablend.core.run_layout import SCENES
-from infrablend.errors import DatasetError, OutputError
+from infrablend.errors import DatasetError, InfraBlendError, OutputError
+from infrablend.evaluation.comparison import RECORD
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.review import REVIEW_FILE
+from infrablend.studio.disagreement import Disagreement, read_disagreement
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.original_labels import OriginalLabels
 from infrablend.studio.pictures import Thumbnails
+from infrablend.studio.results import result_folders
 from infrablend.studio.row_reading import RowReading
+from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.verdicts import Review
 
 log = logging.getLogger(__name__)
@@ -31,7 +34,7 @@ class RunFrames:
         layout: Paths of the run.
         record: Record of the run.
         thumbnails: Small pictures of its frames.
-        originals: Original labels of its frames.
+        labels: Labels of its frames.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -84,7 +87,7 @@ class RunFrames:
 
     def _begin(self) -> None:
         self._stamp = self._stamp_now()
-        self.originals = OriginalLabels(self.layout)
+        self.labels = RunLabels(self.layout)
         self._reading = RowReading(self.layout, self.thumbnails.folder / "rows.json")
 
     def _stamp_now(self) -> int:
@@ -99,10 +102,16 @@ class OpenedRun(RunFrames):
 
     Attributes:
         review: Verdicts on its frames.
+        evaluation: Folder of an evaluation of the run; None if there is none.
+        disagreement: Disagreement of its detector by image; empty until it is read.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, results: Sequence[Path] = ()) -> None:
         """Check and lock the run, and begin to read its frames.
+
+        Args:
+            folder: Folder of the run.
+            results: Further folders of reports on it.
 
         Raises:
             DatasetError: The run is being written, or has no frames.
@@ -111,6 +120,19 @@ class OpenedRun(RunFrames):
         super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
         self._lock = self._locked()
+        found = [path for path in result_folders(folder, results) if (path / RECORD).is_file()]
+        self.evaluation: Path | None = found[0] if found else None
+        self.disagreement: Mapping[str, Disagreement] = {}
+        if self.evaluation is not None:
+            threading.Thread(target=self._read_disagreement, name="studio-evaluation", daemon=True).start()
+
+    def _read_disagreement(self) -> None:
+        assert self.evaluation is not None
+        try:
+            images = [row.image for row in self.rows if row.image]
+            self.disagreement = read_disagreement(self.evaluation, self.labels, images)
+        except InfraBlendError as error:
+            log.warning("%s", error)
 
     def close(self) -> None:
         """Release the run."""

@@ -22,7 +22,7 @@ from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.preview import INSERTED, decode_picture, draw_labels, to_rgb
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.original_labels import OriginalLabel
+from infrablend.studio.run_labels import RunLabel
 
 THUMBNAIL_PX = 208
 """Width of thumbnails, twice that of the smallest cell."""
@@ -108,7 +108,7 @@ def to_png(rgb: Rgb) -> bytes:
     return bytes(cv2.imencode(".png", rgb[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
-def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool, originals: Sequence[OriginalLabel] = ()) -> bytes:
+def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool, originals: Sequence[RunLabel] = ()) -> bytes:
     """Return the PNG of a frame, with the boxes and masks of its inserts if `boxes` is set.
 
     Args:
@@ -124,7 +124,7 @@ def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool, originals: S
     return to_png(draw_labels(rgb, inserted_labels(layout, row)) if boxes else rgb)
 
 
-def with_originals(rgb: Rgb, originals: Sequence[OriginalLabel]) -> Rgb:
+def with_originals(rgb: Rgb, originals: Sequence[RunLabel]) -> Rgb:
     """Return a picture with dashed boxes of original objects."""
     if not originals:
         return rgb

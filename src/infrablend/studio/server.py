@@ -53,6 +53,7 @@ class StudioRequest:
         data: Folder of the background dataset.
         run: Folder of a run to review.
         compare: Folder of a second run, or a second recipe, to compare with.
+        results: Further folders of reports on the run.
         seed: Seed of the frames to tune.
         reading: How to read `data`.
         execution: Device and renderer.
@@ -62,6 +63,7 @@ class StudioRequest:
     data: Path | None = None
     run: Path | None = None
     compare: str | None = None
+    results: tuple[Path, ...] = ()
     seed: int = 0
     reading: Reading = READ_ALL
     execution: Execution = ONE_WORKER

@@ -40,7 +40,7 @@ class Session:
                 "tune a recipe on"
             )
         self.request = request
-        self.run = None if request.run is None else OpenedRun(request.run)
+        self.run = None if request.run is None else OpenedRun(request.run, request.results)
         self.tuning: Tuning | None = None
         if request.data is not None:
             recipe = request.recipe or FIRST_RECIPE

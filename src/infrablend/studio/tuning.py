@@ -25,8 +25,8 @@ from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.pipeline.trial import Trial, TrialRequest, Trials, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
-from infrablend.studio.original_labels import Box, OriginalLabel
 from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
+from infrablend.studio.run_labels import Box, RunLabel
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
@@ -64,7 +64,7 @@ class Tuned:
         rgb = to_rgb(frame.pixels)
         if originals:
             kept = [i for i in frame.labels if not i.inserted]
-            rgb = with_originals(rgb, [OriginalLabel(i.category, _corners(i)) for i in kept])
+            rgb = with_originals(rgb, [RunLabel(i.category, _corners(i)) for i in kept])
         return draw_labels(rgb, frame.inserted, ("boxes",)) if inserts else rgb
 
     def crop(self, number: int) -> Rgb:

@@ -12,7 +12,7 @@ from infrablend.errors import ArgumentError, DatasetError
 from infrablend.studio.comparison import FramePair, PairView, RunComparison, pair_rows
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.opened_run import RunFrames
-from infrablend.studio.original_labels import OriginalLabels
+from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.server import StudioRequest
 from infrablend.studio.session import Session
 from tests.studio_runs import frame_record, write_run
@@ -94,10 +94,10 @@ def test_original_labels_come_from_the_tables_of_the_run(runs: tuple[Path, Path]
     table = runs[0] / "images/test/metadata.jsonl"
     lines = [json.dumps({"file_name": "a_c0.png", "objects": objects}), "{", '{"file_name": "b_c0.png"}']
     table.write_text("\n".join(lines))
-    found = OriginalLabels(RunFrames(runs[0]).layout)
-    assert [(o.category, o.box_xyxy) for o in found.of("test/a_c0.png")] == [("Car", (1, 2, 4, 6))]
+    found = RunLabels(RunFrames(runs[0]).layout)
+    assert [(o.category, o.box_xyxy) for o in found.originals("test/a_c0.png")] == [("Car", (1, 2, 4, 6))]
     assert found.of("test/b_c0.png") == ()
     (tmp_path / "outside.jsonl").write_text(table.read_text())
     table.unlink()
     table.symlink_to(tmp_path / "outside.jsonl")
-    assert OriginalLabels(RunFrames(runs[0]).layout).of("test/a_c0.png") == (), "a link out of the run is not followed"
+    assert RunLabels(RunFrames(runs[0]).layout).of("test/a_c0.png") == (), "a link out of the run is not followed"

@@ -6,7 +6,7 @@ from nicegui import app, ui
 from starlette.requests import Request
 from starlette.responses import RedirectResponse
 
-from infrablend.studio.pages import compare, layout, losses, review, run_routes, tune
+from infrablend.studio.pages import compare, layout, losses, results, review, run_routes, tune
 from infrablend.studio.session import Session
 
 
@@ -31,6 +31,15 @@ def add_pages(session: Session) -> None:
         def losses_page(request: Request) -> None:
             with layout.page_frame(session, request, "/losses", "Lost labels"):
                 losses.build(run)
+
+        further = session.request.results
+        results.add_routes(run.layout.root, further)
+
+        @ui.page("/results")
+        def results_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/results", "Results"):
+                data = run.record.get("data")
+                results.build(run.layout.root, str(data["root"]) if isinstance(data, dict) else "DATA", further)
 
     tuning = session.tuning
     if tuning is not None:

@@ -28,7 +28,7 @@ def pages_of(session: Session) -> dict[str, str]:
     """Return the names of the pages that have something to show, by path."""
     found: dict[str, str] = {}
     if session.run is not None:
-        found |= {"/review": "Review", "/losses": "Lost labels"}
+        found |= {"/review": "Review", "/losses": "Lost labels", "/results": "Results"}
     if session.tuning is not None:
         found["/tune"] = "Tune"
     if session.comparison is not None:

@@ -52,6 +52,7 @@ class ReviewPage:
         self._order: list[int] = []
         self._number: int | None = None
         self._boxes = True
+        self._originals = False
         self._advance = True
 
     def build(self, frame: str = "") -> None:
@@ -75,7 +76,8 @@ class ReviewPage:
         rows, view = self._run.rows, self._view
         classes = sorted({name for row in rows for name in row.classes})
         with ui.element("div").classes("studio-row"):
-            self._select("Sort by", SORTS, view.sort, "sort")
+            sorts = {k: v for k, v in SORTS.items() if k != "disagreement" or self._run.evaluation is not None}
+            self._select("Sort by", sorts, view.sort, "sort")
             ui.switch("Largest first", value=view.descending, on_change=lambda e: self._change(descending=e.value))
             options = {"": "Any class", **{name: name for name in classes}, "none": "No inserts"}
             self._select("Class", options, view.category, "category")
@@ -117,7 +119,7 @@ class ReviewPage:
     def _count_frames(self) -> None:
         review, reading = self._run.review, self._run.reading
         rows = reading.wait() if reading.is_complete else [FrameRow(frame_id) for frame_id in reading.ids]
-        self._order = self._view.apply(rows, review.words)
+        self._order = self._view.apply(rows, review.words, self._run.disagreement)
         counts = review.counts()
         self._counted.set_text(
             f"{len(self._order)} of {len(rows)} frames shown; {counts['accept']} accepted, {counts['reject']} rejected"
@@ -145,6 +147,8 @@ class ReviewPage:
             self._button("Next", lambda: self._step(1), "\u2192")
             ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
             ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
+            shown = ui.switch("Original objects", value=self._originals)
+            shown.on_value_change(lambda e: self._draw_originals(e.value)).tooltip("O")
             ui.switch("Next after a verdict", value=self._advance, on_change=lambda e: self._set_advance(e.value))
         with ui.element("div").classes("frame-view"):
             with ui.element("div"):
@@ -179,6 +183,7 @@ class ReviewPage:
         own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
 
     def _build_facts(self, row: FrameRow) -> None:
+        seen = self._run.disagreement.get(row.image)
         facts = {
             "Name": row.id,
             "Inserts": ", ".join(row.classes) + (f" ({row.inserted})" if row.inserted else "none"),
@@ -189,6 +194,7 @@ class ReviewPage:
             "Height": _with_unit(row.altitude_m, "m"),
             "Time": row.time_of_day,
             "Lost labels": str(len(row.removed)) if row.removed else None,
+            "Detector": None if seen is None else f"{seen.missed} missed, {seen.false} false",
         }
         ui.html("<h3>Frame</h3>", sanitize=False)
         with ui.element("dl").classes("facts"):
@@ -216,7 +222,9 @@ class ReviewPage:
             ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
 
     def _picture_address(self, number: int, row: FrameRow) -> str:
-        return f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}"
+        return (
+            f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}&originals={int(self._originals)}"
+        )
 
     def _set_picture(self, number: int, row: FrameRow) -> None:
         self._picture.props["src"] = self._picture_address(number, row)
@@ -226,6 +234,10 @@ class ReviewPage:
         self._boxes = on
         if self._number is not None:
             self._set_picture(self._number, self._run.row(self._number))
+
+    def _draw_originals(self, on: bool) -> None:
+        self._originals = on
+        self._draw_boxes(self._boxes)
 
     def _set_advance(self, on: bool) -> None:
         self._advance = on
@@ -288,6 +300,7 @@ class ReviewPage:
             "r": lambda: self._decide(Verdict("reject")),
             "u": self._undo,
             "b": lambda: self._draw_boxes(not self._boxes),
+            "o": lambda: self._draw_originals(not self._originals),
             "ArrowRight": lambda: self._step(1),
             "ArrowLeft": lambda: self._step(-1),
             "Escape": self._back,

@@ -30,7 +30,7 @@ def add_routes(run: OpenedRun) -> None:
                 found = [FrameRow(frame_id) for frame_id in reading.ids]
             else:
                 found, complete = reading.wait(), True
-            chosen = view.apply(found, verdicts)
+            chosen = view.apply(found, verdicts, run.disagreement)
             listed = [(n, found[n].id, found[n].digest[:12], verdicts.get(found[n].id, "")) for n in chosen]
             return json.dumps({"rows": listed, "complete": complete}).encode()
 
@@ -56,7 +56,7 @@ def run_picture(run: RunFrames, number: int, boxes: bool, originals: bool) -> by
         DatasetError: There is no such frame, or it cannot be read.
     """
     row = run.row(number)
-    return frame_picture(run.layout, row, boxes=boxes, originals=run.originals.of(row.image) if originals else ())
+    return frame_picture(run.layout, row, boxes=boxes, originals=run.labels.originals(row.image) if originals else ())
 
 
 def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]) -> Response:

@@ -1,4 +1,4 @@
-"""Boxes of the original objects in a run's frames, from the tables that the run wrote beside its pictures."""
+"""Labels of a run's frames, original and inserted, from the tables that the run wrote beside its pictures."""
 
 from __future__ import annotations
 
@@ -16,36 +16,44 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class OriginalLabel:
-    """A kept label of a background.
+class RunLabel:
+    """A label of a frame.
 
     Attributes:
         category: Class.
         box_xyxy: Box, pixels.
+        inserted: Whether the object was inserted.
+        ignore: Whether it is a region to ignore.
     """
 
     category: str
     box_xyxy: Box
+    inserted: bool = False
+    ignore: bool = False
 
 
-class OriginalLabels:
-    """The kept original labels of all frames of a run, read when they are first asked for."""
+class RunLabels:
+    """The labels of all frames of a run, read when they are first asked for."""
 
     def __init__(self, layout: RunLayout) -> None:
         """Read nothing yet."""
         self._layout = layout
         self._lock = threading.Lock()
-        self._found: dict[str, tuple[OriginalLabel, ...]] | None = None
+        self._found: dict[str, tuple[RunLabel, ...]] | None = None
 
-    def of(self, image: str) -> tuple[OriginalLabel, ...]:
+    def of(self, image: str) -> tuple[RunLabel, ...]:
         """Return the labels of an image, a path below `images/`."""
         with self._lock:
             if self._found is None:
                 self._found = dict(_from_tables(self._layout)) or dict(_from_coco(self._layout))
         return self._found.get(image, ())
 
+    def originals(self, image: str) -> tuple[RunLabel, ...]:
+        """Return the labels of original objects in an image."""
+        return tuple(label for label in self.of(image) if not label.inserted)
 
-def _from_tables(layout: RunLayout) -> Iterator[tuple[str, tuple[OriginalLabel, ...]]]:
+
+def _from_tables(layout: RunLayout) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
     for split, name in zip(SPLITS, PICTURE_TABLES, strict=True):
         try:
             lines = read_regular(layout.root / name, layout.root).splitlines()
@@ -55,29 +63,30 @@ def _from_tables(layout: RunLayout) -> Iterator[tuple[str, tuple[OriginalLabel, 
             try:
                 row = json.loads(line)
                 objects = row["objects"]
-                columns = zip(objects["bbox"], objects["category"], objects["inserted"], strict=True)
-                yield f"{split}/{row['file_name']}", tuple(_label(b, c) for b, c, inserted in columns if not inserted)
+                inserted = objects["inserted"]
+                ignore = objects.get("ignore", [False] * len(inserted))
+                columns = zip(objects["bbox"], objects["category"], inserted, ignore, strict=True)
+                yield f"{split}/{row['file_name']}", tuple(_label(*values) for values in columns)
             except (ValueError, LookupError, TypeError):
                 continue
 
 
-def _from_coco(layout: RunLayout) -> Iterator[tuple[str, tuple[OriginalLabel, ...]]]:
+def _from_coco(layout: RunLayout) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
     """Yield the labels of runs that have no tables, which older versions did not write."""
     for split in SPLITS:
         try:
             content = json.loads(read_regular(layout.coco_file(split), layout.root))
             names = {c["id"]: str(c["name"]) for c in content["categories"]}
             files = {i["id"]: f"{split}/{i['file_name']}" for i in content["images"]}
-            found: dict[str, list[OriginalLabel]] = {}
+            found: dict[str, list[RunLabel]] = {}
             for label in content["annotations"]:
-                if not label.get("inserted"):
-                    one = _label(label["bbox"], names[label["category_id"]])
-                    found.setdefault(files[label["image_id"]], []).append(one)
+                one = _label(label["bbox"], names[label["category_id"]], label.get("inserted"), label.get("iscrowd"))
+                found.setdefault(files[label["image_id"]], []).append(one)
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             continue
         yield from ((image, tuple(labels)) for image, labels in found.items())
 
 
-def _label(bbox: Any, category: Any) -> OriginalLabel:
+def _label(bbox: Any, category: Any, inserted: Any, ignore: Any) -> RunLabel:
     x, y, w, h = (float(v) for v in finite(bbox))
-    return OriginalLabel(str(category), (x, y, x + w, y + h))
+    return RunLabel(str(category), (x, y, x + w, y + h), bool(inserted), bool(ignore))
