@@ -60,6 +60,7 @@ def main(arguments: list[str]) -> int:
     if unknown:
         parser.error(f"--only {','.join(unknown)}: there are {', '.join(ATTACKS)}")
     with tempfile.TemporaryDirectory(prefix="attack-") as folder:
+        os.environ["YOLO_CONFIG_DIR"] = folder  # Ultralytics writes its settings when it is imported
         _warm_up(Path(folder))
         tally = Tally()
         for other in _side_by_side(names, given.attempts, given.seed, given.jobs, Path(folder)):
@@ -81,7 +82,7 @@ def _warm_up(folder: Path) -> None:
         lab = new_lab(folder / "warm", scenario.prepare)
         fork_command(scenario.words(lab), lab, lab / "out", flat=scenario.flat)
         for name in imported_modules(lab):
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(Exception), contextlib.redirect_stdout(sys.stderr):
                 importlib.import_module(name)
     shutil.rmtree(folder / "warm")
     gc.freeze()  # forked processes share the memory
