@@ -129,9 +129,13 @@ def _small_disk(reference: Reference, number: int, choose: random.Random) -> lis
 
 
 def _folder_removed(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
-    out = reference.lab / "out"
     folders = ["", *sorted({k.partition("/")[0] for k in reference.files if "/" in k})]
-    folder, at = choose.choice(folders), choose.randrange(max(1, reference.writes))
+    return remove_folder(reference, choose.choice(folders), choose.randrange(max(1, reference.writes)), number)
+
+
+def remove_folder(reference: Reference, folder: str, at: int, number: int = 0) -> list[Finding]:
+    """Remove a folder of the output, or all of it, before a write of the command."""
+    out = reference.lab / "out"
     judge = Judge("folder removed", f"{reference.scenario.name}: {folder or 'all'} at write {at}", reference)
     shutil.rmtree(out, ignore_errors=True)
     ended = _call(reference, Disturbance(at, _removing(out / folder)))

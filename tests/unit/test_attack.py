@@ -60,6 +60,24 @@ def test_surroundings_do_no_harm(attack: surroundings.Attack, tmp_path: Path) ->
     assert attack.once(reference, 1, random.Random(0)) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("convert", "Annotations"),
+        ("split", "images"),
+        ("evaluate", "plots"),
+        ("generate", "images"),
+        ("merge", "coco"),
+        ("fetch --archive", ""),
+    ],
+)
+def test_a_folder_that_is_removed_before_the_last_writes_is_missed(name: str, folder: str, tmp_path: Path) -> None:
+    reference = kills.make_reference(small(name), tmp_path)
+    assert any(f.startswith(folder) for f in reference.files)
+    found = [f for at in range(1, 5) for f in surroundings.remove_folder(reference, folder, reference.writes - at)]
+    assert found == []
+
+
 def test_reads_and_writes_outside_are_noticed(tmp_path: Path) -> None:
     make_outside(tmp_path / "canary")
     data = SAMPLES["folder:plain"](tmp_path / "in")

@@ -216,14 +216,17 @@ def fetch(
             order.work.rmdir()
             if new:
                 out.rmdir()
+    if done:  # after the last change, because a folder may be removed at any moment
+        placed = [place for *_, places in done for place in places]
+        require_still_there([out / SOURCE_FILE, *placed], "delete the folder and repeat the command")
     return FetchReport(
         out,
         name,
         tuple(a.part for a in todo),
         tuple(a.part for a in wanted if a not in todo),
-        sum(d["files"] for d, _ in done),
-        sum(d["unpacked_bytes"] for d, _ in done),
-        tuple(p for _, problems in done for p in problems),
+        sum(facts["files"] for facts, *_ in done),
+        sum(facts["unpacked_bytes"] for facts, *_ in done),
+        tuple(p for _, problems, _ in done for p in problems),
     )
 
 
@@ -278,8 +281,8 @@ def _record(path: Path) -> dict[str, Any]:
     return data
 
 
-def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem]]:
-    """Fetch, check, unpack and place one archive; return its facts and the warnings."""
+def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem], list[Path]]:
+    """Fetch, check, unpack and place one archive; return its facts, the warnings and what was placed."""
     ready = _ready(order, a)
     stage = order.work / f"{a.part}.unpacked"
     try:
@@ -329,8 +332,7 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
         packed.replace(order.out / a.file)
     ready.unlink(missing_ok=True)
     _sweep(order, a)
-    require_still_there([order.out / SOURCE_FILE, *places], "delete the folder and repeat the command")
-    return facts, problems
+    return facts, problems, places
 
 
 def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:

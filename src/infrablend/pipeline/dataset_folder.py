@@ -76,10 +76,11 @@ class DatasetFolder:
         require_still_there(self._manifest.missing(), "repeat the command with --overwrite")
         head = {"infrablend": __version__, **header, **rest}
         self._write_record({**head, "status": COMPLETE, "written": self._manifest.to_json()})
+        self._manifest.delete()
+        # After the last change, because a folder may be removed at any moment.
         require_still_there(
             [*self._manifest.missing(), self.root / self._record], "repeat the command with --overwrite"
         )
-        self._manifest.delete()
 
     def problems(self) -> list[Problem]:
         """Return a warning per file in the folder that this call did not write."""

@@ -62,12 +62,12 @@ class EvaluationFolder:
         self._manifest.forget_missing()
         with self._manifest.recording():
             yield
-        try:
+        self._manifest.forget_missing()
+        try:  # after the last write: a folder may be removed at any moment
             require_still_there(self._manifest.missing(), "repeat the command with --overwrite")
         except OutputError:
             self._remove_record()
             raise
-        self._manifest.forget_missing()
 
     def _remove_record(self) -> None:
         """Remove the record, which marks the evaluation as complete, before anything else."""

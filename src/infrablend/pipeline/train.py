@@ -13,7 +13,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.files import write_json
+from infrablend.core.files import require_still_there, write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
@@ -123,6 +123,7 @@ def train_dataset(
         record = run_trainer(out, record, preset, task, device, request.seed, on_progress)
         manifest.read()  # the training process has added its weights
         remove_working_files(out, manifest)
+        require_still_there([out / RECORD, out / WEIGHTS], "repeat the command with --resume")
         return TrainReport(out, out / WEIGHTS, record)
 
 

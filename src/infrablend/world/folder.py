@@ -71,8 +71,8 @@ class WorldFolder:
         """
         require_still_there(self._manifest.missing())
         self._write_record({**facts, "status": COMPLETE})
-        require_still_there(self._manifest.missing())
         self._manifest.delete()
+        require_still_there([*self._manifest.missing(), self.root / WORLD_FILE])  # after the last change
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
         write_json(self.root / WORLD_FILE, {"infrablend": __version__, **facts})
