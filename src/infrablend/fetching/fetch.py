@@ -21,6 +21,7 @@ from infrablend.core.arguments import require_names
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, require_still_there, sha256_of, write_json
 from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
+from infrablend.core.json_records import is_list
 from infrablend.core.output import OutputFolder
 from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import RetryPolicy, download, require_url
@@ -427,8 +428,8 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
             continue
         for key, wanted in lists.items():
             value = data.get(key) if isinstance(data, Mapping) else None
-            found_text = f"{len(value)} items in {key!r}" if isinstance(value, list) else f"no list {key!r}"
-            if not isinstance(value, list) or len(value) != wanted:
+            found_text = f"{len(value)} items in {key!r}" if is_list(value) else f"no list {key!r}"
+            if not is_list(value) or len(value) != wanted:
                 problems.append(Problem(name, "content-json", found_text, str(wanted)))
     if problems and a.checked and not order.own_file:
         raise DatasetError(f"{a.file}: does not contain the known files of {order.source.name}", problems)

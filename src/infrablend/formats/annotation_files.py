@@ -13,14 +13,25 @@ from typing import Any
 from defusedxml import ElementTree
 
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.files import open_regular
+from infrablend.core.json_records import (
+    MAX_DEPTH,
+    MAX_RECORD,
+    NOT_JSON,
+    TOO_LARGE,
+    JsonList,
+    JsonTable,
+    depth,
+    open_json,
+    open_rows,
+    too_deep,
+)
 from infrablend.errors import DatasetError, Problem
 
 # Larger files are refused unread: parsed, they would take about thirty times the memory.
-MAX_JSON_BYTES = 200_000_000
 MAX_TEXT_BYTES = 50_000_000
-# An empty list takes three bytes of text and sixty of memory; COCO's largest file has about four million lists.
-MAX_JSON_LISTS = 10_000_000
-MAX_JSON_DEPTH = 64
+WHOLE_JSON = MAX_RECORD
+"""Bytes of the largest JSON file that is parsed as a whole, which is a little faster."""
 _understood: ContextVar[set[Path] | None] = ContextVar("understood", default=None)
 
 
@@ -41,7 +52,7 @@ def _note(path: Path) -> None:
         files.add(path)
 
 
-def _refusal_to_open(path: Path, where: str, expected: str, limit: int) -> Problem | None:
+def _refusal_to_open(path: Path, where: str, expected: str, limit: int | None) -> Problem | None:
     """Return why a file must not be opened: a link out of its folder, not a regular file, or too large."""
     if leaves_folder(path):
         found, todo = f"{path.name!r} is a link out of its folder", "copy the file, or link the whole folder instead"
@@ -49,61 +60,99 @@ def _refusal_to_open(path: Path, where: str, expected: str, limit: int) -> Probl
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         return Problem(where, "annotation-unreadable", "not a regular file", expected, "replace or remove it")
-    if status.st_size <= limit:
+    if limit is None or status.st_size <= limit:
         return None
     found, most = f"{status.st_size / 1e6:.0f} MB of text", f"at most {limit / 1e6:.0f} MB"
     return Problem(where, "annotation-too-large", found, most, "split it into several files")
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, *, rows: bool = False) -> Any:
     """Return the JSON value in a UTF-8 file (a byte order mark is accepted).
 
+    Files of more than `WHOLE_JSON` bytes are checked, but not kept in memory: lists and objects one level below the top
+    are then `JsonList` and `JsonTable`, and so is a list at the top.
+
+    Args:
+        path: The file.
+        rows: Whether the members of an object at the top are the records: it is then a `JsonTable`, too.
+
     Raises:
-        DatasetError: The file is missing, unreadable, not JSON, a link out of its folder, or exceeds `MAX_JSON_BYTES`,
-            `MAX_JSON_LISTS` or `MAX_JSON_DEPTH`.
+        DatasetError: The file is missing, unreadable, not JSON, a link out of its folder, nested more than `MAX_DEPTH`
+            levels, or a record takes more than `MAX_RECORD` characters.
     """
-    problem = None
+    expected, todo = "a JSON file", "fetch the file again or leave it out"
     try:
-        problem = _refusal_to_open(path, path.name, "a JSON file", MAX_JSON_BYTES)
-        data = path.read_bytes() if problem is None else b""
-        lists = data.count(b"[") + data.count(b"{")
-        if lists > MAX_JSON_LISTS:
-            found, expected = f"{lists} lists and objects", f"at most {MAX_JSON_LISTS}"
-            problem = Problem(path.name, "annotation-too-large", found, expected, "split it into several files")
+        problem = _refusal_to_open(path, path.name, expected, None)
         if problem is None:
-            value = json.loads(data.decode("utf-8-sig"))
-            if lists <= MAX_JSON_DEPTH or _depth(value) <= MAX_JSON_DEPTH:
-                _note(path)
-                return value
-            problem = _nested(path)
+            value = _whole(path) if path.stat().st_size <= WHOLE_JSON else (open_rows if rows else open_json)(path)
+            _note(path)
+            return value
     except OSError as error:
-        found = error.strerror or str(error)
-        problem = Problem(path.name, "annotation-missing", found, "a JSON file", "fetch the file again or leave it out")
-    except RecursionError:
-        problem = _nested(path)
+        problem = Problem(path.name, "annotation-missing", error.strerror or str(error), expected, todo)
     except ValueError as error:
-        found = f"not JSON ({error or type(error).__name__})"
-        problem = Problem(
-            path.name, "annotation-not-json", found, "a JSON file", "fetch the file again or leave it out"
-        )
+        if isinstance(error, DatasetError):
+            raise
+        problem = Problem(path.name, NOT_JSON, f"not JSON ({error or type(error).__name__})", expected, todo)
     raise DatasetError(f"{path}: {problem.found}", [problem])
 
 
-def _nested(path: Path) -> Problem:
-    found = "lists and objects nested too deeply"
-    return Problem(path.name, "annotation-not-json", found, f"at most {MAX_JSON_DEPTH} levels", "fetch the file again")
+def too_long(where: str, name: str, value: object) -> Problem | None:
+    """Return the warning about a part of a JSON file that can only be kept in memory, and is too long for it."""
+    if not isinstance(value, JsonList | JsonTable):
+        return None
+    found = f"{name!r} of {len(value)} entries, left out"
+    return Problem(where, TOO_LARGE, found, f"at most {MAX_RECORD / 1e6:g} MB", "shorten it", "warning")
 
 
-def _depth(value: Any) -> int:
-    """Return the nesting depth of lists and objects, counted up to one level more than allowed."""
-    level, depth = [value], 0
-    while level and depth <= MAX_JSON_DEPTH:
-        inner: list[Any] = []
-        for v in level:
-            inside = v.values() if type(v) is dict else v if type(v) is list else ()
-            inner += [w for w in inside if type(w) in (dict, list)]
-        level, depth = inner, depth + 1
-    return depth
+def _whole(path: Path) -> Any:
+    """Return the value of a small file."""
+    with open_regular(path) as stream:
+        data = stream.read(WHOLE_JSON + 1)
+    if len(data) > WHOLE_JSON:
+        raise ValueError("grew while it was read")
+    try:
+        value = json.loads(data.decode("utf-8-sig"))
+    except RecursionError:
+        raise too_deep(path) from None
+    if data.count(b"[") + data.count(b"{") > MAX_DEPTH < depth(value):
+        raise too_deep(path)
+    return value
+
+
+def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -> Iterator[tuple[int, str]]:
+    """Yield the number and text of each UTF-8 line that is not blank, one in memory at a time (JSON Lines).
+
+    Args:
+        path: The file.
+        where: Name of the file in problems.
+        expected: What a line is, in problems.
+        problems: List to which the problems of the file and of lines that are left out are appended.
+    """
+    try:
+        if problem := _refusal_to_open(path, where, expected, None):
+            problems.append(problem)
+            return
+        with open_regular(path) as stream:
+            number = 0
+            while line := stream.readline(MAX_RECORD + 1):
+                number += 1
+                here, todo = f"{where}: line {number}", "correct the line"
+                if len(line) > MAX_RECORD:
+                    found, most = f"more than {MAX_RECORD / 1e6:g} MB", f"at most {MAX_RECORD / 1e6:g} MB a line"
+                    problems.append(Problem(here, TOO_LARGE, found, most, todo))
+                    while line and not line.endswith(b"\n"):
+                        line = stream.readline(MAX_RECORD)
+                    continue
+                try:
+                    text = line.decode("utf-8-sig" if number == 1 else "utf-8").strip()
+                except UnicodeDecodeError as error:
+                    problems.append(Problem(here, NOT_JSON, f"not UTF-8 ({error.reason})", expected, todo))
+                    continue
+                if text:
+                    yield number, text
+    except OSError as error:
+        found = f"cannot be read ({error.strerror or error})"
+        problems.append(Problem(where, "annotation-unreadable", found, expected, "replace or remove it"))
 
 
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:

@@ -15,11 +15,13 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
 from infrablend.formats.annotation_files import read_json
@@ -177,7 +179,7 @@ def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[I
         return []
     boxes = top.get("gt_rect") if isinstance(top, dict) else None
     exist = top.get("exist") if isinstance(top, dict) else None
-    if not isinstance(boxes, list) or not (exist is None or isinstance(exist, list)):
+    if not is_list(boxes) or not (exist is None or is_list(exist)):
         expected = "gt_rect, a list of boxes, and exist, a list of flags"
         state.problems.append(Problem(where, "annotation-layout", "no list of boxes", expected, "fetch the file again"))
         return []
@@ -193,7 +195,11 @@ def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[I
         state.problems.append(Problem(where, "annotation-length", found, "a label per frame", severity="warning"))
     records: list[ImageRecord] = []
     size_wh: tuple[int, int] | None = None
-    for number, path in frames.items():
+    flags = repeat(None) if exist is None else exist
+    for number, (box, flag) in enumerate(zip(boxes, flags, strict=False)):
+        if number not in frames:
+            continue
+        path = frames[number]
         here = f"{where}: frame {number}"
         if sequence.video is None or size_wh is None:
             size_wh, problem = read_size(path, here)
@@ -201,7 +207,7 @@ def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[I
         if size_wh is None:
             continue
         state.counts["frames"] += 1
-        instances = _instance(state, boxes[number], None if exist is None else exist[number], size_wh, here)
+        instances = _instance(state, box, flag, size_wh, here)
         extra: dict[str, Any] = {"frame": number} | ({"modality": "visible"} if sequence.kind == "rgb" else {})
         date = _DATE.match(sequence.name)
         name = f"{sequence.name}/{sequence.kind}/{path.name}"

@@ -22,6 +22,7 @@ from typing import Any
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.json_records import is_table
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import bambi_tracks
 from infrablend.formats.annotation_files import read_json
@@ -167,7 +168,7 @@ def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None
         return
     frames = top.get("frames") if isinstance(top, dict) else None
     split = next((s for s in SPLITS if isinstance(top, dict) and s == top.get("split")), None)
-    if not isinstance(frames, dict) or split is None:
+    if not is_table(frames) or split is None:
         found = "no frames" if split is not None else "no split train, val or test"
         expected = "flight_key, split (train, val or test) and frames by number"
         state.problems.append(Problem(path.name, "annotation-layout", found, expected, "fetch the file again"))

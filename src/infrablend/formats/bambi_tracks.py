@@ -21,6 +21,7 @@ from typing import Any
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_tilt
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
 from infrablend.formats.annotation_files import read_json, read_text
@@ -307,7 +308,7 @@ def _poses(found: Flights, path: Path | None) -> dict[int, Pose]:
         found.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
         return {}
     images = top.get("images") if isinstance(top, dict) else None
-    if not isinstance(images, list):
+    if not is_list(images):
         expected = "a list of images with pitch and timestamp"
         found.problems.append(Problem(where, "annotation-layout", "no list of images", expected, "fetch it again"))
         return {}

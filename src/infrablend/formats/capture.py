@@ -15,6 +15,7 @@ from typing import Any
 
 from infrablend.core.camera_angles import roll_of_gimbal
 from infrablend.core.dataset import TimeOfDay
+from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, read_text
 from infrablend.formats.csv_text import comma_of, delimiter_of
@@ -252,10 +253,10 @@ def _records(
 
 
 def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    value = read_json(path)
-    if isinstance(value, dict):
+    value = read_json(path, rows=True)
+    if is_table(value):
         value = [{"file": k, **v} for k, v in sorted(value.items()) if isinstance(v, dict)]
-    if not isinstance(value, list):
+    if not is_list(value):
         return []
     return [(f"record {i}", r) for i, r in enumerate(value) if isinstance(r, dict)]
 

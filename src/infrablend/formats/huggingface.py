@@ -28,7 +28,7 @@ from infrablend.core.files import finite, link_or_copy, write_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
+from infrablend.formats.annotation_files import read_lines
 from infrablend.formats.base import (
     Match,
     category_ids,
@@ -316,12 +316,10 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
         if split not in wanted:
             continue
         where = path.relative_to(root).as_posix()
-        text, problem = read_text(path, where, "a line of JSON per picture")
-        state.problems += [problem] if problem else []
         folder = PictureFolder.scan(path.parent)
         seen: set[str] = set()
-        for n, line in enumerate(text.splitlines(), 1):
-            record = _read_line(line, f"{where}: line {n}", split, folder, state) if line.strip() else None
+        for n, line in read_lines(path, where, "a line of JSON per picture", state.problems):
+            record = _read_line(line, f"{where}: line {n}", split, folder, state)
             if record is None:
                 continue
             if record.name in seen:

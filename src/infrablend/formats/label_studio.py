@@ -26,6 +26,7 @@ from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import link_or_copy, open_regular, write_chunks, write_text
+from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
@@ -246,7 +247,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         except DatasetError as error:
             problems += error.problems
             continue
-        for n, task in enumerate(tasks if isinstance(tasks, list) else ()):
+        for n, task in enumerate(tasks if is_list(tasks) else ()):
             record = _read_task(task, f"{path.name}: task {n}", split_of_stem(path.stem), folder, problems)
             if record is not None and record.split in wanted:
                 records.setdefault(record.path, record)

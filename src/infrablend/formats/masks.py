@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split, TimeOfDay
 from infrablend.core.files import link_or_copy, write_bytes, write_json
+from infrablend.core.json_records import is_list
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json
@@ -198,7 +199,7 @@ def _read_categories(root: Path) -> tuple[Category, ...]:
     rows = top.get("categories") if isinstance(top, dict) else None
     problems: list[Problem] = []
     categories: list[Category] = []
-    for n, row in enumerate(rows if isinstance(rows, list) else ()):
+    for n, row in enumerate(rows if is_list(rows) else ()):
         number = to_int(row.get("id")) if isinstance(row, dict) else None
         name = row.get("name") if isinstance(row, dict) else None
         if number is None or not isinstance(name, str) or any(c.id == number or c.name == name for c in categories):
@@ -207,7 +208,7 @@ def _read_categories(root: Path) -> tuple[Category, ...]:
             continue
         ignore = row.get("ignore") is True or is_ignored_name(name)
         categories.append(Category(number, name, str(row.get("supercategory") or ""), ignore))
-    if problems or not isinstance(rows, list):
+    if problems or not is_list(rows):
         problems = problems or [Problem(CATEGORIES_FILE, "annotation-layout", "no list `categories`", "one")]
         raise DatasetError(f"{path}: no list of categories", problems)
     return tuple(categories)
@@ -224,7 +225,7 @@ def _read_table(
         return None
     rows = top.get("objects") if isinstance(top, dict) else None
     size_wh = to_size(top.get("width"), top.get("height")) if isinstance(top, dict) else None
-    if not isinstance(rows, list) or size_wh is None:
+    if not is_list(rows) or size_wh is None:
         found, expected = "no list `objects`, or no width and height", "a table of masks"
         problems.append(Problem(where, "annotation-layout", found, expected, "leave it out"))
         return None

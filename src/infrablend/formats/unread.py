@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
@@ -85,5 +86,5 @@ def _is_annotation(path: Path, name: str) -> bool:
         return bool(read_xml(path, name)[0].tag == "annotation")
     if path.suffix.lower() == ".json":
         top = read_json(path)
-        return isinstance(top, dict) and isinstance(top.get("annotations", top.get("annotation")), list)
+        return isinstance(top, dict) and is_list(top.get("annotations", top.get("annotation")))
     return False

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend.core.dataset import SPLITS, Category
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError
 from infrablend.formats.annotation_files import read_json, read_xml
 from infrablend.formats.base import Match
@@ -58,14 +59,15 @@ def _own_form(folder: Path) -> Form | None:
             top = read_json(path)
         except DatasetError:
             continue
-        if not isinstance(top, dict) or not isinstance(top.get("images"), list):
+        if not isinstance(top, dict) or not is_list(top.get("images")):
             continue
-        images = top["images"]
-        if images and not (isinstance(images[0], dict) and "filename" in images[0]):
+        image = next(iter(top["images"]), None)
+        if image is not None and not (isinstance(image, dict) and "filename" in image):
             continue
-        if isinstance(top.get("annotation"), list):
+        if is_list(top.get("annotation")):
             return "normal_json"
-        first = next(iter(top.get("annotations") or []), None)
+        objects = top.get("annotations")
+        first = next(iter(objects), None) if is_list(objects) else None
         bbox = first.get("bbox") if isinstance(first, dict) else None
         if "scenarios" in top or (isinstance(bbox, list) and len(bbox) == 5):
             return "rotate_json"

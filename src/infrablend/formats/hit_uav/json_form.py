@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from infrablend.core.dataset import Category, Split
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json
+from infrablend.formats.annotation_files import read_json, too_long
 from infrablend.formats.base import is_ignored_name
 from infrablend.formats.capture import Capture
 from infrablend.formats.hit_uav.forms import Form
@@ -34,21 +35,25 @@ def read_json_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]
             continue
         key = "annotation" if form == "normal_json" else "annotations"
         lists = {k: top.get(k) if isinstance(top, dict) else None for k in ("images", key, "categories")}
-        bad = [k for k, v in lists.items() if not isinstance(v, list)]
+        bad = [k for k, v in lists.items() if not is_list(v)]
         if bad:
             data.add(
                 where, "annotation-layout", f"no list {', '.join(map(repr, bad))}", "HIT-UAV's keys", "use its files"
             )
             continue
         data.files_read += 1
-        data.extra.update({k: v for k, v in top.items() if k not in lists})
+        for name, value in top.items():
+            if name not in lists and (problem := too_long(where, name, value)):
+                data.problems.append(problem)
+            elif name not in lists:
+                data.extra[name] = value
         names = _read_categories(data, lists["categories"] or [], where)
         pictures = _read_json_images(data, lists["images"] or [], folder / split, split, where)
         _read_json_objects(data, lists[key] or [], pictures, names, where)
     return data
 
 
-def _read_categories(data: FormData, records: Sequence[Any], where: str) -> dict[int, str]:
+def _read_categories(data: FormData, records: Iterable[Any], where: str) -> dict[int, str]:
     names: dict[int, str] = {}
     for i, record in enumerate(records):
         number = to_int(record.get("id")) if isinstance(record, dict) else None
@@ -69,7 +74,7 @@ def _read_categories(data: FormData, records: Sequence[Any], where: str) -> dict
 
 
 def _read_json_images(
-    data: FormData, records: Sequence[Any], folder: Path, split: Split, where: str
+    data: FormData, records: Iterable[Any], folder: Path, split: Split, where: str
 ) -> dict[int, FormPicture]:
     """Return the pictures by image id; unusable ones are reported and left out."""
     listing = PictureFolder.scan(folder)
@@ -141,7 +146,7 @@ def _json_facts(data: FormData, record: Mapping[str, Any], where: str) -> tuple[
 
 
 def _read_json_objects(
-    data: FormData, records: Sequence[Any], pictures: Mapping[int, FormPicture], names: Mapping[int, str], where: str
+    data: FormData, records: Iterable[Any], pictures: Mapping[int, FormPicture], names: Mapping[int, str], where: str
 ) -> None:
     rotated = data.form == "rotate_json"
     seen: set[int] = set()

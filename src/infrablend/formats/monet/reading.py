@@ -12,7 +12,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
-from infrablend.formats.annotation_files import read_json
+from infrablend.formats.annotation_files import read_json, too_long
 from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.capture import Captures
 from infrablend.formats.monet.detection import NAME, find_files
@@ -97,7 +97,10 @@ def read(
         if isinstance(place, Problem):
             problems.append(place)
             continue
-        extra = {k: top[k] for k in ("info", "licenses") if k in top} | extra
+        kept = {k: top[k] for k in ("info", "licenses") if k in top}
+        large = {k: p for k, v in kept.items() if (p := too_long(where, k, v))}
+        problems += large.values()
+        extra = {k: v for k, v in kept.items() if k not in large} | extra
         notes["annotations"].append(where)
         notes["pictures"][where] = place[0] or "."
         frames += _read_file(dataset, top, where, place)
@@ -175,7 +178,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-    annotations = [a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped]
+    annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
     part = dict(top) | {"images": images, "annotations": annotations}
     captures = Captures(None, problems)
     records = coco.read_records(part, listing.folder, "train", where, dataset.categories, captures, problems)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import shorten
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
@@ -63,7 +64,7 @@ def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
     """Return, per image id, the objects of top-level lists other than annotations: telemetry beside the images."""
     joined: dict[int, dict[str, Any]] = defaultdict(dict)
     for name, entries in sorted(top.items()):
-        if name in ("images", "annotations", "categories", "licenses") or not isinstance(entries, list):
+        if name in ("images", "annotations", "categories", "licenses") or not is_list(entries):
             continue
         for entry in entries:
             number = to_int(entry.get("image_id")) if isinstance(entry, dict) else None
