@@ -146,7 +146,7 @@ def test_axe_finds_no_serious_issue(
     (run / "realism/realism.json").write_text(json.dumps(REALISM))
     found = []
     with (
-        studio(tmp_path, "--run", run, "--data", data, "--compare", other) as (_, address),
+        studio(tmp_path, "hit-uav-drone", "--run", run, "--data", data, "--compare", other) as (_, address),
         browser_page(chromium, color_scheme=theme) as (page, _, _),
     ):
         page.goto(address)
@@ -180,6 +180,27 @@ def serious_issues(page: Any) -> list[tuple[str, str]]:
     page.evaluate(AXE.read_text("utf-8"))
     found = page.evaluate("async () => (await axe.run()).violations")
     return [(i["id"], i["nodes"][0]["html"][:200]) for i in found if i["impact"] in ("serious", "critical")]
+
+
+def test_a_run_alone_can_be_tuned_or_says_what_is_missing(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone", data, run, limit=1, settings={"camera.distance_m": [3, 4]}, execution=flat)
+    for words in (None, "no such folder; expected the backgrounds of this run"):
+        with studio(tmp_path, "--run", run) as (_, address), browser_page(chromium) as (page, _, errors):
+            page.goto(address)
+            page.get_by_role("link", name="Tune").click()
+            if words is None:
+                page.locator("img.picture[src]").wait_for()
+                assert page.get_by_label("File", exact=True).input_value() == "run-tuned.yaml"
+                assert page.get_by_label("distance, m, to", exact=True).input_value() == "4"
+            else:
+                page.get_by_role("alert").get_by_text(words).wait_for()
+            assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+        if words is None:
+            data.rename(tmp_path / "moved")
 
 
 def test_a_wrong_field_is_marked_and_the_last_picture_stays(

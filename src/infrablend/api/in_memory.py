@@ -10,8 +10,8 @@ from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.in_memory import Frames, FramesRequest
-from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, Settings
-from infrablend.pipeline.trial import ONE_WORKER, Trial, TrialRequest, Trials
+from infrablend.pipeline.request import DEFAULT_EXECUTION, ONE_WORKER, Execution, Settings
+from infrablend.pipeline.trial import Trial, TrialRequest, Trials
 
 
 def frames(

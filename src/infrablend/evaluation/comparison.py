@@ -17,10 +17,9 @@ from infrablend.core.files import open_regular, read_regular, replace_atomically
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.evaluation.bootstrap import draw_images, paired
 from infrablend.evaluation.figures import Draws
+from infrablend.evaluation.files import MATCHES, RECORD
 from infrablend.evaluation.matching import ClassMatches
 from infrablend.evaluation.truth import match_classes
-
-RECORD, MATCHES = "evaluation.json", "matches.npz"
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,6 @@ from infrablend.evaluation.bootstrap import LEVEL
 from infrablend.evaluation.classes import evaluated_classes
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.comparison import (
-    MATCHES,
-    RECORD,
     Conditions,
     StoredMatches,
     paired_facts,
@@ -29,6 +27,7 @@ from infrablend.evaluation.comparison import (
 )
 from infrablend.evaluation.detections import Predictions, Task, write_predictions
 from infrablend.evaluation.figures import Case, Draws, figures
+from infrablend.evaluation.files import MATCHES, RECORD
 from infrablend.evaluation.first_detections import list_found
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten

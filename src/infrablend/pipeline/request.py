@@ -71,6 +71,7 @@ class Execution:
 
 
 DEFAULT_EXECUTION = Execution()
+ONE_WORKER = Execution(workers=1)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.in_memory import Frame, as_frame
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, make_plan
-from infrablend.pipeline.request import Execution, Settings
+from infrablend.pipeline.request import ONE_WORKER, Execution, Settings
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.report.preview import PreviewFrame, contact_sheet
 
@@ -40,8 +40,6 @@ _PICTURES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
 
 _State = tuple[str, int, int] | None
 """Path, time of change and size of a file; None if it does not exist."""
-
-ONE_WORKER = Execution(workers=1)
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,15 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from infrablend.core.dataset import ImageRecord
 from infrablend.studio.frame_index import FrameRow, row_of
 from infrablend.studio.opened_run import RunFrames
 from infrablend.studio.pictures import frame_picture, to_png
-from infrablend.studio.tuning import Tuned, Tuning
+
+if TYPE_CHECKING:
+    from infrablend.core.dataset import ImageRecord
+    from infrablend.studio.tuning import Tuned, Tuning
 
 MEASURES: Mapping[str, str] = {
     "inserted": "Number of inserts",

@@ -7,13 +7,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from infrablend.core.dataset import finite
 from infrablend.core.file_names import leaves
 from infrablend.core.files import read_regular
 from infrablend.core.run_layout import RunLayout
-from infrablend.studio.disagreement import Disagreement
+
+if TYPE_CHECKING:
+    from infrablend.studio.disagreement import Disagreement
 
 SORTS: Mapping[str, str] = {
     "id": "Name",

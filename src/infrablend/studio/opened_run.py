@@ -8,21 +8,22 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from infrablend.core.finished import require_finished
 from infrablend.core.run_layout import SCENES
 from infrablend.errors import DatasetError, InfraBlendError, OutputError
-from infrablend.evaluation.comparison import RECORD
+from infrablend.evaluation.files import RECORD
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.review import REVIEW_FILE
-from infrablend.studio.disagreement import Disagreement, read_disagreement
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.pictures import Thumbnails
-from infrablend.studio.results import result_folders
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.verdicts import Review
+
+if TYPE_CHECKING:
+    from infrablend.studio.disagreement import Disagreement
 
 log = logging.getLogger(__name__)
 
@@ -120,14 +121,15 @@ class OpenedRun(RunFrames):
         super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
         self._lock = self._locked()
-        found = [path for path in result_folders(folder, results) if (path / RECORD).is_file()]
-        self.evaluation: Path | None = found[0] if found else None
+        self.evaluation: Path | None = _evaluation_in([*_folders_in(folder), *results])
         self.disagreement: Mapping[str, Disagreement] = {}
         if self.evaluation is not None:
             threading.Thread(target=self._read_disagreement, name="studio-evaluation", daemon=True).start()
 
     def _read_disagreement(self) -> None:
         assert self.evaluation is not None
+        from infrablend.studio.disagreement import read_disagreement  # loads slowly, and few runs need it
+
         try:
             images = [row.image for row in self.rows if row.image]
             self.disagreement = read_disagreement(self.evaluation, self.labels, images)
@@ -153,3 +155,11 @@ class OpenedRun(RunFrames):
         except OSError as error:  # file systems without locks
             log.warning("%s: cannot be locked (%s); do not open it in two studios", folder, error)
         return handle
+
+
+def _folders_in(run: Path) -> list[Path]:
+    return [path for path in sorted(run.iterdir()) if path.is_dir() and not path.is_symlink()]
+
+
+def _evaluation_in(folders: Sequence[Path]) -> Path | None:
+    return next((folder for folder in folders if (folder / RECORD).is_file()), None)

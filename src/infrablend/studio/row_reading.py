@@ -12,6 +12,7 @@ import os
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ _VERSION = 1
 _FIELDS = tuple(f.name for f in fields(FrameRow))
 _PAUSE_EVERY = 50
 _PAUSE_S = 0.001
+# Reading takes a core for a second per 8,000 records; the first page comes first, unless it needs them.
+_FEW = 500
+_START_S = 1.5
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +55,7 @@ class RowReading:
         self._found = found
         self._rows: list[FrameRow | None] = [None] * len(found)
         self._count = 0
+        self._needed = threading.Event()
         self._read = threading.Event()
         threading.Thread(target=self._run, name="studio-rows", daemon=True).start()
 
@@ -64,8 +69,14 @@ class RowReading:
         """Whether all rows are read."""
         return self._read.is_set()
 
+    @cached_property
+    def names(self) -> list[FrameRow]:
+        """Rows with nothing but the ids, to show until the others are read."""
+        return [FrameRow(frame_id) for frame_id in self.ids]
+
     def wait(self) -> list[FrameRow]:
         """Return all rows, once they are read."""
+        self._needed.set()
         self._read.wait()
         return self._rows  # type: ignore[return-value]
 
@@ -86,17 +97,17 @@ class RowReading:
 
     def _read_all(self) -> None:
         known = _load(self._cache)
-        read = 0
-        for number, (frame_id, path, state) in enumerate(self._found):
-            row = _cached(known.get(frame_id), state)
-            if row is None:
-                row = read_row(self._layout, Path(path))
-                read += 1
-                if read % _PAUSE_EVERY == 0:
-                    self._read.wait(_PAUSE_S)  # requests of pages come first
-            self._rows[number] = row
-            self._count = number + 1
-        if read or len(known) != len(self._found):
+        self._rows = [_cached(known.get(frame_id), state) for frame_id, _, state in self._found]
+        missing = [number for number, row in enumerate(self._rows) if row is None]
+        self._count = len(self._found) - len(missing)
+        if len(missing) > _FEW:
+            self._needed.wait(_START_S)
+        for read, number in enumerate(missing, 1):
+            self._rows[number] = read_row(self._layout, Path(self._found[number][1]))
+            self._count += 1
+            if read % _PAUSE_EVERY == 0:
+                self._read.wait(_PAUSE_S)  # requests of pages come first
+        if missing or len(known) != len(self._found):
             self._save()
 
     def _save(self) -> None:

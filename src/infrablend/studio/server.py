@@ -14,8 +14,7 @@ from pathlib import Path
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import ArgumentError, MissingDependencyError
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.request import Execution
-from infrablend.pipeline.trial import ONE_WORKER
+from infrablend.pipeline.request import ONE_WORKER, Execution
 from infrablend.studio.guard import LOOPBACK, QUERY, Guard, is_loopback, new_token
 
 _CLOSE_S = 1

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.trial import TrialRequest
 from infrablend.studio.comparison import Comparison, RecipeComparison, RunComparison
 from infrablend.studio.opened_run import OpenedRun, RunFrames
-from infrablend.studio.tuning import Tuning
 
 if TYPE_CHECKING:
     from infrablend.studio.server import StudioRequest
-
-
-FIRST_RECIPE = "hit-uav-drone-physical"
-"""Recipe to tune where none is given."""
+    from infrablend.studio.tuning import Tuning
 
 
 class Session:
@@ -24,7 +20,6 @@ class Session:
 
     Attributes:
         run: The opened run; None if there is none.
-        tuning: Recipe and data to tune; None without data.
         comparison: Two runs or two recipes to compare; None if there is nothing to compare with.
     """
 
@@ -41,22 +36,33 @@ class Session:
             )
         self.request = request
         self.run = None if request.run is None else OpenedRun(request.run, request.results)
-        self.tuning: Tuning | None = None
-        if request.data is not None:
-            recipe = request.recipe or FIRST_RECIPE
-            self.tuning = Tuning(
-                TrialRequest(
-                    recipe, request.data, seed=request.seed, reading=request.reading, execution=request.execution
-                )
-            )
+        self._tuning: Tuning | None = None
+        self._opening = threading.Lock()
         self.comparison: Comparison | None = None
         self._second: RunFrames | None = None
-        if request.compare is not None:
-            try:
+        try:
+            if request.data is not None:
+                self.open_tuning()
+            if request.compare is not None:
                 self.comparison = self._compare(request.compare)
-            except BaseException:
-                self.close()
-                raise
+        except BaseException:
+            self.close()
+            raise
+
+    def open_tuning(self) -> Tuning:
+        """Return recipe and data to tune, opened when they are first asked for.
+
+        Raises:
+            InfraBlendError: The recipe or the data cannot be used.
+        """
+        with self._opening:
+            if self._tuning is None:
+                # Loaded here, since a run to review should not wait for it.
+                from infrablend.studio.tuning import Tuning
+                from infrablend.studio.tuning_request import tuning_request
+
+                self._tuning = Tuning(tuning_request(self.request, self.run))
+            return self._tuning
 
     def _compare(self, second: str) -> Comparison:
         folder = Path(second)
@@ -65,12 +71,12 @@ class Session:
                 raise ArgumentError(f"--compare {second}: the run of --run itself; expected another run")
             self._second = RunFrames(folder)
             return RunComparison(self.run, self._second)
-        if self.tuning is None:
+        if self._tuning is None:
             raise ArgumentError(
                 f"--compare {second}: no such folder; expected that of a second run. To compare recipes, give the "
                 "backgrounds with --data instead of --run"
             )
-        return RecipeComparison(self.tuning, second)
+        return RecipeComparison(self._tuning, second)
 
     @property
     def title(self) -> str:
@@ -86,7 +92,7 @@ class Session:
 
     def close(self) -> None:
         """Release the run, and end the renderer."""
-        if self.tuning is not None:
-            self.tuning.close()
+        if self._tuning is not None:
+            self._tuning.close()
         if self.run is not None:
             self.run.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import shlex
 import threading
@@ -10,8 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from ruamel.yaml import YAML
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import read_recipe
@@ -26,6 +23,7 @@ from infrablend.pipeline.trial import Trial, TrialRequest, Trials, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
+from infrablend.studio.recipe_text import to_yaml
 from infrablend.studio.run_labels import Box, RunLabel
 from infrablend.thermal.radiometry import ZERO_C_K
 
@@ -210,13 +208,7 @@ class Tuning:
         path = path.resolve()
         if path.exists() and path not in self._saved:
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
-        text = io.StringIO()
-        yaml = YAML(typ="safe", pure=True)
-        yaml.default_flow_style = None
-        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-        yaml.width = 120
-        yaml.dump(recipe.model_dump(mode="json", exclude_unset=True), text)
-        write_text(path, text.getvalue())
+        write_text(path, to_yaml(recipe))
         self._saved.add(path)
         words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
         return shlex.join(str(w) for w in words)

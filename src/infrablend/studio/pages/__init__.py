@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from nicegui import app, ui
+from nicegui import app, run, ui
 from starlette.requests import Request
-from starlette.responses import RedirectResponse
+from starlette.responses import RedirectResponse, Response
 
-from infrablend.studio.pages import compare, layout, losses, results, review, run_routes, tune
+from infrablend.errors import InfraBlendError
+from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.pages import compare, layout, losses, review, run_routes, tune_pictures
 from infrablend.studio.session import Session
 
 
@@ -18,37 +20,9 @@ def add_pages(session: Session) -> None:
     def first_page() -> RedirectResponse:
         return RedirectResponse(next(iter(layout.pages_of(session))))
 
-    run = session.run
-    if run is not None:
-        run_routes.add_routes(run)
-
-        @ui.page("/review")
-        def review_page(request: Request) -> None:
-            with layout.page_frame(session, request, "/review", "Review"):
-                review.build(run, dict(request.query_params))
-
-        @ui.page("/losses")
-        def losses_page(request: Request) -> None:
-            with layout.page_frame(session, request, "/losses", "Lost labels"):
-                losses.build(run)
-
-        further = session.request.results
-        results.add_routes(run.layout.root, further)
-
-        @ui.page("/results")
-        def results_page(request: Request) -> None:
-            with layout.page_frame(session, request, "/results", "Results"):
-                data = run.record.get("data")
-                results.build(run.layout.root, str(data["root"]) if isinstance(data, dict) else "DATA", further)
-
-    tuning = session.tuning
-    if tuning is not None:
-        pictures = tune.add_routes()
-
-        @ui.page("/tune")
-        def tune_page(request: Request) -> None:
-            with layout.page_frame(session, request, "/tune", "Tune"):
-                tune.TunePage(tuning, pictures).build()
+    if session.run is not None:
+        _add_run_pages(session, session.run)
+    _add_tune_page(session)
 
     comparison = session.comparison
     if comparison is not None:
@@ -58,3 +32,60 @@ def add_pages(session: Session) -> None:
         def compare_page(request: Request) -> None:
             with layout.page_frame(session, request, "/compare", "Compare"):
                 compare.ComparePage(comparison).build()
+
+
+def _add_run_pages(session: Session, opened: OpenedRun) -> None:
+    run_routes.add_routes(opened)
+
+    @ui.page("/review")
+    def review_page(request: Request) -> None:
+        with layout.page_frame(session, request, "/review", "Review"):
+            review.build(opened, dict(request.query_params))
+
+    @ui.page("/losses")
+    def losses_page(request: Request) -> None:
+        with layout.page_frame(session, request, "/losses", "Lost labels"):
+            losses.build(opened)
+
+    further = session.request.results
+
+    @app.get("/results/{report}/{number}")
+    def result_picture(report: int, number: int) -> Response:
+        from infrablend.studio.pages import results
+
+        return results.picture(opened.layout.root, further, report, number)
+
+    @ui.page("/results")
+    def results_page(request: Request) -> None:
+        from infrablend.studio.pages import results  # loads what the other pages do not need
+
+        with layout.page_frame(session, request, "/results", "Results"):
+            data = opened.record.get("data")
+            results.build(opened.layout.root, str(data["root"]) if isinstance(data, dict) else "DATA", further)
+
+
+def _add_tune_page(session: Session) -> None:
+    pictures = tune_pictures.add_routes()
+
+    @ui.page("/tune")
+    def tune_page(request: Request) -> None:
+        with layout.page_frame(session, request, "/tune", "Tune"):
+            place = ui.element("div")
+            with place:
+                ui.label("Reading the recipe and the backgrounds...").classes("faint").props("role=status")
+
+            async def fill() -> None:
+                try:
+                    tuning = await run.io_bound(session.open_tuning)
+                except InfraBlendError as error:
+                    place.clear()
+                    with place:
+                        layout.show_error(error)
+                    return
+                from infrablend.studio.pages import tune
+
+                place.clear()
+                with place:
+                    tune.TunePage(tuning, pictures).build()
+
+            ui.timer(0.01, fill, once=True)

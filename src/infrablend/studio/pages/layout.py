@@ -29,8 +29,7 @@ def pages_of(session: Session) -> dict[str, str]:
     found: dict[str, str] = {}
     if session.run is not None:
         found |= {"/review": "Review", "/losses": "Lost labels", "/results": "Results"}
-    if session.tuning is not None:
-        found["/tune"] = "Tune"
+    found["/tune"] = "Tune"
     if session.comparison is not None:
         found["/compare"] = "Compare"
     return found

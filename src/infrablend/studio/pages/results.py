@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from nicegui import app, ui
+from nicegui import ui
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError
@@ -15,16 +15,13 @@ from infrablend.studio.results import ResultReport, ResultTable, find_results
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
-def add_routes(run: Path, further: Sequence[Path]) -> None:
-    """Add the route of the pictures. They are named by number, so that no path comes from a request."""
-
-    @app.get("/results/{report}/{number}")
-    def picture(report: int, number: int) -> Response:
-        try:
-            data, suffix = find_results(run, further).picture(report, number)
-        except DatasetError as error:
-            return PlainTextResponse(error.message, 404)
-        return Response(data, media_type=_TYPES[suffix], headers=KEEP)
+def picture(run: Path, further: Sequence[Path], report: int, number: int) -> Response:
+    """Return a picture of a report. Both are named by number, so that no path comes from a request."""
+    try:
+        data, suffix = find_results(run, further).picture(report, number)
+    except DatasetError as error:
+        return PlainTextResponse(error.message, 404)
+    return Response(data, media_type=_TYPES[suffix], headers=KEEP)
 
 
 def build(run: Path, data: str, further: Sequence[Path]) -> None:

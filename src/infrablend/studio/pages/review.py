@@ -118,7 +118,7 @@ class ReviewPage:
 
     def _count_frames(self) -> None:
         review, reading = self._run.review, self._run.reading
-        rows = reading.wait() if reading.is_complete else [FrameRow(frame_id) for frame_id in reading.ids]
+        rows = reading.wait() if reading.is_complete else reading.names
         self._order = self._view.apply(rows, review.words, self._run.disagreement)
         counts = review.counts()
         self._counted.set_text(

@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.studio.frame_index import FrameRow, View
+from infrablend.studio.frame_index import View
 from infrablend.studio.opened_run import OpenedRun, RunFrames
 from infrablend.studio.pictures import crop_picture, frame_picture
 
@@ -27,7 +27,7 @@ def add_routes(run: OpenedRun) -> None:
             view = View.from_query(dict(request.query_params))
             complete = reading.is_complete
             if not complete and view.needs_names_only:
-                found = [FrameRow(frame_id) for frame_id in reading.ids]
+                found = reading.names
             else:
                 found, complete = reading.wait(), True
             chosen = view.apply(found, verdicts, run.disagreement)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections import OrderedDict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nicegui import app, run, ui
+from nicegui import run, ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
-from starlette.responses import PlainTextResponse, Response
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
@@ -19,6 +17,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
 from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
 from infrablend.studio.pages.layout import error_text
+from infrablend.studio.pages.tune_pictures import Pictures
 from infrablend.studio.pictures import Rgb, to_png
 from infrablend.studio.recipe_form import FormField, fitting, form_of
 from infrablend.studio.tuning import Tuned, Tuning
@@ -27,24 +26,6 @@ _KEPT = 48
 _MOST_CROPS = 3
 _SLIDER_SPAN = 400.0
 _OPEN = ("objects.0",)
-
-Pictures = OrderedDict[int, bytes]
-"""The last pictures, by number, until the browsers have fetched them."""
-
-
-def add_routes() -> Pictures:
-    """Add the route of the pictures; return where to put them."""
-    pictures: Pictures = OrderedDict()
-
-    @app.get("/tune/picture/{number}.png")
-    def picture(number: int) -> Response:
-        data = pictures.get(number)
-        if data is None:
-            return PlainTextResponse("a picture that has been replaced by a newer one", 404)
-        return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=3600"})
-
-    return pictures
-
 
 _numbers = itertools.count()
 
