@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.label_files import warning_codes
 from infrablend.pipeline.origin import recipe_yaml
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
 
 
@@ -140,12 +140,23 @@ def _frame_facts(record: FrameRecord) -> FrameFacts:
         altitude_m=background.get("altitude_m"),
         inserts=_insert_facts(record),
         removed=tuple(
-            RemovedLabel(str(r["category"]), str(r["reason"]), float(r["covered_share"]), bool(r.get("inserted")))
+            RemovedLabel(
+                str(r["category"]),
+                str(r["reason"]),
+                float(r["covered_share"]),
+                bool(r.get("inserted")),
+                _box(r["box_xyxy"]) if "box_xyxy" in r else None,
+            )
             for r in record.removed
         ),
         dropped=tuple(sorted(dropped)),
         warnings=frozenset(warning_codes(record)),
     )
+
+
+def _box(values: Sequence[Any]) -> Box:
+    x0, y0, x1, y1 = (float(v) for v in values)
+    return x0, y0, x1, y1
 
 
 def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import re
@@ -23,6 +24,7 @@ from infrablend.report.run import page
 from infrablend.report.run.charts import bin_edges
 from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
+from infrablend.report.run.removed import removed_crops
 from tests.command_line import done, run
 from tests.run_files import without_times
 from tests.samples import SAMPLES
@@ -146,13 +148,41 @@ def test_an_unfinished_run_is_refused_with_the_command_that_finishes_it(made: Pa
     assert "infrablend generate" in ended.output
 
 
+# -- removed labels
+
+
+def test_removed_labels_are_shown_beside_the_insert_over_them(tmp_path: Path) -> None:
+    drone = InsertFacts("drone", (0.0, 0.0, 20.0, 12.0))
+    far, near = InsertFacts("deer", (40.0, 30.0, 60.0, 44.0)), (5.0, 4.0, 8.0, 10.0)
+    labels = (
+        RemovedLabel("Person", "covered", 0.97, False, near),
+        RemovedLabel("Car", "category", 0.0, False, (30, 1, 35, 4)),
+    )
+    frame = FrameFacts("train/a", "images/a.png", (64, 48), frozenset("a"), None, None, None, (far, drone), labels)
+    seen = RemovedLabel("Person", "covered", 0.91, False, near)
+    other = dataclasses.replace(frame, frame_id="train/b", removed=(seen, RemovedLabel("Person", "covered", 0.9)))
+    found = removed_crops([frame, other], 8)
+    assert [(c.frame, c.label.covered_share, c.cover) for c in found["covered"]] == [(1, 0.91, drone), (0, 0.97, drone)]
+    assert found["covered"][0].window_xyxy == (0.0, 0.0, 20.0, 12.0)
+    assert found["category"][0].cover is None and found["category"][0].window_xyxy == (30, 1, 35, 4)
+    assert [c.frame for c in removed_crops([frame, other], 1)["covered"]] == [1]
+    wide = dataclasses.replace(other, inserts=(InsertFacts("drone", (0.0, 0.0, 400.0, 300.0)),))
+    assert removed_crops([wide], 1)["covered"][0].window_xyxy == (0.0, 0.0, 38.0, 40.0)
+    (tmp_path / "images").mkdir()
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(tmp_path / "images/a.png")
+    text = run_page(run_of(tmp_path, [frame, other]))
+    section = text[text.index('<section id="removed">') : text.index('<section id="dropped">')]
+    assert "Person 3 x 6 px, 91 % covered; over it: drone 20 x 12 px" in section
+    assert section.count('class="lost"') == section.count("data:image/") == 3
+
+
 # -- names from the data
 
 
 def frames_of(root: Path, count: int, name: str = "a") -> Iterator[FrameFacts]:
     for k in range(count):
         insert = InsertFacts(name, (4.0 + k % 40, 5.0, 20.0 + k % 40, 15.0 + k % 7), 10 + k, 5.0 + k, -3.0 + k % 9, 0.9)
-        removed = (RemovedLabel(name, "covered", 1.0),) if k % 3 == 0 else ()
+        removed = (RemovedLabel(name, "covered", 1.0, False, (6.0, 6.0, 9.0, 9.0)),) if k % 3 == 0 else ()
         yield FrameFacts(
             f"train/{name}{k}", f"images/{name}{k % 2}.png", (64, 48), frozenset({name}), "day", 30.0, None, (insert,),
             removed, (name,), frozenset({name}),

@@ -49,12 +49,14 @@ class RemovedLabel:
         reason: `covered`, `category` or `labels`, see `annotation.merge.Removal`.
         covered_share: Share of the object under inserted objects.
         inserted: True for the label of an inserted object.
+        box_xyxy: Its box, pixels; None if it is not recorded.
     """
 
     category: str
     reason: str
     covered_share: float
     inserted: bool = False
+    box_xyxy: Box | None = None
 
 
 @dataclass(frozen=True)

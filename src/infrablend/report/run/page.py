@@ -18,9 +18,10 @@ from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
 from infrablend.report.run.charts import Chart, Share, frame_histogram, histogram, position_map, shares
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RunFacts
+from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RunFacts
 from infrablend.report.run.filters import Filters
 from infrablend.report.run.pictures import Crop, crop, read_levels, thumbnail
+from infrablend.report.run.removed import RemovedCrop, removed_crops
 
 LISTED = 10_000
 EMBEDDED = 1000
@@ -62,8 +63,11 @@ def run_page(run: RunFacts) -> str:
         "time_rows": _time_rows(run.timing),
     }
     extremes = _extremes(frames)
-    listed = _listed(len(frames), {k for _, _, found in extremes for k, _ in found})
-    pictures = _pictures(run, listed, extremes)
+    taken = removed_crops(frames, CROPS)
+    boxes = [(k, i.box_xyxy) for _, _, found in extremes for k, i in found]
+    boxes += [(c.frame, c.window_xyxy) for found in taken.values() for c in found]
+    listed = _listed(len(frames), {k for k, _ in boxes})
+    pictures = _pictures(run, listed, boxes)
     members = filters.classes(len(frames))
     script = page_part("run_script.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
@@ -73,8 +77,12 @@ def run_page(run: RunFacts) -> str:
         objects=", ".join(f"{name} {n}" for name, n in run.counts.get("labels_inserted", {}).items()),
         excluded=list(run.excluded.items())[:SHOWN_FRAMES],
         extremes=[
-            (title, note, [_crop_entry(k, frames[k], i, pictures.crops.get((k, i))) for k, i in found])
+            (title, note, [_crop_entry(k, frames[k], i, pictures.crops.get((k, i.box_xyxy))) for k, i in found])
             for title, note, found in extremes
+        ],
+        removed_crops=[
+            (REASONS.get(reason, reason), [_removed_entry(frames[c.frame], c, pictures) for c in found])
+            for reason, found in taken.items()
         ],
         filters=filters.all,
         frames=[_frame_entry(k, frames[k], pictures.thumbnails.get(k), members[k]) for k in listed],
@@ -280,28 +288,27 @@ def _spread(count: int, wanted: int) -> list[int]:
 
 @dataclass(frozen=True)
 class _Pictures:
-    """Pictures inside the page, by frame and by frame and object."""
+    """Pictures inside the page, by frame and by frame and box."""
 
     thumbnails: Mapping[int, str]
-    crops: Mapping[tuple[int, InsertFacts], Crop]
+    crops: Mapping[tuple[int, Box], Crop]
 
 
-def _pictures(run: RunFacts, listed: Sequence[int], extremes: Sequence[Extreme]) -> _Pictures:
-    """Read each picture once, and keep small ones only."""
-    of_frame: dict[int, list[InsertFacts]] = {}
-    for _, _, found in extremes:
-        for k, i in found:
-            of_frame.setdefault(k, []).append(i)
+def _pictures(run: RunFacts, listed: Sequence[int], boxes: Sequence[tuple[int, Box]]) -> _Pictures:
+    """Read each picture once, and keep small ones only: `boxes` are the crops, (frame, box)."""
+    of_frame: dict[int, list[Box]] = {}
+    for k, box in boxes:
+        of_frame.setdefault(k, []).append(box)
     shown = {listed[n] for n in _spread(len(listed), EMBEDDED)}
     thumbnails: dict[int, str] = {}
-    crops: dict[tuple[int, InsertFacts], Crop] = {}
+    crops: dict[tuple[int, Box], Crop] = {}
     for k in sorted(shown | of_frame.keys()):
         pixels = read_levels(run.root / run.frames[k].image)
         if pixels is None:
             continue
         if k in shown:
             thumbnails[k] = thumbnail(pixels)
-        crops |= {(k, i): crop(pixels, i.box_xyxy) for i in of_frame.get(k, ())}
+        crops |= {(k, box): crop(pixels, box) for box in of_frame.get(k, ())}
     return _Pictures(thumbnails, crops)
 
 
@@ -310,8 +317,24 @@ def _crop_entry(number: int, frame: FrameFacts, insert: InsertFacts, picture: Cr
         "number": number,
         "frame_id": frame.frame_id,
         "picture": picture,
-        "box": _rectangle(insert),
+        "boxes": [("", _rectangle(insert.box_xyxy))],
         "text": describe_insert(insert),
+    }
+
+
+def _removed_entry(frame: FrameFacts, shown: RemovedCrop, pictures: _Pictures) -> dict[str, Any]:
+    boxes = [("lost", _rectangle(shown.box_xyxy))]
+    _, _, width, height = boxes[0][1]
+    text = f"{shown.label.category} {width:.0f} x {height:.0f} px, {100 * shown.label.covered_share:.0f} % covered"
+    if shown.cover is not None:
+        boxes.append(("", _rectangle(shown.cover.box_xyxy)))
+        text += f"; over it: {describe_insert(shown.cover)}"
+    return {
+        "number": shown.frame,
+        "frame_id": frame.frame_id,
+        "picture": pictures.crops.get((shown.frame, shown.window_xyxy)),
+        "boxes": boxes,
+        "text": text,
     }
 
 
@@ -333,7 +356,7 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
         "href": quote(frame.image, errors="replace"),
         "picture": picture,
         "size_wh": frame.size_wh,
-        "boxes": [_rectangle(i) for i in frame.inserts[:SHOWN_INSERTS]],
+        "boxes": [_rectangle(i.box_xyxy) for i in frame.inserts[:SHOWN_INSERTS]],
         "facts": ", ".join(facts),
         "inserts": [describe_insert(i) for i in frame.inserts[:SHOWN_INSERTS]],
         "more": max(0, len(frame.inserts) - SHOWN_INSERTS),
@@ -345,14 +368,14 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
     }
 
 
-def _rectangle(insert: InsertFacts) -> tuple[float, float, float, float]:
-    x0, y0, x1, y1 = insert.box_xyxy
+def _rectangle(box: Box) -> tuple[float, float, float, float]:
+    x0, y0, x1, y1 = box
     return round(x0, 1), round(y0, 1), round(x1 - x0, 1), round(y1 - y0, 1)
 
 
 def describe_insert(insert: InsertFacts) -> str:
     """Return class, size, range, contrast and visibility of an inserted object in words."""
-    _, _, width, height = _rectangle(insert)
+    _, _, width, height = _rectangle(insert.box_xyxy)
     parts = [f"{insert.category} {width:.0f} x {height:.0f} px"]
     if insert.range_m is not None:
         parts.append(f"{compact(round(insert.range_m, 1))} m away")
