@@ -1,6 +1,7 @@
 """Compare the CPU time of `generate` per frame between two commits, in turns: noise then hits both alike.
 
     python bench/interleaved.py OLD [NEW] [--renderer flat,blender] [--frames 40] [--pairs 5] [--recipe hit-uav-drone]
+                                [--set KEY=VALUE ...]
 
 NEW is the working tree by default. Each run is a process of its own on one core; its user and system time, with that of
 its children, is counted from its start to its end, so the frames bear the start of Python and Blender, too. Prints the
@@ -28,8 +29,8 @@ SIZE_WH = (640, 512)
 _RUN = """
 import sys
 from infrablend import api
-recipe, data, out, renderer = sys.argv[1:]
-settings = ["camera.pitch={fixed_deg: 60}", "output.formats=[coco, yolo, voc]"]
+recipe, data, out, renderer, *settings = sys.argv[1:]
+settings = ["camera.pitch={fixed_deg: 60}", "output.formats=[coco, yolo, voc]", *settings]
 flat = renderer == "flat"
 if hasattr(api, "Execution"):
     execution = api.Execution(workers=1, renderer=renderer, in_process=flat)
@@ -48,6 +49,7 @@ def main() -> int:
     parser.add_argument("--recipe", default="hit-uav-drone")
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--set", action="append", default=[], help="setting of both sides; repeatable")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="interleaved-") as name:
         folder = Path(name)
@@ -57,13 +59,16 @@ def main() -> int:
             seconds: dict[str, list[float]] = {"old": [], "new": []}
             for pair in range(given.pairs):
                 for side in ("old", "new") if pair % 2 == 0 else ("new", "old"):
-                    used = _measure(sources[side], folder, given.recipe, renderer)
+                    used = _measure(
+                        sources[side], folder, [given.recipe, folder / "data", folder / "out", renderer, *given.set]
+                    )
                     seconds[side].append(used / given.frames)
                     print(f"{renderer} {side}: {used:.2f} CPU s", file=sys.stderr, flush=True)
             ratios = [new / old for old, new in zip(seconds["old"], seconds["new"], strict=True)]
             facts = {
                 "renderer": renderer,
                 "recipe": given.recipe,
+                "settings": given.set,
                 "frames": given.frames,
                 "pairs": given.pairs,
                 "old_cpu_s_per_frame": round(statistics.median(seconds["old"]), 4),
@@ -95,16 +100,15 @@ def _write_pictures(folder: Path, count: int) -> None:
         Image.fromarray(pixels).save(folder / f"{n:04}.png")
 
 
-def _measure(sources: Path, folder: Path, recipe: str, renderer: str) -> float:
+def _measure(sources: Path, folder: Path, arguments: list[str | Path]) -> float:
     """Return the CPU seconds of one run and its children."""
-    out = folder / "out"
-    shutil.rmtree(out, ignore_errors=True)
+    shutil.rmtree(folder / "out", ignore_errors=True)
     environment = {
         **os.environ, "PYTHONPATH": str(sources), "OMP_NUM_THREADS": "1", "XDG_CACHE_HOME": str(folder / "cache"),
     }  # fmt: skip
     core = sorted(os.sched_getaffinity(0))[0]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = ["taskset", "-c", str(core), sys.executable, "-c", _RUN, recipe, folder / "data", out, renderer]
+    command = ["taskset", "-c", str(core), sys.executable, "-c", _RUN, *arguments]
     ended = subprocess.run(command, env=environment, capture_output=True, check=False)
     if ended.returncode:
         raise SystemExit(f"{sources}: {ended.stderr.decode(errors='replace')[-2000:]}")

@@ -98,6 +98,15 @@ class Manifest:
         found = ((path, self._content(self.root / path)) for path in self.paths if self.is_own(path))
         return {path: list(content) for path, content in found if content is not None}
 
+    def has_content(self, name: str) -> bool:
+        """Return whether size and digest of a file are known; otherwise it was only begun."""
+        return bool(self._contents.get(name))
+
+    def digest(self, name: str) -> str | None:
+        """Return the SHA-256 of a file as it is now; None if it is no regular file."""
+        content = self._content(self.root / name)
+        return None if content is None else content[1]
+
     def missing(self) -> list[Path]:
         """Return the files that this process wrote and that are no longer there, sorted."""
         return [self.root / name for name in sorted(self._written) if not (self.root / name).is_file()]

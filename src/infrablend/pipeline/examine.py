@@ -14,6 +14,7 @@ from infrablend.formats import detection, folder
 from infrablend.formats.annotation_files import noting_understood
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.unread import unread_label_files
+from infrablend.pipeline.written import changes_since_written
 from infrablend.report.checking import CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 from infrablend.report.picture_mark import CHARTS, software_of
@@ -55,6 +56,8 @@ def check_folder(
 ) -> CheckReport:
     """Return every problem of labels and pictures; a dataset that cannot be read at all gives a report with errors.
 
+    Files of finished output that were changed or removed since InfraBlend wrote them are problems, too.
+
     Raises:
         UnknownFormatError: No known format matches the folder.
         DatasetError: The folder does not exist, or the format does not support one of the options.
@@ -70,4 +73,7 @@ def check_folder(
         return unreadable(root, error)
     if dataset.format != folder.NAME:  # that reader reports them itself
         dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
+    changed = changes_since_written(root, digests=decode)
+    if changed:
+        dataset = replace(dataset, problems=(*dataset.problems, *changed))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

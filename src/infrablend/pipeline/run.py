@@ -188,6 +188,9 @@ def run_plan(
             place_frames(folder, manifest, {f.frame_id: _frame_files(plan, f) for f in plan.frames}, kept_out)
             plan = replace(plan, frames=tuple(f for f in plan.frames if f.frame_id not in kept_out))
             todo = _remaining(plan, folder, manifest, state)
+            if todo and previous.get("status") == "complete":
+                shown = ", ".join(f.frame_id for f in todo[:3])
+                log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), shown)
         for frame in todo:
             _make_way(plan, folder, manifest, frame)
         stack.enter_context(manifest.recording())
@@ -257,6 +260,7 @@ def run_plan(
             ) from error
         folder.write_run(record)
         if status == "complete":
+            manifest.forget_missing()  # e.g. labels of frames that are excluded now
             _require_whole(plan, folder, manifest, records.frames, {**record, "status": stopped})
         log.info("%s: %s", status, counts)
         for note in notes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,8 +23,11 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.label_files import warning_codes
 from infrablend.pipeline.origin import recipe_yaml
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record
+from infrablend.pipeline.written import changes_since_written
 from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
+
+log = logging.getLogger(__name__)
 
 
 def report_run(run: Path) -> Path:
@@ -39,7 +43,11 @@ def report_run(run: Path) -> Path:
     with folder.output.claimed():
         manifest = folder.manifest().read()
         with manifest.recording():
-            return write_report(folder, record, _frames(folder), read_choice(folder))
+            page = write_report(folder, record, _frames(folder), read_choice(folder))
+    changed = [p for p in changes_since_written(run, digests=False) if p.severity == "error"]
+    if changed:
+        log.warning("%d files were changed or removed since the run; infrablend check %s lists them", len(changed), run)
+    return page
 
 
 def _frames(folder: RunFolder) -> Iterable[FrameRecord]:

@@ -619,3 +619,62 @@ def test_run_of_backgrounds_that_are_links_is_finished_and_resumed(words: list[o
         link_out(picture, data / "store" / f"{number}.png")
     done(*words)
     done(*words, "--resume")
+
+
+# -- finished output that is edited
+
+
+@pytest.fixture
+def in_formats(words: list[object]) -> list[object]:
+    return [*words, "--to", "coco,yolo,voc"]
+
+
+@pytest.fixture
+def finished_run(in_formats: list[object], tmp_path: Path) -> Path:
+    done(*in_formats)
+    return tmp_path / "run"
+
+
+def _errors(root: Path) -> dict[str, list[str]]:
+    found = json.loads(run("check", root, "--json").stdout)
+    errors = [p for p in found["problems"] if p["severity"] == "error"]
+    return {code: sorted(p["where"] for p in errors if p["code"] == code) for code in {p["code"] for p in errors}}
+
+
+def test_check_finds_what_was_changed_in_a_run(finished_run: Path) -> None:
+    assert _errors(finished_run) == {}
+    pictures = sorted((finished_run / "images").rglob("*_c*.*"))
+    label = sorted((finished_run / "yolo" / "labels").rglob("*.txt"))[0]
+    label.write_text("".join(label.read_text().splitlines(keepends=True)[1:]))
+    edited = (finished_run / "coco" / "train.json").read_text().replace('"drone"', '"Drone!"')
+    (finished_run / "coco" / "train.json").write_text(edited)
+    swapped = pictures[0].read_bytes()
+    pictures[1].unlink()  # it is linked into the folders of the other formats
+    pictures[1].write_bytes(swapped)
+    sorted((finished_run / "voc" / "Annotations").glob("*.xml"))[0].unlink()
+    names = [p.relative_to(finished_run).as_posix() for p in (label, pictures[1])]
+    errors = _errors(finished_run)
+    assert errors["file-changed"] == sorted(["coco/train.json", *names])
+    assert len(errors["file-gone"]) == 1 and errors["file-gone"][0].startswith("voc/Annotations/")
+
+
+def test_check_of_a_run_is_clean_after_exclusions_and_a_resume(finished_run: Path, in_formats: list[object]) -> None:
+    scenes = finished_run / "scenes"
+    first = sorted(p.relative_to(scenes).with_suffix("").as_posix() for p in scenes.rglob("*.json"))[0]
+    done("exclude", finished_run, first)
+    assert _errors(finished_run) == {}
+    sorted((finished_run / "images").rglob("*_c*.*"))[0].unlink()
+    assert "removed since the run" in run("report", finished_run).output
+    assert "missing, damaged or failed" in done(*in_formats, "--resume").output
+    assert _errors(finished_run) == {}
+    done("include", finished_run, "--all")
+    assert _errors(finished_run) == {}
+
+
+def test_edits_of_a_conversion_are_warnings(converted: Path) -> None:
+    label = sorted((converted / "Annotations").glob("*.xml"))[0]
+    label.write_text(label.read_text() + "\n")
+    ended = done("check", converted)
+    assert "file-changed" in ended.output and label.name in ended.output
+    label.unlink()
+    assert "file-gone" in _errors(converted)

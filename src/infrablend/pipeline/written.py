@@ -1,0 +1,96 @@
+"""Compares finished output of InfraBlend with the sizes and digests that were recorded when it was written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.file_names import real_path
+from infrablend.core.files import read_object
+from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, is_finished
+from infrablend.core.manifest import REPLACED, Manifest
+from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
+from infrablend.errors import Problem, Severity
+from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.record import RecordError, load_record
+from infrablend.report.card import CARD_FILE
+
+CHANGED, GONE = "file-changed", "file-gone"
+_DATASETS = (CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE)
+# A dataset may be given by a folder inside the one with the record: `RUN/coco`, `RUN/images/train`.
+_LEVELS_UP = 2
+
+
+def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem]:
+    """Return a problem per file that was changed or removed since InfraBlend wrote it; none for other folders.
+
+    Args:
+        folder: Folder of a run, conversion, split or extraction, or a folder inside it; then only files of that folder,
+            and the pictures of the run, are compared.
+        digests: Whether to read the pictures of a run; otherwise only their existence is checked.
+    """
+    inside = real_path(folder)
+    for root in (inside, *inside.parents[:_LEVELS_UP]):
+        part = inside.relative_to(root).parts[:1]
+        wanted = {*part, IMAGES, SCENES} if part else None
+        if _finished(root / RUN_FILE) is not None:
+            return [p for p in _of_run(root, digests) if wanted is None or p.where.split("/")[0] in wanted]
+        for name in _DATASETS:
+            record = _finished(root / name)
+            if record is not None:
+                problems = _of_dataset(root, record.get("written"))
+                return [p for p in problems if wanted is None or p.where.split("/")[0] in wanted]
+    return []
+
+
+def _finished(file: Path) -> Mapping[str, Any] | None:
+    record = read_object(file) if file.is_file() else None
+    return record if record is not None and "infrablend" in record and is_finished(record) else None
+
+
+def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
+    folder = RunFolder(root)
+    manifest = folder.manifest().read()
+    todo = "repeat the command of the run with --resume: it restores the file and keeps a changed one in log/replaced"
+    framed = set()  # these files have records of their own
+    for path in folder.records():
+        name = path.relative_to(root).as_posix()
+        framed.add(name)
+        try:
+            record = load_record(path)
+        except RecordError as error:
+            yield Problem(name, CHANGED, str(error), "the record as the run wrote it", todo)
+            continue
+        image = f"{IMAGES}/{record.image}"
+        framed.add(image)
+        if not (root / image).is_file():
+            yield _gone(image, todo)
+        elif digests and manifest.digest(image) != record.image_sha256:
+            yield Problem(image, CHANGED, "changed after InfraBlend wrote it", "the picture of its labels", todo)
+    advice = f"{todo}. To edit labels, convert the run and edit the conversion"
+    yield from _differences(manifest, (n for n in manifest.paths if n not in framed), advice)
+
+
+def _of_dataset(root: Path, written: Any) -> Iterator[Problem]:
+    manifest = Manifest(root, root / ".files.jsonl", root / REPLACED).add_all(written)
+    todo = "nothing, if you edited it; --overwrite writes the dataset again and keeps the changed file in replaced"
+    yield from _differences(manifest, manifest.paths, todo, "warning")
+
+
+def _differences(
+    manifest: Manifest, names: Iterable[str], todo: str, severity: Severity = "error"
+) -> Iterator[Problem]:
+    for name in names:
+        if name == CARD_FILE or not manifest.has_content(name):
+            continue  # the last line of the card invites edits; a file without content was only begun
+        if not (manifest.root / name).exists():
+            yield _gone(name, todo)
+        elif not manifest.is_own(name):
+            # Texts for readers decide nothing; labels and pictures do.
+            level: Severity = severity if "/" in name else "warning"
+            yield Problem(name, CHANGED, "changed after InfraBlend wrote it", "the file as written", todo, level)
+
+
+def _gone(name: str, todo: str) -> Problem:
+    return Problem(name, GONE, "removed after InfraBlend wrote it", "the file as written", todo)
