@@ -91,6 +91,31 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
 
 
+def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
+    with studio(tmp_path, "--run", run) as (process, address), browser_page(chromium) as (page, _, _):
+        page.goto(address)
+        page.locator(".frame-cell img").first.wait_for()
+        (run / "images/test/b_c0.png").unlink()
+        (run / "scenes/test/c_c0.json").unlink()
+        base = address.partition("/?")[0]
+        for number, words in ((1, "test/b_c0.png: not a readable picture"), (2, "c_c0.json")):
+            page.goto(f"{base}/review?frame={number}")
+            page.get_by_role("alert").get_by_text(words).wait_for()
+            assert not page.locator("img.picture").is_visible()
+        second = subprocess.run(
+            [sys.executable, "-m", "infrablend", "studio", "--run", run, "--no-open"], capture_output=True, text=True
+        )
+        assert second.returncode == 2 and "open in another studio" in second.stderr
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("a")
+        page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
+        process.kill()
+        page.locator("#popup").get_by_text("Connection lost").wait_for()
+    assert read_verdicts(run / "review.json") == {"test/a_c0": Verdict("accept")}
+
+
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:
     fainter = frame_record("x")["inserted"][0] | {"extra": {"contrast_grey": -4.0}}
     first, second = (

@@ -15,7 +15,8 @@ from infrablend.errors import InfraBlendError
 from infrablend.pipeline.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import tell, when_read
+from infrablend.studio.pages.layout import error_text, tell, when_read
+from infrablend.studio.pages.run_routes import run_picture
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
@@ -154,6 +155,9 @@ class ReviewPage:
             with ui.element("div"):
                 self._picture = ui.element("img").classes("picture")
                 self._picture.props["alt"] = f"Frame {row.id}"
+                self._picture.on("error", lambda: self._explain(number))
+                self._problem = ui.label().classes("studio-error").props("role=alert")
+                self._problem.set_visibility(False)
                 self._set_picture(number, row)
             with ui.element("section").props('aria-label="Frame"').classes("studio-card"):
                 self._build_verdict(number, row)
@@ -226,7 +230,18 @@ class ReviewPage:
             f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}&originals={int(self._originals)}"
         )
 
+    def _explain(self, number: int) -> None:
+        """Show in words why the picture of a frame cannot be shown."""
+        try:
+            run_picture(self._run, number, self._boxes, self._originals)
+        except InfraBlendError as error:
+            self._problem.set_text(error_text(error))
+            self._problem.set_visibility(True)
+            self._picture.set_visibility(False)
+
     def _set_picture(self, number: int, row: FrameRow) -> None:
+        self._problem.set_visibility(False)
+        self._picture.set_visibility(True)
         self._picture.props["src"] = self._picture_address(number, row)
         self._picture.update()
 
