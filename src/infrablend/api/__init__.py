@@ -52,6 +52,8 @@ if TYPE_CHECKING:
         report,
         rerender,
         status,
+        submission_text,
+        submit,
     )
     from infrablend.api.shipped import (
         add_model,
@@ -91,6 +93,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.shard import ShardRequest
     from infrablend.pipeline.sharded_run import ShardState
     from infrablend.pipeline.split import SplitReport, SplitRule
+    from infrablend.pipeline.submission.request import Submission, Volume
     from infrablend.pipeline.train import TrainReport
     from infrablend.pipeline.training.plan import TrainPlan
     from infrablend.pipeline.trial import Trial
@@ -130,10 +133,12 @@ __all__ = [
     "SourceEntry",
     "SplitReport",
     "SplitRule",
+    "Submission",
     "TrainPlan",
     "TrainReport",
     "TrainRequest",
     "Trial",
+    "Volume",
     "WriteSettings",
     "add_model",
     "check",
@@ -174,6 +179,8 @@ __all__ = [
     "show_recipe",
     "split",
     "status",
+    "submission_text",
+    "submit",
     "survey_model",
     "train",
     "try_recipe",
@@ -192,7 +199,7 @@ _MODULES = {
     "api.in_memory": "frames try_recipe watch_recipe",
     "api.runs": (
         "PlanReport exclude generate generate_shard include merge plan preview preview_ground realism realism_page "
-        "report rerender status"
+        "report rerender status submission_text submit"
     ),
     "api.shipped": (
         "add_model describe_model diagnose list_models list_recipes show_model show_recipe survey_model "
@@ -218,6 +225,7 @@ _MODULES = {
     "pipeline.shard": "ShardRequest",
     "pipeline.sharded_run": "ShardState",
     "pipeline.split": "SplitReport SplitRule",
+    "pipeline.submission.request": "Submission Volume",
     "pipeline.train": "TrainReport",
     "pipeline.training.plan": "TrainPlan",
     "pipeline.trial": "Trial",

@@ -21,6 +21,9 @@ from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState
+from infrablend.pipeline.submission.request import Scheduler, Submission
+from infrablend.pipeline.submission.submit import submission_text as make_submission_text
+from infrablend.pipeline.submission.submit import submit_jobs
 
 if TYPE_CHECKING:
     from infrablend.pipeline.compare_objects import RealismReport, Time
@@ -101,9 +104,30 @@ def merge(
     )
 
 
-def status(out: str | Path) -> list[ShardState]:
-    """Return the state of every shard in a folder that `generate_shard` writes."""
-    return ShardedRun(Path(out)).states()
+def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
+    """Return the state of every shard in a folder that `generate_shard` writes.
+
+    Args:
+        out: The folder.
+        wait: Wait until every shard is done or failed; the folder may be missing until the first shard starts.
+    """
+    run = ShardedRun(Path(out))
+    return run.wait() if wait else run.states()
+
+
+def submission_text(job: Submission, to: Scheduler) -> str:
+    """Return the Bash script for SLURM, or the YAML manifest for Kubernetes, of a run in shards.
+
+    Args:
+        job: The run, and what its jobs need.
+        to: `slurm` or `kubernetes`.
+    """
+    return make_submission_text(job, to)
+
+
+def submit(job: Submission, to: Scheduler) -> str:
+    """Submit a run in shards with sbatch or kubectl; return what it says. Arguments as of `submission_text`."""
+    return submit_jobs(job, to)
 
 
 def plan(

@@ -33,6 +33,7 @@ from infrablend.cli import (
     split,
     status,
     studio,
+    submit,
     temperatures,
     train,
     try_recipe,
@@ -111,6 +112,7 @@ def build_app() -> typer.Typer:
     app.command("generate")(generate.generate)
     app.command("merge")(merge.merge)
     app.command("status")(status.status)
+    app.command("submit")(submit.submit)
     app.command("try")(try_recipe.try_recipe)
     app.command("convert")(convert.convert)
     app.command("preview")(preview.preview)

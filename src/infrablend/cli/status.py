@@ -19,6 +19,7 @@ _SHOWN = 20
 def status(
     ctx: typer.Context,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with shards of a run.")],
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until every shard is done or failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show which shards of a run are done, running, failed, stopped or missing; exit with 1 unless all are done."""
@@ -29,7 +30,7 @@ def status(
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, print_json, print_result, table
 
-    states = api.status(out)
+    states = api.status(out, wait=wait)
     counts = Counter(str(s.state) for s in states)
     if as_json:
         print_json({"out": str(out), "states": dict(counts), "shards": [s.to_json() for s in states]})

@@ -14,6 +14,7 @@ import json
 import logging
 import os
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -227,6 +228,19 @@ class ShardedRun:
         """
         shared = self.read_plan()
         return [self._state(Shard(n, shared.count), shared.frames) for n in range(1, shared.count + 1)]
+
+    def wait(self, interval_s: float = 30) -> list[ShardState]:
+        """Return the states once every shard is done or failed; the plan may be missing until the first one starts.
+
+        Raises:
+            OutputError: The plan is damaged.
+        """
+        while True:
+            if os.path.lexists(self.file):
+                states = self.states()
+                if all(s.state in ("done", "failed") for s in states):
+                    return states
+            time.sleep(interval_s)
 
     def _state(self, shard: Shard, frames: int) -> ShardState:
         folder, planned = self.shard_folder(shard), len(shard.part_of(range(frames)))
