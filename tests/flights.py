@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from infrablend.formats.rjpeg.segments import APP1
+from infrablend.formats.rjpeg.segments import APP1, read_header
 from infrablend.formats.rjpeg.writing import Maker, Shot, radiometric_jpeg, segment_bytes
 from infrablend.formats.rjpeg.xmp import STANDARD
 
 SIZE_WH = (160, 128)
+_EXIF = b"Exif\0\0"
 START = datetime(2026, 1, 12, 6, 30)
 
 
@@ -53,6 +54,21 @@ def plain_jpeg(path: Path, size_wh: tuple[int, int] = SIZE_WH, exif: dict[int, A
         tags[tag] = value
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.new("RGB", size_wh, (40, 90, 30)).save(path, "JPEG", exif=tags)
+    return path
+
+
+def with_exif_size(path: Path, size_wh: tuple[int, int]) -> Path:
+    """Write a picture size into the EXIF fields of a JPEG file, as if a program had cropped or scaled it since."""
+    header = read_header(path)
+    old = header.read(header.find(APP1, _EXIF))
+    assert old.startswith(_EXIF)
+    tags = Image.Exif()
+    tags.load(old)
+    tags.get_ifd(0x8769).update({0xA002: size_wh[0], 0xA003: size_wh[1]})
+    new = _EXIF + tags.tobytes().removeprefix(_EXIF)
+    data = path.read_bytes()
+    assert data.count(segment_bytes(APP1, old)) == 1
+    path.write_bytes(data.replace(segment_bytes(APP1, old), segment_bytes(APP1, new)))
     return path
 
 

@@ -38,6 +38,7 @@ _BREAK_S = 600.0
 _CLOCK_OFF_H = (-2, -1, 0, 1, 2)
 _DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
+_ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
 _ASKED = {
     "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'"),
     "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
@@ -60,15 +61,16 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     looked_at = {i.id: f for i in jpegs[::step][:_LOOKED_AT] if isinstance(f := _read(i), CameraFacts)}
     if not any(f.from_a_drone_camera for f in looked_at.values()):
         return dataset
-    problems: list[Problem] = []
+    faults: list[Problem] = []
     facts: dict[str, CameraFacts] = {}
     for image in jpegs:
         found = looked_at.get(image.id) or _read(image)
         if isinstance(found, CameraFacts):
             facts[_key(image)] = found
-            problems += found.problems
+            faults += found.problems
         else:
-            problems.append(found)
+            faults.append(found)
+    problems = _alike_together(faults)
     left_out = _left_out(dataset.images, facts)
     kept = [i for i in dataset.images if _key(i) not in left_out]
     if not kept:
@@ -146,6 +148,19 @@ def _left_out_warnings(dataset: Dataset, left_out: Mapping[str, str]) -> list[Pr
         _warning(dataset, "flight-left-out", f"{len(names)} picture(s) left out: {reason}; {_some(names)}", "")
         for reason, names in sorted(by_reason.items())
     ]
+
+
+def _alike_together(faults: Sequence[Problem]) -> list[Problem]:
+    """Return one problem for the same kind of fault in many pictures, so that a flight's do not hide the others."""
+    groups: dict[tuple[str, str, str, str], list[Problem]] = defaultdict(list)
+    for fault in faults:
+        # Numbers apart, which are those of one picture: a tag's names hold none.
+        groups[fault.code, _ANY_NUMBER.sub("", fault.found), fault.expected, fault.todo].append(fault)
+    together = []
+    for first, *others in groups.values():
+        more = f"; so in {len(others)} more: {_some([p.where for p in others])}" if others else ""
+        together.append(replace(first, found=first.found + more))
+    return together
 
 
 def _some(names: Sequence[str]) -> str:
@@ -275,10 +290,10 @@ def _camera(f: CameraFacts) -> str:
     return f"{f.camera or 'unknown'}, {f.size_wh[0]}x{f.size_wh[1]}" + ("" if fov is None else f", {fov:.1f} degrees")
 
 
-def _cameras(dataset: Dataset, known: Iterable[CameraFacts]) -> list[Problem]:
-    counts = Counter(_camera(f) for f in known)
-    if len({(f.rpartition(" degrees")[0] or f).rsplit(",", 1)[0] for f in counts}) < 2:
+def _cameras(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
+    if len({(f.camera, f.size_wh) for f in known}) < 2:
         return []
+    counts = Counter(_camera(f) for f in known)
     found = "pictures of several cameras: " + "; ".join(f"{c} ({n})" for c, n in sorted(counts.items()))
     todo = "put each camera's pictures into a folder of their own, with a sensor profile each"
     return [_warning(dataset, "flight-cameras", found, "one camera", todo)]

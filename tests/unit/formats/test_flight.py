@@ -15,7 +15,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats import flight as flight_data
 from infrablend.formats.rjpeg.writing import Maker
-from tests.flights import START, flight, plain_jpeg, shot
+from tests.flights import START, flight, plain_jpeg, shot, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture
 
 
@@ -77,6 +77,66 @@ def test_two_cameras_in_one_folder_are_reported(tmp_path: Path) -> None:
     shot(tmp_path / "FLIR0001.jpg", "flir")
     text = codes(api.read_dataset(tmp_path))["flight-cameras"]
     assert "DJI M3T, 160x128" in text and "FLIR Vue Pro R, 160x128" in text
+
+
+def test_one_camera_without_a_field_of_view_in_some_pictures_is_one_camera(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    shot(tmp_path / "DJI_0003_T.JPG", focal_length_35mm=None)
+    found = codes(api.read_dataset(tmp_path))
+    assert "flight-cameras" not in found and "flight-missing" in found
+
+
+def test_a_fault_of_many_pictures_is_one_message(tmp_path: Path) -> None:
+    for k in range(5):
+        shot(tmp_path / f"DJI_{k + 1:04}_T.JPG", number=k, altitude_m=-5.0 - k)
+    shot(tmp_path / "DJI_0006_T.JPG", pitch_deg=130.0)
+    found = [str(p) for p in api.read_dataset(tmp_path).problems if p.code in ("flight-altitude", "flight-pitch")]
+    assert len(found) == 2
+    text = next(t for t in found if "RelativeAltitude" in t)
+    assert "DJI_0001_T.JPG: XMP drone-dji:RelativeAltitude -5 m, left out; so in 4 more: DJI_0002_T.JPG" in text
+
+
+def test_a_laser_that_hit_something_else_is_reported(tmp_path: Path) -> None:
+    shot(tmp_path / "DJI_0001_T.JPG", altitude_m=100.0, laser_m=12.0)
+    dataset = api.read_dataset(tmp_path)
+    assert "gives a height of 10.4 m" in codes(dataset)["flight-laser"] and dataset.images[0].altitude_m == 10.392
+    shot(tmp_path / "DJI_0001_T.JPG", altitude_m=60.0, laser_m=100.0)
+    assert not codes(api.read_dataset(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("size_wh", "words", "known"),
+    [
+        ((640, 512), "scaled, not cropped", True),
+        ((320, 128), "cropped or turned", False),
+        ((128, 160), "turned", False),
+    ],
+)
+def test_pictures_changed_since_are_reported(size_wh: tuple[int, int], words: str, known: bool, tmp_path: Path) -> None:
+    with_exif_size(shot(tmp_path / "DJI_0001_T.JPG"), size_wh)
+    dataset = api.read_dataset(tmp_path)
+    assert words in codes(dataset)["flight-size"] and (dataset.images[0].hfov_deg is not None) == known
+
+
+def test_the_size_that_the_camera_wrote_is_no_fault(tmp_path: Path) -> None:
+    with_exif_size(shot(tmp_path / "DJI_0001_T.JPG"), (160, 128))
+    assert not codes(api.read_dataset(tmp_path))
+
+
+def test_statements_about_the_lens_that_differ_are_reported(tmp_path: Path) -> None:
+    def calibrated(pixels: float) -> bytes:
+        start = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        return start + (
+            b'<rdf:Description xmlns:d="http://www.dji.com/drone-dji/1.0/" d:CalibratedFocalLength="%g"/>'
+            b"</rdf:RDF></x:xmpmeta>" % pixels
+        )
+
+    one = with_xmp(shot(tmp_path / "DJI_0001_T.JPG"), calibrated(80.0))
+    dataset = api.read_dataset(tmp_path)
+    assert "EXIF FocalLengthIn35mmFilm gives 45.8 degrees across" in codes(dataset)["flight-lens"]
+    assert "CalibratedFocalLength 90.0" in codes(dataset)["flight-lens"]
+    with_xmp(shot(one), calibrated(190.0))
+    assert "flight-lens" not in codes(api.read_dataset(tmp_path))
 
 
 def test_clocks_an_hour_apart_are_reported(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _MODIFY_DATE = 0x010F, 0x0110, 0x0132
 _ORIGINAL_DATE, _CREATE_DATE = 0x9003, 0x9004
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
+_WIDTH, _HEIGHT = 0xA002, 0xA003
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Exif:
         zoom: Digital zoom.
         latitude_deg: Latitude, north positive.
         longitude_deg: Longitude, east positive.
+        size_wh: Width and height of the picture in pixels as the camera wrote it.
         problems: Faults, as warnings.
     """
 
@@ -44,6 +46,7 @@ class Exif:
     zoom: float | None = None
     latitude_deg: float | None = None
     longitude_deg: float | None = None
+    size_wh: tuple[float, float] | None = None
     problems: tuple[Problem, ...] = ()
 
 
@@ -76,6 +79,9 @@ def read_exif(header: JpegHeader) -> Exif:
         _positive(detail.get(_ZOOM)),
         _degrees(gps.get(2), gps.get(1), "S", 90.0),
         _degrees(gps.get(4), gps.get(3), "W", 180.0),
+        None
+        if (width := _positive(detail.get(_WIDTH))) is None or (height := _positive(detail.get(_HEIGHT))) is None
+        else (width, height),
     )
 
 

@@ -31,6 +31,12 @@ _MOST_LASER_M = 5_000.0
 # A relative height below this is a drone that flew into a valley, or a barometer that drifted: no height over ground.
 _LEAST_ALTITUDE_M = 0.0
 _MOST_ALTITUDE_M = 1e5
+# Laser and barometer differ with the terrain; by more than this factor, one of them measured something else.
+_LASER_FACTOR = 2.0
+# Statements about one lens agree to a few per cent; rounding of the 35 mm equivalent is below 3 % from 15 mm on.
+_LENS_FACTOR = 1.15
+# A picture that was only scaled keeps the ratio of its sides but for rounding.
+_SAME_RATIO = 0.01
 _NUMBER = re.compile(r"([+-]?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)(?:/(\d{1,15}))?", re.ASCII)
 _EXIF_DATE = re.compile(r"(\d{4})[:\-](\d\d)[:\-](\d\d)[ T](\d\d):(\d\d):(\d\d)", re.ASCII)
 # DJI's cameras end file names with the lens: wide, zoom, visible; T and R are thermal.
@@ -111,9 +117,13 @@ def read_facts(path: Path) -> CameraFacts:
         if (text := xmp.values.get(key)) and _as_number(text) is None:
             found = f"XMP {_PREFIXES[key[0]]}:{key[1]} {text[:40]!r}, left out"
             problems.append(_warning(path, "flight-value", found, "a number"))
+
+    def warn(*found: str) -> None:
+        problems.append(_warning(path, *found))
+
     for add in (_add_angles, _add_altitude):
-        add(facts, exif, xmp, lambda *found: problems.append(_warning(path, *found)))
-    _add_field_of_view(facts, exif, xmp, record, header.size_wh)
+        add(facts, exif, xmp, warn)
+    _add_field_of_view(facts, exif, xmp, record, header.size_wh, warn)
     clocks = _clocks(exif, xmp)
     _add_time_and_place(facts, exif, xmp, record, clocks)
     source = xmp.values.get((DJI, "ImageSource"), "")
@@ -213,6 +223,11 @@ def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> N
         elif pitch.value >= _LEAST_LASER_PITCH_DEG:
             height = laser[0] * math.sin(math.radians(pitch.value))
             facts["altitude_m"] = Fact(round(height, 3), f"{laser[1]} and pitch")
+            if relative is not None and _are_apart(height, relative[0], _LASER_FACTOR):
+                found = (
+                    f"{laser[1]} gives a height of {height:.1f} m, {relative[1]} {relative[0]:g} m; the laser is used"
+                )
+                warn("flight-laser", found, "heights that differ by the terrain")
             return
     if relative is not None:
         if _LEAST_ALTITUDE_M < relative[0] <= _MOST_ALTITUDE_M:
@@ -222,26 +237,66 @@ def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> N
             warn("flight-altitude", found, "a height above take-off")
 
 
+def _are_apart(one: float, other: float, factor: float) -> bool:
+    """Return whether two numbers above 0 differ by more than a factor; a number that is not above 0 says nothing."""
+    return min(one, other) > 0 and max(one, other) > factor * min(one, other)
+
+
 def _add_field_of_view(
-    facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, size_wh: tuple[int, int]
+    facts: dict[str, Fact],
+    exif: Exif,
+    xmp: Xmp,
+    record: CameraRecord | None,
+    size_wh: tuple[int, int],
+    warn: Warn,
 ) -> None:
-    pitch_um = lens.PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
-    calibrated = _as_number(xmp.values.get((DJI, "CalibratedFocalLength")))
-    if exif.focal_length_35mm is not None:
-        fov, source = lens.fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"
-    elif record is not None and record.hfov_deg is not None:
-        fov, source = record.hfov_deg, "FLIR FieldOfView"
-    elif exif.focal_length_mm is not None and pitch_um is not None:
-        width_mm = pitch_um * size_wh[0] / 1000
-        fov, source = lens.fov_of_width(width_mm, exif.focal_length_mm), f"EXIF FocalLength, {pitch_um:g} um pixels"
-    elif calibrated is not None and calibrated > 0:
-        fov, source = lens.fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"
-    else:
+    """Add the field of view, from the first statement about the lens that the file has."""
+    if not _is_uncut(exif, size_wh, warn):
         return
+    found = _lens_statements(exif, xmp, record, size_wh)
+    if not found:
+        return
+    (fov, source), *others = found
+    for other, name in others:
+        if _are_apart(fov, other, _LENS_FACTOR):
+            both = f"{source} gives {fov:.1f} degrees across, {name} {other:.1f}; the first is used"
+            warn("flight-lens", both, "one field of view")
     if exif.zoom is not None and exif.zoom > 1:
         fov, source = lens.zoomed(fov, exif.zoom), f"{source}, DigitalZoomRatio"
     if 0.1 <= fov <= 170.0:
         facts["hfov_deg"] = Fact(round(fov, 4), source)
+
+
+def _lens_statements(
+    exif: Exif, xmp: Xmp, record: CameraRecord | None, size_wh: tuple[int, int]
+) -> list[tuple[float, str]]:
+    """Return what the file states about the lens as fields of view without zoom, the most reliable first."""
+    found = []
+    pitch_um = lens.PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
+    calibrated = _as_number(xmp.values.get((DJI, "CalibratedFocalLength")))
+    if exif.focal_length_35mm is not None:
+        found.append((lens.fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))
+    if record is not None and record.hfov_deg is not None:
+        found.append((record.hfov_deg, "FLIR FieldOfView"))
+    if exif.focal_length_mm is not None and pitch_um is not None:
+        fov = lens.fov_of_width(pitch_um * size_wh[0] / 1000, exif.focal_length_mm)
+        found.append((fov, f"EXIF FocalLength, {pitch_um:g} um pixels"))
+    if calibrated is not None and calibrated > 0:
+        found.append((lens.fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"))
+    return found
+
+
+def _is_uncut(exif: Exif, size_wh: tuple[int, int], warn: Warn) -> bool:
+    """Return whether the picture shows all that the lens saw; a program may have cropped or turned it and kept EXIF."""
+    if exif.size_wh is None or exif.size_wh == size_wh:
+        return True
+    (w, h), (was_w, was_h) = size_wh, exif.size_wh
+    sizes = f"{w}x{h} pixels, but EXIF says {was_w:g}x{was_h:g}"
+    if abs(w * was_h / (h * was_w) - 1) <= _SAME_RATIO:
+        warn("flight-size", f"{sizes}; taken as scaled, not cropped", "the picture as the camera wrote it")
+        return True
+    warn("flight-size", f"{sizes}: cropped or turned; field of view left out", "the picture as the camera wrote it")
+    return False
 
 
 def _clocks(exif: Exif, xmp: Xmp) -> dict[str, datetime]:
