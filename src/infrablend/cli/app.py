@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,6 +41,7 @@ from infrablend.cli import (
     world,
 )
 from infrablend.cli.session import open_session
+from infrablend.errors import OutputError
 
 _EPILOG = (
     "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
@@ -69,7 +71,8 @@ def _report(error: BaseException, ctx: Any) -> int:
 
         problems = [p.to_json() for p in getattr(error, "problems", ())]
         message = getattr(error, "message", str(error))
-        print_json({"error": type(error).__name__, "message": message, "problems": problems, "exit_code": code})
+        with contextlib.suppress(OutputError):  # stdout cannot be written; reported on stderr
+            print_json({"error": type(error).__name__, "message": message, "problems": problems, "exit_code": code})
     return code
 
 

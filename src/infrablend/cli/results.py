@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
+import os
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,7 @@ from typing import Any
 import typer
 
 from infrablend.cli.exits import printable, problem_lines
-from infrablend.errors import Problem, format_problems
+from infrablend.errors import OutputError, Problem, format_problems
 from infrablend.report.figures import human_seconds
 
 SHOWN_WARNINGS = 5
@@ -22,12 +25,32 @@ log = logging.getLogger(__name__)
 
 def print_result(text: str) -> None:
     """Print lines of the result on stdout, with control characters from names escaped."""
-    typer.echo(printable(text))
+    _write(printable(text))
 
 
 def print_json(data: Any) -> None:
     """Print a result as JSON on stdout; paths become text."""
-    typer.echo(json.dumps(data, indent=2, default=str, ensure_ascii=False))
+    _write(json.dumps(data, indent=2, default=str, ensure_ascii=False))
+
+
+def _write(text: str) -> None:
+    """Print a text on stdout.
+
+    Raises:
+        OutputError: It cannot be written, e.g. to a file on a full disk.
+    """
+    try:
+        typer.echo(text)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # What is left in the buffer would raise again when Python ends.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        reason = error.strerror or str(error)
+        problem = Problem("stdout", "not-writable", reason, "", "repeat the command with another output", "error")
+        message = "the result could not be printed; files that the command wrote are complete"
+        raise OutputError(message, [problem]) from error
 
 
 def print_problems(problems: Iterable[Problem], log_path: Path | None, record: Path) -> None:

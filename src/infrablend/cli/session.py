@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -13,7 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.cli.exits import printable
+from infrablend.core.log_file import LogFileHandler
 from infrablend.core.user_folders import state_folder
+from infrablend.errors import ArgumentError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -69,7 +73,7 @@ def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Sessi
     handlers: list[logging.Handler] = [screen]
     log_path = _usable(log or default_log_path())
     if log_path is not None:
-        file = logging.FileHandler(log_path, encoding="utf-8", errors="backslashreplace")
+        file = LogFileHandler(log_path)
         file.setFormatter(logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
         handlers.append(file)
     for h in handlers:
@@ -86,6 +90,21 @@ def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Sessi
         root.setLevel(level_before)
 
 
+def _may_be_log(path: Path) -> bool:
+    """Return whether a path is free, or a device, or a file that is empty or begins like a log."""
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISCHR(mode) or stat.S_ISDIR(mode):  # the latter cannot be opened, and another file is used
+            return True
+        if not stat.S_ISREG(mode):
+            return False
+        with path.open("rb") as stream:
+            start = stream.read(5)
+    except OSError:
+        return True
+    return not start or bool(re.fullmatch(rb"\d{4}-", start))
+
+
 def default_log_path() -> Path:
     """Return `$INFRABLEND_LOG`, or `infrablend.log` in the user's state folder."""
     given = os.environ.get("INFRABLEND_LOG")
@@ -93,7 +112,15 @@ def default_log_path() -> Path:
 
 
 def _usable(path: Path) -> Path | None:
-    """Return the path if it can be written, else a file in the temporary folder, else None."""
+    """Return the path if it can be written, else a file in the temporary folder, else None.
+
+    Raises:
+        ArgumentError: There is something else than a log of InfraBlend, e.g. a record of a dataset, or a pipe.
+    """
+    if not _may_be_log(path):
+        raise ArgumentError(
+            f"{path}: not a log of InfraBlend; nothing was written to it. Give another file for the log"
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab") as f:

@@ -184,6 +184,10 @@ class LinkOutError(OSError):
         return str(self.strerror)
 
 
+LARGEST_READ_BYTES = 1 << 30
+"""Size of the largest file that is read at once; a sparse file of any size can be made in no time."""
+
+
 @contextlib.contextmanager
 def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedReader]:
     """Open a file of a run, a conversion, an experiment or a model for reading: the only way to read one.
@@ -212,8 +216,15 @@ def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedRea
 
 
 def read_regular(path: Path, folder: Path | None = None) -> bytes:
-    """Return the content of a regular file; the arguments and errors are those of `open_regular`."""
+    """Return the content of a regular file; the arguments and errors are those of `open_regular`.
+
+    Raises:
+        OSError: Also if the file is larger than `LARGEST_READ_BYTES`; what may be larger is read in parts.
+    """
     with open_regular(path, folder) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > LARGEST_READ_BYTES:
+            raise OSError(errno.EFBIG, f"{size / 2**30:.1f} GiB; expected at most 1 GiB", str(path))
         return stream.read()
 
 

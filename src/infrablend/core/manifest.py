@@ -15,7 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from infrablend.core.files import observed_by, output_error, part_path, read_regular, sha256_of, write_text
+from infrablend.core.files import observed_by, open_regular, output_error, part_path, sha256_of, write_text
+from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError, Problem
 
 REPLACED = "replaced"
@@ -23,6 +24,8 @@ REPLACED = "replaced"
 
 JOURNAL = ".files.jsonl"
 """Usual name of the file of a manifest."""
+
+_LONGEST_LINE_BYTES = 1 << 16  # a path of 4,096 bytes, each written as an escape, and its digest
 
 Content = tuple[int, str]
 """Size in bytes and SHA-256 of a file."""
@@ -76,13 +79,10 @@ class Manifest:
 
     def read(self) -> Manifest:
         """Add what the file of the manifest contains; a line that was cut off by a kill is left out."""
-        try:
-            lines = read_regular(self._file).decode("utf-8", "replace").splitlines()
-        except OSError:
-            return self
-        for line in lines:
-            with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
-                self._add(json.loads(line))
+        with contextlib.suppress(OSError), open_regular(self._file) as stream:
+            while line := stream.readline(_LONGEST_LINE_BYTES):
+                with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
+                    self._add(json.loads(line.decode("utf-8", "replace")))
         return self
 
     def add_all(self, files: Any) -> Manifest:
@@ -133,6 +133,7 @@ class Manifest:
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             self._require_plain_file()
+            part_from_links(self._file)
             _end_line(self._file)
             self._stream = self._file.open("a", encoding="utf-8")
         except OSError as error:

@@ -22,6 +22,7 @@ from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
 from infrablend.core.finished import EXCLUDING
+from infrablend.core.log_file import LogFileHandler, part_from_links
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
@@ -200,12 +201,14 @@ def run_plan(
         )
         worker = WorkerSpec(FACTORY, settings_for(plan, levels, execution, out))
         executor: Executor
+        workers_log = folder.log_folder / "workers.log"
+        part_from_links(workers_log)
         if source is not None:
             executor = source.executor
         elif in_process:
-            executor = Serial(worker, folder.log_folder / "workers.log")
+            executor = Serial(worker, workers_log)
         else:
-            pool = PoolSettings(workers=max(1, workers), log_path=folder.log_folder / "workers.log")
+            pool = PoolSettings(workers=max(1, workers), log_path=workers_log)
             executor = ProcessPool(worker, pool)
         status, stopped = "complete", "interrupted" if excluded is None else EXCLUDING
         try:
@@ -595,23 +598,13 @@ _IMAGE_CODES = {
 }
 
 
-class _QuietFileHandler(logging.FileHandler):
-    """File handler that ignores write errors: a full disk ends the run with one clear error, without log tracebacks."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
-        pass
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            super().close()
-
-
 @contextlib.contextmanager
 def _log_file(path: Path) -> Iterator[None]:
     """Also write InfraBlend's log messages to a file within this context."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handler = _QuietFileHandler(path, encoding="utf-8", errors="backslashreplace")
+        part_from_links(path)
+        handler = LogFileHandler(path)
     except OSError as error:
         raise output_error(path, error) from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))

@@ -462,7 +462,7 @@ def test_log_option_and_unusable_log(api, capsys, tmp_path, monkeypatch):
 
 def test_long_log_is_rotated(api, log_path):
     log_path.parent.mkdir()
-    log_path.write_bytes(b"x" * (LOG_SIZE_BYTES + 1))
+    log_path.write_bytes(b"2026-01-01 " + b"x" * LOG_SIZE_BYTES)
     main(GENERATE)
     assert log_path.stat().st_size < 10_000
     assert log_path.with_name("log.txt.1").stat().st_size > LOG_SIZE_BYTES

@@ -1,0 +1,45 @@
+"""Log files that are appended to."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import shutil
+from pathlib import Path
+
+from infrablend.core.files import part_path
+
+
+class LogFileHandler(logging.FileHandler):
+    """Handler that appends to a file and ignores write errors.
+
+    A full disk ends a command with one clear error, or does not concern it, without tracebacks of the log.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            OSError: It cannot be opened.
+        """
+        super().__init__(path, encoding="utf-8", errors="backslashreplace")
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        """Ignore the error."""
+
+    def close(self) -> None:
+        """Close the file; what cannot be written any more is lost."""
+        with contextlib.suppress(OSError):
+            super().close()
+
+
+def part_from_links(path: Path) -> None:
+    """Replace a file that has several names by a copy: appending to it must not change a copied folder's file.
+
+    Raises:
+        OSError: It cannot be copied.
+    """
+    if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
+        copy = part_path(path)
+        shutil.copy2(path, copy)
+        copy.replace(path)
