@@ -10,7 +10,7 @@ from typing import Any
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import link_or_copy
-from infrablend.core.output import Existing
+from infrablend.core.output import Existing, require_apart
 from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
@@ -74,6 +74,8 @@ def merge_shards(
     for source in sources:
         _require_apart(source, out)
     recorded = RecordedRun.from_record(shards[0].record, shards[0].folder.run_file)
+    for backgrounds in {recorded.data, data or recorded.data}:
+        require_apart(backgrounds, out)
     plan = recorded.plan(data)
     if changed := differences(shared.key, plan.key):
         raise OtherSettingsError(

@@ -16,6 +16,7 @@ from infrablend.core.cores import take_core
 from infrablend.core.file_names import leaves, real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.output import require_replaceable
+from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, OutputError
@@ -67,7 +68,7 @@ def rerender_frame(
 
     Raises:
         OutputError: The run or the frame does not exist, the record of the frame was edited, or `out` exists and is
-            something else.
+            something else or is inside a dataset.
         DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
@@ -90,6 +91,7 @@ def rerender_frame(
     if sha256_of(real_path(background)) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the background of the frame (its SHA-256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
+    require_outside_datasets(run, target, data)
     for o in recorded.recipe.objects:
         ready_model(o.model)
     job = Rerender(

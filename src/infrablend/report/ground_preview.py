@@ -19,6 +19,7 @@ from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
 from infrablend.core.files import DAMAGED, load_json
 from infrablend.core.ground_plane import ground_point
+from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.run_layout import RunLayout
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
@@ -66,7 +67,9 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
 
     Raises:
         DatasetError: There is no run, or it has no metric placement.
+        OutputError: The sheet cannot be written, or would be written into a dataset.
     """
+    require_outside_datasets(run, out_png)
     cells = []
     for frame in load_frames(run, count):
         path = RunLayout(run).record(frame.frame_id)

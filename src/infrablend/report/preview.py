@@ -25,6 +25,7 @@ from infrablend.core.dataset import SPLITS, Instance, finite
 from infrablend.core.files import DAMAGED, LinkOutError, load_json, read_regular, write_bytes
 from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
+from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.run_layout import RunLayout
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures import is_decodable
@@ -369,8 +370,9 @@ def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] 
     Raises:
         ArgumentError: `count` is below 1, or `draw` is not a list of `Draw`.
         DatasetError: The folder is not a run, or contains no frames.
-        OutputError: The sheet cannot be written.
+        OutputError: The sheet cannot be written, or would be written into a dataset.
     """
+    require_outside_datasets(run, out_png)
     require_choices("draw", draw, get_args(Draw))
     return contact_sheet(load_frames(run, count), out_png, draw=draw)
 
