@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from infrablend.cli import main
+from infrablend.core.format_table import written_names
 from tests.flat_renderer import render_flat
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
@@ -321,3 +322,30 @@ def test_numbers_that_json_cannot_hold_in_predictions_are_left_out(tmp_path):
     assert main(["evaluate", str(found), str(tmp_path / "data"), "--out", str(out), "--bootstrap", "0"]) == 0
     facts = json.loads((out / "predictions.json").read_text())["facts"]
     assert facts["a"] is None and facts["b"] == [None, {"c": None}]
+
+
+# -- names of pictures that formats cannot hold
+
+ODD_PICTURES = ("plain.png", "ends in a blank .png", " begins.png", "T:12.png", "ends\u3000.png", "two  blanks 1.png")
+
+
+@pytest.mark.parametrize("to", written_names())
+def test_every_picture_is_read_back_in_its_split_whatever_its_name(tmp_path, capsys, to):
+    source = tmp_path / "data"
+    names = {"train": ODD_PICTURES, "test": tuple(f"test {n}" if n[0] != " " else f" test{n}" for n in ODD_PICTURES)}
+    for split, listed in names.items():
+        for k, name in enumerate(listed):
+            draw(source / "images" / split / name, k + 20 * (split == "test"))
+            label = source / "labels" / split / f"{name.removesuffix('.png')}.txt"
+            label.parent.mkdir(parents=True, exist_ok=True)
+            label.write_text(f"0 0.5 0.5 0.25 {0.25 + 0.0625 * k}\n")
+    (source / "data.yaml").write_text("train: images/train\ntest: images/test\nnames: [Car]\n")
+    boxes = ["--without-mask", "obb"] if to == "yolo-seg" else []
+    without_pitch = ["--read", "empty=keep"] if to == "monet" else []
+    assert main(["convert", str(source), str(tmp_path / "out"), "--to", to, *boxes]) == 0
+    assert main(["check", str(tmp_path / "out"), *without_pitch]) == 0
+    capsys.readouterr()
+    assert main(["inspect", str(tmp_path / "out"), "--json", *without_pitch]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {s: found["splits"][s]["images"] for s in ("train", "test")} == {"train": 6, "test": 6}
+    assert {s: found["splits"][s]["objects"] for s in ("train", "test")} == {"train": 6, "test": 6}

@@ -120,7 +120,7 @@ class Instance:
             d["corners_xy"] = finite(d["corners_xy"])
         if d["mask"] is not None:
             height, width = d["mask"]["size"]
-            d["mask"] = Mask(d["mask"]["counts"], (height, width))
+            d["mask"] = Mask.from_coco(d["mask"], (height, width))
         return cls(**d)
 
     def equals(self, other: Instance, atol_px: float = 0.0) -> bool:

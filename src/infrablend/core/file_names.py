@@ -14,6 +14,7 @@ MAX_NAME_BYTES = 255
 UNFIT = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 """Characters that label files cannot hold: XML has none of the control characters, text files split lines at others."""
 
+_EDGE_BLANKS = re.compile(r"^\s+|\s+$")
 _RESERVED = frozenset('/\\<>:"|?*')
 
 
@@ -57,8 +58,21 @@ def escape_unfit(text: str, keep: str = "") -> str:
 
 
 def fit_name(name: str) -> str:
-    """Return a relative path with `_` for each character that label files cannot hold."""
-    return UNFIT.sub("_", name)
+    """Return a relative path with `_` for what label files cannot hold, or readers take for something else.
+
+    These are control characters, blanks at either end of a stem, which lists of stems lose, and what leads out of a
+    folder on some system (`T:12.png` is a file on the drive T: there).
+    """
+    fit = UNFIT.sub("_", name)
+    if leaves(fit):
+        fit = fit.replace(":", "_").replace("\\", "_")
+    return "/".join(_fit_part(part) for part in fit.split("/"))
+
+
+def _fit_part(part: str) -> str:
+    """Return one part of a path without blanks at the ends of the part and of its stem."""
+    stem, dot, suffix = part.rpartition(".") if "." in part[1:] else (part, "", "")
+    return "".join(_EDGE_BLANKS.sub(lambda m: "_" * len(m[0]), p) + d for p, d in ((stem, dot), (suffix, "")))
 
 
 def file_name(text: str) -> str:

@@ -9,6 +9,7 @@ import json
 import logging
 import math
 import os
+import re
 import shutil
 import stat
 from collections import Counter
@@ -233,12 +234,28 @@ def load_json(path: Path) -> Any:
 
     Raises:
         OSError: The file is missing, cannot be read, is no regular file, or is a link out of its folder.
-        ValueError: It is not JSON, or nested too deeply.
+        ValueError: It is not JSON, nested too deeply, or has a number that is not finite, which we never write.
     """
+    data = read_regular(path)
     try:
-        return json.loads(read_regular(path).decode("utf-8"))
+        return json.loads(
+            data.decode("utf-8"), parse_constant=_not_finite, parse_float=_finite if _LONG_NUMBER.search(data) else None
+        )
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
+
+
+# Only numbers with such an exponent, or as many digits, can be too large: looking at each number takes long.
+_LONG_NUMBER = re.compile(rb"[eE]\+?\d{3}|\d{300}")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _not_finite(text)
+
+
+def _not_finite(text: str) -> float:
+    raise ValueError(f"{text[:40]}, which is not a finite number")
 
 
 def read_object(path: Path) -> dict[str, Any] | None:

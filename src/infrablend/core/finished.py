@@ -13,7 +13,8 @@ from typing import Any
 
 from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
-from infrablend.core.run_layout import RUN_FILE, SCENES, SHARDS_FILE
+from infrablend.core.manifest import REPLACED
+from infrablend.core.run_layout import EXCLUDED, LOGS, RUN_FILE, SCENES, SHARDS_FILE
 from infrablend.errors import DatasetError, Problem
 
 CONVERT_FILE = "convert.json"
@@ -29,9 +30,6 @@ COMPLETE = "complete"
 EXCLUDING = "excluding"
 """Status of a run while frames are excluded or included."""
 UNFINISHED = "folder-unfinished"
-
-# A dataset may be given by a folder inside the one with the record: `RUN/coco`, `RUN/images/train`.
-_LEVELS_UP = 2
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,8 @@ def require_finished(folder: Path) -> None:
         DatasetError: One did; the message names the command that finishes it.
     """
     inside = real_path(folder)
-    for root in (inside, *inside.parents[:_LEVELS_UP]):
+    # A dataset may be given by a folder at any depth of the one with the record: `RUN/coco`, `RUN/native/a/train`.
+    for root in (inside, *inside.parents):
         for marker in _MARKERS:
             path = root / marker.file
             if not path.is_file():
@@ -79,6 +78,19 @@ def require_finished(folder: Path) -> None:
             raise _in_shards(folder, root)
         if any((root / DOWNLOAD_FOLDER).glob(f"*{PLACED}")):
             raise _half_placed(folder, root)
+
+
+def kept_aside(folder: Path) -> frozenset[str]:
+    """Return the names of folders in a dataset that InfraBlend wrote which hold no part of it; none for others.
+
+    These are changed files that were replaced, frames left out, and logs.
+    """
+    own = any(_is_own(read_object(folder / m.file)) for m in _MARKERS if (folder / m.file).is_file())
+    return frozenset({REPLACED, EXCLUDED, LOGS}) if own else frozenset()
+
+
+def _is_own(record: Mapping[str, Any] | None) -> bool:
+    return record is not None and "infrablend" in record
 
 
 def is_finished(record: Mapping[str, Any]) -> bool:

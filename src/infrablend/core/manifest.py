@@ -183,7 +183,7 @@ class Manifest:
         if content is None:  # the writer reports it
             return
         if os.path.lexists(path) and not self.is_own(name) and self._content(path) != content:
-            self._keep_aside(name)
+            self.keep_aside(name)
         if content not in self._contents.setdefault(name, set()):
             self._contents[name].add(content)
             self._write({"path": name, "size": content[0], "sha256": content[1]})
@@ -253,7 +253,7 @@ class Manifest:
         self.moved[new] = name
         return new
 
-    def _keep_aside(self, name: str) -> None:
+    def keep_aside(self, name: str) -> None:
         """Put a file that is about to be replaced aside, so that one of its name is there at every moment."""
         source, target = self.root / name, self._new_place_aside(name)
         with contextlib.suppress(OSError):

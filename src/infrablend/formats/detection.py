@@ -19,6 +19,7 @@ from infrablend.formats.base import Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.run_root import labels_of_run
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import unread_label_files
 
@@ -58,13 +59,13 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     Raises:
         UnknownFormatError: No format fits; `problems` gives the reason for each of them.
         DatasetError: The folder cannot be read, belongs to an unfinished run, conversion or split, or its format does
-            not have one of the options.
+            not have one of the options. Or it is a run that has no labels in the wanted format.
     """
     if not root.is_dir():
         problem = Problem(str(root), "folder-missing", "no such folder", "the folder of a dataset", "check the path")
         raise DatasetError("no dataset to read", [problem])
     require_finished(root)
-    format = reading.format
+    root, format = labels_of_run(root, reading.format)
     if format is None:
         found = detect(root)
         if found.format is None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -111,7 +111,7 @@ def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) ->
         if i.mask is not None:
             brush = {"format": "rle", "rle": encode_brush(i.mask.to_array()), "brushlabels": [i.category]}
             results.append({**common, "id": f"o{n}m", "from_name": BRUSH, "type": "brushlabels", "value": brush})
-    data = {"image": f"{_SERVED}images/{image.split}/{image.name}", "width": w, "height": h}
+    data = {"image": f"{_SERVED}{quote(f'images/{image.split}/{image.name}')}", "width": w, "height": h}
     return {"data": data, "annotations": [{"result": results, "ground_truth": False}]}
 
 

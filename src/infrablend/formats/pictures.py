@@ -6,7 +6,7 @@ import io
 import os
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -14,6 +14,7 @@ from PIL import Image
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import is_inside, leaves
+from infrablend.core.finished import kept_aside
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
@@ -32,14 +33,25 @@ def is_picture_name(name: str) -> bool:
     return not is_hidden(name) and name.lower().endswith(PICTURE_SUFFIXES)
 
 
+def walk(folder: Path, skip: Sequence[str] = ()) -> Iterator[tuple[str, list[str]]]:
+    """Yield each folder of a dataset with the names of its files, in the order of the names of the folders.
+
+    Hidden folders, linked folders and those in which InfraBlend keeps what is no part of a dataset are not entered.
+    """
+    aside = kept_aside(folder)
+    for base, folders, names in os.walk(folder):
+        folders[:] = sorted(d for d in folders if not is_hidden(d) and d not in skip and d not in aside)
+        aside = frozenset()  # they are at the top
+        yield base, names
+
+
 def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     """Return the pictures below `folder` by relative POSIX path, sorted; empty if the folder does not exist.
 
     The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out.
     """
     found: dict[str, Path] = {}
-    for base, folders, names in os.walk(folder):
-        folders[:] = sorted(d for d in folders if not is_hidden(d) and d not in skip)
+    for base, names in walk(folder, skip):
         here = Path(base)
         prefix = "" if here == folder else here.relative_to(folder).as_posix() + "/"
         found.update({prefix + n: here / n for n in names if is_picture_name(n)})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 
@@ -12,7 +11,7 @@ from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
-from infrablend.formats.pictures import is_hidden, list_pictures
+from infrablend.formats.pictures import is_hidden, list_pictures, walk
 
 _SUFFIXES = {".xml", ".json", ".txt", ".csv", ".label"}
 _EXPECTED = "a label file that can be read"
@@ -50,8 +49,7 @@ def unread_label_files(dataset: Dataset, understood: Collection[Path] = ()) -> l
 
 def _candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
-    for base, folders, names in os.walk(root):
-        folders[:] = sorted(d for d in folders if not is_hidden(d))
+    for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
         yield from (
             prefix + n for n in sorted(names) if not is_hidden(n) and PurePosixPath(n).suffix.lower() in _SUFFIXES

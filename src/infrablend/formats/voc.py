@@ -12,7 +12,6 @@ clockwise on screen) is read as well.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -27,6 +26,7 @@ import numpy as np
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.finished import kept_aside
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import read_text, read_xml
 from infrablend.formats.base import (
@@ -42,7 +42,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import is_hidden, list_pictures, read_size
+from infrablend.formats.pictures import is_hidden, list_pictures, read_size, walk
 from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
 from infrablend.formats.values import number_text, to_bool, to_floats, to_size
 
@@ -77,8 +77,7 @@ def key_of(name: str) -> Key:
 
 def list_xml(root: Path) -> Iterable[str]:
     """Yield the XML files below a folder, sorted within each folder, without hidden files and linked folders."""
-    for base, folders, names in os.walk(root):
-        folders[:] = sorted(d for d in folders if not is_hidden(d))
+    for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
         yield from (prefix + n for n in sorted(names) if n.lower().endswith(".xml") and not is_hidden(n))
 
@@ -260,7 +259,9 @@ def _find_picture(
 
 def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict[str, Split]:
     """Return the split per stem from the lists in `ImageSets/Main`; empty if there are none."""
-    folders = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
+    aside = kept_aside(root)
+    lists = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
+    folders = [p for p in lists if p.relative_to(root).parts[0] not in aside]
     split_of: dict[str, Split] = {}
     for folder in folders[:1]:
         files: list[tuple[str, Split]] = [(s, s) for s in SPLITS]
@@ -275,7 +276,7 @@ def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict
             problems += [problem] if problem else []
             for line in text.splitlines():
                 # Lists of a single class add 1, 0 or -1 to each stem; some tools do so in all lists.
-                listed = line.strip()
+                listed = line if line in stems else line.strip()
                 listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
                 if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
                     found = f"{listed!r} is also in {split_of[listed]}, which is used"

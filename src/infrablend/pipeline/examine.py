@@ -42,7 +42,7 @@ def inspect_folder(
         require_replaceable(out / "inspect.json", "report", ours=ours)
         require_replaceable(charts, "report", ours=ours or software_of(charts) == CHARTS)
     dataset = detection.read(root, reading)
-    reason = "as asked for" if reading.format else detection.detect(root).reasons[dataset.format]
+    reason = "as asked for" if reading.format else detection.detect(dataset.root).reasons[dataset.format]
     facts = inspect_dataset(dataset, reason, decode=decode)
     if out is not None:
         write_json(out / "inspect.json", facts.to_json())

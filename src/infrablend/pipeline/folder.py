@@ -55,8 +55,8 @@ class RunFolder(RunLayout):
             data = load_json(self.run_file)
         except (OSError, ValueError) as error:
             raise OutputError(
-                f"{self.run_file}: cannot be read ({error}); expected the record of a run. "
-                "Use a folder written by `infrablend generate --out`."
+                f"{self.run_file}: cannot be read ({error}); expected the record of a run. Use a folder written by "
+                "`infrablend generate --out`, or make the run again with --overwrite."
             ) from error
         if not isinstance(data, dict) or not {"recipe", "infrablend"} <= data.keys():
             raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
@@ -145,7 +145,14 @@ class RunFolder(RunLayout):
         if entries and RUN_FILE not in entries:
             raise output.refuse_not_ours()
         if entries:
-            record = self.read_run()  # raises if another program wrote this run.json
+            try:
+                record = self.read_run()  # raises if another program wrote this run.json
+            except OutputError:
+                # The manifest proves that the run is ours: a damaged record must not be a dead end.
+                if existing != "overwrite" or not self.manifest().exists:
+                    raise
+                self.manifest().read().keep_aside(RUN_FILE)
+                record = {}
             if existing == "resume":
                 return record
             self._remove_run(record)

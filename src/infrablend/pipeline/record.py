@@ -84,7 +84,7 @@ class FrameRecord:
             mask = background[n].mask
             if "mask" in seen:
                 height, width = seen["mask"]["size"]
-                mask = Mask(seen["mask"]["counts"], (height, width))
+                mask = Mask.from_coco(seen["mask"], (height, width))
             found.append(replace(background[n], visibility=seen["visibility"], mask=mask))
         return tuple(found)
 

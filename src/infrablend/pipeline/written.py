@@ -18,8 +18,6 @@ from infrablend.report.card import CARD_FILE
 
 CHANGED, GONE = "file-changed", "file-gone"
 _DATASETS = (CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE)
-# A dataset may be given by a folder inside the one with the record: `RUN/coco`, `RUN/images/train`.
-_LEVELS_UP = 2
 
 
 def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem]:
@@ -31,7 +29,7 @@ def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem
         digests: Whether to read the pictures of a run; otherwise only their existence is checked.
     """
     inside = real_path(folder)
-    for root in (inside, *inside.parents[:_LEVELS_UP]):
+    for root in (inside, *inside.parents):
         part = inside.relative_to(root).parts[:1]
         wanted = {*part, IMAGES, SCENES} if part else None
         if _finished(root / RUN_FILE) is not None:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
-from pycocotools import mask as coco_mask
 
 from infrablend.core.arguments import require_choices, require_whole
 from infrablend.core.dataset import SPLITS, Instance, finite
@@ -475,12 +474,8 @@ def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
     if not segmentation:
         return None
     w, h = size_wh
-    if isinstance(segmentation, Mapping) and isinstance(segmentation["counts"], str):
-        return Mask(segmentation["counts"], (int(segmentation["size"][0]), int(segmentation["size"][1])))
-    rle = coco_mask.frPyObjects(segmentation, h, w)
-    if isinstance(rle, list):
-        rle = coco_mask.merge(rle)
-    return Mask(rle["counts"].decode("ascii"), (h, w))
+    read = Mask.from_rings if isinstance(segmentation, list) else Mask.from_coco
+    return read(segmentation, (h, w))
 
 
 def _image_path(run: Path, split: str, file_name: str) -> Path:
