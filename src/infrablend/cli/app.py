@@ -41,6 +41,7 @@ from infrablend.cli import (
     world,
 )
 from infrablend.cli.session import open_session
+from infrablend.core.typed_command import set_typed_command, typed_command
 from infrablend.errors import OutputError
 
 _EPILOG = (
@@ -52,9 +53,14 @@ _EPILOG = (
 class _Commands(TyperGroup):
     """The root command group, which reports the errors of all commands."""
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        set_typed_command(args)
+        return super().resolve_command(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with typed_command():
+                return super().invoke(ctx)
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as e:

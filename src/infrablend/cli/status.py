@@ -38,7 +38,9 @@ def status(
         frames = {"frames": sum(s.frames for s in states), "finished": sum(s.finished for s in states)}
         lines = [table(facts({"shards": len(states), **counts, **frames}))]
         rest = [s for s in states if s.state != "done"]
-        lines += [f"shard {s.shard}: {s.state}, {s.finished} of {s.frames} frames" for s in rest[:_SHOWN]]
+        for s in rest[:_SHOWN]:
+            lines.append(f"shard {s.shard}: {s.state}, {s.finished} of {s.frames} frames")
+            lines += [f"  {s.command}"] * bool(s.command)
         lines += [f"... and {len(rest) - _SHOWN} more (--json lists all)"] * (len(rest) > _SHOWN)
         print_result("\n".join(lines))
     if counts["done"] < len(states):

@@ -6,6 +6,7 @@ Everything that reads a dataset checks this, because an unfinished dataset has p
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
 from infrablend.core.manifest import REPLACED
 from infrablend.core.run_layout import EXCLUDED, LOGS, RUN_FILE, SCENES, SHARDS_FILE
+from infrablend.core.typed_command import recorded_command, run_command
 from infrablend.errors import DatasetError, Problem
 
 CONVERT_FILE = "convert.json"
@@ -98,6 +100,23 @@ def is_finished(record: Mapping[str, Any]) -> bool:
     return "infrablend" not in record or record.get("status", COMPLETE) == COMPLETE
 
 
+def finishing_command(root: Path, record: Mapping[str, Any] | None) -> str | None:
+    """Return the command that finishes the run in a folder, None if its record is too damaged to tell.
+
+    Where the record does not hold the command itself, as after a call in Python, RECIPE stands for the recipe.
+    """
+    if record is None:
+        return None
+    if record.get("status") == EXCLUDING:
+        return shlex.join(["infrablend", "exclude", str(root)])
+    if (command := recorded_command(record, root)) is not None:
+        return command
+    try:
+        return shlex.join([*run_command(record, "RECIPE", str(record["data"]["root"]), str(root)), "--resume"])
+    except (LookupError, TypeError, AttributeError):
+        return None
+
+
 def _in_shards(folder: Path, root: Path) -> DatasetError:
     problem = Problem(
         str(root),
@@ -127,10 +146,10 @@ def _half_placed(folder: Path, root: Path) -> DatasetError:
 
 def _unfinished(folder: Path, path: Path, marker: _Marker, record: Mapping[str, Any] | None) -> DatasetError:
     found = "a record that cannot be read" if record is None else f"status {record.get('status')}"
-    facts = {k: (record or {}).get(k, "...") for k in ("source", "format", "by", "every")}
-    command = marker.command.format(root=path.parent, **facts)
-    if record is not None and record.get("status") == EXCLUDING:
-        command = f"infrablend exclude {path.parent}"
+    command = finishing_command(path.parent, record) if marker.file == RUN_FILE else None
+    if command is None and (command := recorded_command(record, path.parent)) is None:
+        facts = {k: shlex.quote(str((record or {}).get(k, "..."))) for k in ("source", "format", "by", "every")}
+        command = marker.command.format(root=shlex.quote(str(path.parent)), **facts)
     problem = Problem(
         str(path),
         UNFINISHED,

@@ -6,8 +6,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.resolver import VersionedResolver
+from ruamel.yaml.tag import Tag
 
 MAX_CHARACTERS = 1_000_000
 # Nested aliases multiply ("billion laughs"): the values behind an alias count again each time it is used.
@@ -23,8 +24,12 @@ class _DatesAreTexts(VersionedResolver):
         return self.DEFAULT_SCALAR_TAG if str(tag) == "tag:yaml.org,2002:timestamp" else tag
 
 
-def read_yaml(text: str) -> Any:
+def read_yaml(text: str, as_text: str | None = None) -> Any:
     """Return the value of a YAML text: None, booleans, numbers, texts, lists, and mappings with text keys.
+
+    Args:
+        text: The text.
+        as_text: Key of the mapping below which scalars are texts, as they are written: `1e3` stays `1e3`.
 
     Raises:
         ValueError: If the text is not YAML, has a key twice, or is built to exhaust memory.
@@ -39,11 +44,35 @@ def read_yaml(text: str) -> Any:
         if node is None:
             return None
         _count(node, {}, ())
+        if as_text is not None and isinstance(node, MappingNode):
+            for key, value in node.value:
+                if isinstance(key, ScalarNode) and key.value == as_text and not _is_null(value):
+                    _keep_text(value, set())
         return _plain(yaml.constructor.construct_document(node))
     except RecursionError as error:
         raise ValueError(f"nested too deeply; expected at most {MAX_DEPTH} levels") from error
     except YAMLError as error:
         raise ValueError(f"not YAML: {_describe(error)}") from error
+
+
+def _is_null(node: Node) -> bool:
+    return str(node.tag) == "tag:yaml.org,2002:null"
+
+
+def _keep_text(node: Node, done: set[int]) -> None:
+    """Make the values in a node texts, but not the keys of mappings."""
+    if id(node) in done:
+        return
+    done.add(id(node))
+    if isinstance(node, ScalarNode):
+        if node.value and str(node.tag).startswith("tag:yaml.org,2002:"):  # other tags are refused
+            node.ctag = Tag(suffix="tag:yaml.org,2002:str")
+    elif isinstance(node, MappingNode):
+        for _, value in node.value:
+            _keep_text(value, done)
+    elif isinstance(node, SequenceNode):
+        for value in node.value:
+            _keep_text(value, done)
 
 
 def _describe(error: YAMLError) -> str:

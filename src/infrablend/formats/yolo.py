@@ -9,6 +9,8 @@ closed polygon).
 
 from __future__ import annotations
 
+import contextlib
+import datetime
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -520,7 +522,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     value: Any = None
     if problem is None:
         try:
-            value = plain_yaml(text)
+            value = plain_yaml(text, "names")
         except ValueError as error:
             problem = Problem(path.name, "annotation-not-yaml", str(error)[:200], "a data.yaml")
     if problem is not None:
@@ -536,26 +538,40 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
-    """Return a warning per class that has another name for Ultralytics, whose YAML 1.1 reads an unquoted `no` as False.
+    """Return a warning per class that is no text for YAML 1.1 (Ultralytics: `no` is False) or 1.2 (`1e3` is 1000.0).
 
     The text must have passed `read_yaml`, which refuses aliases that exhaust memory.
     """
-    try:
-        theirs = _numbered(yaml.safe_load(read_text(path, path.name, "a data.yaml")[0])["names"])
-    except (yaml.YAMLError, ValueError, KeyError, TypeError):
-        return []
+    text, found = read_text(path, path.name, "a data.yaml")[0], []
+    for read in (yaml.safe_load, plain_yaml):
+        with contextlib.suppress(yaml.YAMLError, ValueError, KeyError, TypeError):
+            found.append(_by_number(read(text)["names"]))
+    others = {
+        number: next((o[number] for o in found if number in o and _is_other(o[number], name)), name)
+        for number, name in names.items()
+    }
     return [
         Problem(
             f"{path.name}: class {number}",
             "name-unquoted",
-            f"{name!r} without quotes, which Ultralytics reads as {theirs[number]!r}",
-            "a name that YAML 1.1 and 1.2 read alike",
-            f"write '{name}' in quotes",
+            f"{name} without quotes is {_kind(others[number])} for some YAML readers",
+            "",
+            f"Write '{name}' in quotes",
             "warning",
         )
         for number, name in names.items()
-        if theirs.get(number, name) != name
+        if others[number] is not name
     ]
+
+
+def _is_other(value: object, name: str) -> bool:
+    """Return whether a value that a YAML reader found is not the name; the number 5 is, because it is written `5`."""
+    return str(value) != name or isinstance(value, datetime.date)
+
+
+def _kind(value: object) -> str:
+    kinds = ((bool, "a truth value"), (int | float, "a number"), (datetime.date, "a date"))
+    return next((kind for of, kind in kinds if isinstance(value, of)), "empty" if value is None else "another text")
 
 
 def class_names(value: object, where: str) -> dict[int, str]:
@@ -572,9 +588,13 @@ def class_names(value: object, where: str) -> dict[int, str]:
 
 
 def _numbered(value: object) -> dict[int, str]:
+    return {k: str(v) for k, v in _by_number(value).items()}
+
+
+def _by_number(value: object) -> dict[int, Any]:
     if isinstance(value, dict):
-        return {int(k): str(v) for k, v in value.items() if str(k).isdecimal()}
-    return {k: str(v) for k, v in enumerate(value)} if isinstance(value, list) else {}
+        return {int(k): v for k, v in value.items() if str(k).isdecimal()}
+    return dict(enumerate(value)) if isinstance(value, list) else {}
 
 
 def categories_of(names: Mapping[int, str]) -> tuple[Category, ...]:

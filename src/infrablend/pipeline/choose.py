@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.finished import COMPLETE, EXCLUDING
+from infrablend.core.finished import COMPLETE, EXCLUDING, finishing_command
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
 from infrablend.pipeline.excluded import purge, read_choice, read_review
@@ -94,8 +94,8 @@ def choose_frames(
     status = record.get("status")
     if status not in (COMPLETE, EXCLUDING):
         raise OutputError(
-            f"{run}: an unfinished run (status {status}); expected a finished one. Finish it with its command and "
-            "--resume"
+            f"{run}: an unfinished run (status {status}); expected a finished one. Finish it with "
+            f"{finishing_command(run, record) or 'its command and --resume'}"
         )
     if "shard" in record:
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")

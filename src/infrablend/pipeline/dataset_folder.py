@@ -12,6 +12,7 @@ from infrablend.core.files import part_path, require_still_there, write_json
 from infrablend.core.finished import COMPLETE
 from infrablend.core.manifest import REPLACED, Manifest, files_below
 from infrablend.core.output import OutputFolder
+from infrablend.core.typed_command import command_facts
 from infrablend.errors import OutputError, Problem
 from infrablend.report.card import CARD_FILE
 
@@ -55,7 +56,7 @@ class DatasetFolder:
         Raises:
             OutputError: The folder cannot be used, or another process is writing to it.
         """
-        head = {"infrablend": __version__, **header}
+        head = {"infrablend": __version__, **header, **command_facts()}  # the finished record does without the command
         with self._output.claimed():
             self._empty(overwrite)
             self._write_record({**head, "status": "running"})

@@ -12,6 +12,7 @@ import numpy as np
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import read_object
 from infrablend.core.finished import is_finished
+from infrablend.core.typed_command import recorded_command
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.detections import TASKS, Predictions, Task, read_predictions
@@ -103,7 +104,9 @@ def _file_of(path: Path) -> Path:
     if record is not None or (path / TRAINING).exists():
         without = "" if file is not None else f", without {WEIGHTS}"
         found, expected = f"an unfinished training{without}", "a finished one"
+        command = recorded_command(record, path)
         todo = "finish it: repeat the `infrablend train` command with --resume"
+        todo = todo if command is None else f"finish it: {command}"
     raise ModelError(f"{path}: nothing to evaluate", [Problem(str(path), "weights", found, expected, todo)])
 
 

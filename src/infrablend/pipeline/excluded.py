@@ -7,6 +7,7 @@ The choice is written before anything moves. Whatever a kill leaves, the next ca
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -37,9 +38,10 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
             raise ValueError("not a choice of frames")
         return dict(frames)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        command = shlex.join(["infrablend", "exclude", str(layout.root)])
         raise OutputError(
             f"{path}: cannot be read ({error}); expected the frames that `infrablend exclude` left out. Restore the "
-            "file; or remove it and repeat `infrablend exclude`, which puts all frames back first"
+            f"file; or remove it and repeat `{command}`, which puts all frames back first"
         ) from error
 
 

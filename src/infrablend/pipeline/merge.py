@@ -107,7 +107,7 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
         if other.levels != shared.levels:
             raise OtherSettingsError(f"{run.root}: other grey levels than {runs[0].root}, although the data are equal")
     found: dict[int, tuple[ShardedRun, ShardState]] = {}
-    started: dict[int, ShardState] = {}
+    started: dict[int, tuple[ShardedRun, ShardState]] = {}
     for run in runs:
         for state in run.states():
             number = state.shard.number
@@ -119,13 +119,13 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
                     )
                 found[number] = run, state
             elif state.state != "missing":
-                started.setdefault(number, state)
+                started.setdefault(number, (run, state))
     lacking = [n for n in range(1, shared.count + 1) if n not in found]
     if lacking and not partial:
         raise OutputError(
             f"{len(lacking)} of {shared.count} shards are not finished. Finish them (infrablend status lists them), "
             "or merge the others with --partial.",
-            [_unfinished(Shard(n, shared.count), started.get(n)) for n in lacking],
+            [_unfinished(Shard(n, shared.count), *started.get(n, (runs[0], None))) for n in lacking],
         )
     if not found:
         raise ArgumentError(f"none of the {shared.count} shards is finished; expected at least one")
@@ -134,10 +134,9 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
     ]
 
 
-def _unfinished(shard: Shard, state: ShardState | None) -> Problem:
+def _unfinished(shard: Shard, run: ShardedRun, state: ShardState | None) -> Problem:
     found = "missing" if state is None else f"{state.state}: {state.finished} of {state.frames} frames"
-    todo = f"infrablend generate ... --shard {shard} --resume"
-    return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", todo)
+    return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", run.command(shard))
 
 
 def _read(folder: RunFolder, shard: Shard, shared: SharedPlan) -> _Finished:
@@ -179,7 +178,7 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
                 "shard-truncated",
                 f"{len(broken[one.shard])} frames are missing or damaged, such as {broken[one.shard][0]}",
                 "all frames of a finished shard",
-                f"infrablend generate ... --shard {one.shard} --resume",
+                ShardedRun(one.folder.root.parent).command(one.shard),
             )
             for one in shards
             if one.shard in broken

@@ -28,6 +28,7 @@ from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, PICTURE_TABLES, SCENES
 from infrablend.core.tasks import Executor, Failure, OnProgress, Progress, Task, TaskResult, WorkerSpec
+from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.errors import (
     Interrupted,
     MissingDependencyError,
@@ -166,7 +167,7 @@ def run_plan(
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
-        header = _header(plan, workers, device, renderer)
+        header = {**_header(plan, workers, device, renderer), **_command(previous, excluded is not None)}
         if source is not None:
             plan = replace(plan, levels=source.levels)
             header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
@@ -253,6 +254,7 @@ def run_plan(
             }
             if status == "complete":
                 if plan.shard is None:
+                    record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
                     write_report(folder, record, records.records, kept_out)
                 notes = _file_notes(plan, folder, manifest, records.frames)
         except KeyboardInterrupt as error:
@@ -558,6 +560,13 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
         },
         "packages": installed_versions(RECORDED_PACKAGES),
     }
+
+
+def _command(previous: Mapping[str, Any] | None, choosing: bool) -> dict[str, Any]:
+    """Return the command line for the record of an unfinished run; a choice of frames keeps that of the run."""
+    if not choosing and (facts := command_facts()):
+        return facts
+    return {k: v for k, v in (previous or {}).items() if k == COMMAND}
 
 
 def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, Any]:

@@ -13,10 +13,12 @@ import fcntl
 import json
 import logging
 import os
+import shlex
 import socket
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,8 +26,9 @@ from infrablend import __version__
 from infrablend.core.files import DAMAGED, output_error, read_object, replace_atomically
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import SHARDS_FILE
+from infrablend.core.run_layout import RUN_FILE, SHARDS_FILE
 from infrablend.core.tasks import OnProgress
+from infrablend.core.typed_command import recorded_command
 from infrablend.errors import OtherSettingsError, OutputError
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.levels import dataset_levels
@@ -120,6 +123,7 @@ class ShardState:
         frames: Number of its frames.
         finished: Number of frames that are finished.
         failed: Number of frames that failed, or whose background was skipped.
+        command: Command that makes or finishes it; empty if it is done or running.
     """
 
     shard: Shard
@@ -127,6 +131,7 @@ class ShardState:
     frames: int
     finished: int = 0
     failed: int = 0
+    command: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -136,6 +141,7 @@ class ShardState:
             "frames": self.frames,
             "finished": self.finished,
             "failed": self.failed,
+            **({"command": self.command} if self.command else {}),
         }
 
 
@@ -227,7 +233,21 @@ class ShardedRun:
             OutputError: The folder has no readable plan.
         """
         shared = self.read_plan()
-        return [self._state(Shard(n, shared.count), shared.frames) for n in range(1, shared.count + 1)]
+        states = [self._state(Shard(n, shared.count), shared.frames) for n in range(1, shared.count + 1)]
+        return [s if s.state in ("done", "running") else replace(s, command=self.command(s.shard)) for s in states]
+
+    def command(self, shard: Shard) -> str:
+        """Return the command that makes or finishes a shard: its own, or that of another shard of the folder."""
+        for record in (read_object(self.shard_folder(shard).run_file), self._any_record):
+            if (command := recorded_command(record, self.root, str(shard))) is not None:
+                return command
+        return f"infrablend generate ... --out {shlex.quote(str(self.root))} --shard {shard} --resume"
+
+    @cached_property
+    def _any_record(self) -> dict[str, Any] | None:
+        """Record of a shard, to learn the command of the others."""
+        files = (folder / RUN_FILE for folder in sorted(self.root.glob("shard-*-of-*")))
+        return next((record for f in files if (record := read_object(f)) is not None), None)
 
     def wait(self, interval_s: float = 30) -> list[ShardState]:
         """Return the states once every shard is done or failed; the plan may be missing until the first one starts.

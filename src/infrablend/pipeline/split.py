@@ -171,7 +171,7 @@ def split_dataset(
         leakage(dataset.images),
         leakage(images),
         "list" if lists or native is None else native.name,
-        problems=split_warnings(images, names, wanted, by),
+        problems=split_warnings(images, names, wanted, by, len(groups)),
     )
     header = {"source": str(dataset.root), "by": by, "format": report.format}
     with folder.writing(header, overwrite):
@@ -258,21 +258,23 @@ def _improve(
 
 
 def split_warnings(
-    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping
+    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping, groups: int
 ) -> tuple[Problem, ...]:
     """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""
     problems = []
     smaller = "try another --seed" + (", or --by gap, whose groups are smaller" if by != "gap" else "")
     total = Counter(o.category for i in images for o in i.instances)
-    for split, share in zip(SPLITS, wanted, strict=True):
-        if share == 0:
+    shares = dict(zip(SPLITS, wanted, strict=True))
+    empty = [s for s in SPLITS if shares[s] > 0 and all(i.split != s for i in images)]
+    if empty:
+        names_of = f"{' and '.join(empty)} {'is' if len(empty) == 1 else 'are'} empty"
+        holds = "one group holds all pictures" if groups == 1 else f"none of the {groups} groups was left"
+        todo = "use a smaller --gap, or another --by" if by == "gap" else "use another --by, such as --by gap"
+        problems.append(Problem(f"split by {by}", "split-empty", f"{names_of}: {holds}", "", todo, "warning"))
+    for split, share in shares.items():
+        if share == 0 or split in empty:
             continue
         here = [i for i in images if i.split == split]
-        if not here:
-            found = "no group left to assign"
-            todo = "use a smaller --gap if possible" if by == "gap" else "use --by gap"
-            problems.append(Problem(split, "split-empty", found, "more and smaller groups", todo, "warning"))
-            continue
         held = Counter(o.category for i in here for o in i.instances)
         if lacking := [n for n in names if total[n] and not held[n]]:
             found = f"no object of {', '.join(lacking)}"

@@ -17,6 +17,7 @@ from infrablend.core.files import require_still_there, write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
+from infrablend.core.typed_command import command_facts
 from infrablend.pipeline.training.data import (
     data_digest,
     has_deep_pictures,
@@ -110,7 +111,8 @@ def train_dataset(
             start = weights.find_start(request.weights, preset, task)
             stack.enter_context(manifest.recording())
             record = {
-                "infrablend": __version__, "status": "running", **asked, "left_out": left_out, "sessions": [],
+                "infrablend": __version__, "status": "running", **command_facts(), **asked,
+                "left_out": left_out, "sessions": [],
                 "machine": _machine_facts(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
             write_json(out / RECORD, record, durable=True)

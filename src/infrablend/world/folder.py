@@ -13,6 +13,7 @@ from infrablend.core.files import part_path, require_still_there, write_json
 from infrablend.core.finished import COMPLETE, WORLD_FILE, is_finished
 from infrablend.core.manifest import REPLACED, Manifest
 from infrablend.core.output import OutputFolder
+from infrablend.core.typed_command import command_facts
 
 _JOURNAL = ".files.jsonl"
 _FRAMES = ".frames"
@@ -48,7 +49,7 @@ class WorldFolder:
         try:
             with self._output.claimed():
                 self._remove_unfinished()
-                self._write_record({"status": "running"})
+                self._write_record({**command_facts(), "status": "running"})
                 try:
                     with self._manifest.recording():
                         yield self.root / _FRAMES

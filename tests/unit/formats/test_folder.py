@@ -218,11 +218,21 @@ def test_data_yaml_is_read_as_ultralytics_reads_it(tmp_path: Path, text: str, na
 @pytest.mark.parametrize(
     ("text", "names", "unlike"),
     [
-        ("{0: no}", ["no"], ["'no' without quotes, which Ultralytics reads as 'False'"]),
-        ("[off, On, Yes, y]", ["off", "On", "Yes", "y"], ["'False'", "'True'", "'True'"]),
-        ("[true, car]", ["True", "car"], []),
-        ("[1e3, 0o17]", ["1000.0", "15"], ["'1e3'", "'0o17'"]),
-        ("[12:30, 2020-01-01]", ["12:30", "2020-01-01"], ["'750'"]),
+        (
+            "{0: no}",
+            ["no"],
+            ["class 0: no without quotes is a truth value for some YAML readers. Write 'no' in quotes"],
+        ),
+        ("[off, On, Yes, y]", ["off", "On", "Yes", "y"], ["class 0: off", "class 1: On", "class 2: Yes"]),
+        ("[true, car]", ["true", "car"], ["true without quotes is a truth value"]),
+        (
+            "[a, b, 1e3, 0o17]",
+            ["a", "b", "1e3", "0o17"],
+            ["class 2: 1e3 without quotes is a number for some YAML readers. Write '1e3' in quotes", "0o17"],
+        ),
+        ("[12:30, 2020-01-01]", ["12:30", "2020-01-01"], ["12:30 without quotes is a number", "a date"]),
+        ("[null, ~]", ["null", "~"], ["null without quotes is empty", "~ without quotes is empty"]),
+        ("[0x10, 010, 1_000, 1.50]", ["0x10", "010", "1_000", "1.50"], ["0x10", "010", "1_000", "1.50"]),
     ],
 )
 def test_class_names_that_ultralytics_reads_otherwise_are_a_warning(
@@ -233,8 +243,11 @@ def test_class_names_that_ultralytics_reads_otherwise_are_a_warning(
     (tmp_path / "data.yaml").write_text(f"train: images\nnames: {text}\n")
     d = detection.read(tmp_path)
     assert [c.name for c in d.categories] == names
-    found = [p.found for p in d.problems if p.code == "name-unquoted"]
+    found = [str(p) for p in d.problems if p.code == "name-unquoted"]
     assert len(found) == len(unlike) == len(d.problems) and all(u in f for u, f in zip(unlike, found, strict=True))
+    # Written again, the names are in quotes, and every reader finds the same text.
+    written = yolo.data_yaml({name: k for k, name in enumerate(names)}, ["train"])[0]
+    assert list(yaml.safe_load(written)["names"].values()) == names == list(read_yaml(written)["names"].values())
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -85,6 +86,39 @@ def test_killed_split_is_unfinished_and_is_finished_with_overwrite(data: Path, t
     done("split", data, fresh, *words)
     assert tree(out) == tree(fresh)
     assert run("check", out).exit_code != 2
+
+
+def said_command(said: str) -> list[str]:
+    """Return the words of the command that a message says to repeat."""
+    return shlex.split(said.rpartition("infrablend ")[2])
+
+
+def test_unfinished_folders_name_the_whole_command(data: Path, words: list[object], tmp_path: Path) -> None:
+    """The command in the message finishes the folder: nothing that the user gave is left out."""
+    run_until_killed(8, lambda: run(*words, "--limit", "2", "--seed", "3"))
+    out, dst = tmp_path / "the parts", tmp_path / "a copy"
+    killed(6, "split", data, out, "--by", "gap", "--gap", "1", "--shares", "0.5,0.25,0.25", "--to", "voc")
+    killed(2, "convert", data, dst, "--to", "voc", "--rename", "Person=human")
+    for folder, given in (
+        (tmp_path / "run", "--set 'camera.pitch={fixed_deg: 60}' --data"),
+        (out, "--shares 0.5,0.25,0.25"),
+        (dst, "--rename Person=human"),
+    ):
+        ended = run("check", folder)
+        assert ended.exit_code == 2 and given in ended.stderr, ended.output
+        assert run(*said_command(ended.stderr)).exit_code == 0
+        assert run("check", folder).exit_code != 2
+    made = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert made["request"]["selection"] == {"limit": 2} and made["seed"] == 3
+
+
+def test_unfinished_run_without_a_command_names_what_its_record_holds(made: Path, data: Path) -> None:
+    set_status(made / "run.json", "interrupted")
+    command = f"infrablend generate RECIPE --data {data} --out {made} --seed 0 --resume"
+    assert command in run("check", made / "yolo").stderr
+    assert command in run("exclude", made, "a").stderr
+    set_status(made / "run.json", "excluding")
+    assert f"infrablend exclude {made}" in run("check", made / "yolo").stderr
 
 
 def test_split_does_not_write_to_a_folder_in_use(data: Path, tmp_path: Path) -> None:
@@ -344,6 +378,11 @@ def test_weights_of_an_unfinished_training_are_refused(tmp_path: Path) -> None:
     for weights in (training, training / "weights.pt"):
         ended = run("evaluate", weights, tmp_path / "in" / "data", "--out", tmp_path / "out")
         assert ended.exit_code == 2 and "unfinished training" in ended.stderr and "--resume" in ended.stderr
+    record = {"infrablend": "1", "status": "running"}
+    command = {"words": ["train", "data", "--out", str(training), "--preset", "x"], "folder": str(tmp_path)}
+    (training / "train.json").write_text(json.dumps({**record, "command": command}))
+    ended = run("evaluate", training, tmp_path / "in" / "data", "--out", tmp_path / "out")
+    assert f"infrablend train data --out {training} --preset x --resume" in ended.stderr
 
 
 def test_report_removed_while_it_is_written_is_an_error_and_can_be_repeated(

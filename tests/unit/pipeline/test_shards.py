@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 from pathlib import Path
 
@@ -103,8 +104,11 @@ def test_status_and_unfinished_shards(dataset, tmp_path):
         ended = run("status", out, "--json")
     assert ended.exit_code == 1
     assert [s["state"] for s in json.loads(ended.stdout)["shards"]] == ["running", "stopped", "missing"]
+    commands = [s.get("command", "") for s in json.loads(ended.stdout)["shards"]]
+    assert not commands[0] and commands[2] in run("status", out).stdout.splitlines()[-1]
     ended = run("merge", out, tmp_path / "merged")
     assert ended.exit_code == 2
+    assert commands[1] in ended.output and commands[2] in ended.output
     assert "shard 2/3: stopped" in ended.output
     assert "shard 3/3: missing" in ended.output
     assert not (tmp_path / "merged").exists()
@@ -116,7 +120,8 @@ def test_status_and_unfinished_shards(dataset, tmp_path):
     done(*command(dataset, tmp_path / "chosen", "--frames", frames))
     assert hashes(tmp_path / "part") == hashes(tmp_path / "chosen")
 
-    make_shards(dataset, out, 3, "--resume")
+    for words in commands[1:]:
+        done(*shlex.split(words)[1:])
     assert run("status", out).exit_code == 0
     done("merge", out, tmp_path / "merged")
 

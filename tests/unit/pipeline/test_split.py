@@ -78,7 +78,7 @@ def test_a_split_with_hardly_any_object_of_a_class_is_a_warning(tmp_path: Path) 
     images = api.read_dataset(root).images
     of_day = {"20200101": "train", "20200102": "val", "20200103": "test"}
     dealt = [replace(i, split=of_day[i.name[:8]]) for i in images]  # type: ignore[arg-type]
-    found = split_warnings(dealt, ["fox", "hare"], (0.7, 0.1, 0.2), "date")
+    found = split_warnings(dealt, ["fox", "hare"], (0.7, 0.1, 0.2), "date", 3)
     assert [(p.where, p.code, p.severity) for p in found] == [
         ("val", "class-absent", "warning"),
         ("test", "class-scarce", "warning"),
@@ -86,7 +86,15 @@ def test_a_split_with_hardly_any_object_of_a_class_is_a_warning(tmp_path: Path) 
     assert "only 1 of 40 objects of hare; expected about 20 % of the objects" in str(found[1])
     assert "--by gap" in found[0].todo and "--by gap" in found[1].todo
     assert split_warnings([replace(i, split=s) for i in images for s in ("train", "val", "test")],
-                           ["fox", "hare"], (0.4, 0.3, 0.3), "gap") == ()  # fmt: skip
+                           ["fox", "hare"], (0.4, 0.3, 0.3), "gap", 9) == ()  # fmt: skip
+
+
+def test_splits_without_pictures_are_a_warning(tmp_path: Path) -> None:
+    SAMPLES["coco"](tmp_path / "data")
+    ended = run(tmp_path / "data", tmp_path / "out", "--by", "gap", "--gap", "100000", "--to", "voc")
+    assert ended.exit_code == 0
+    expected = "val and test are empty: one group holds all pictures. Use a smaller --gap, or another --by"
+    assert expected in " ".join(ended.stderr.split())
 
 
 def test_lists_only(tmp_path: Path) -> None:
