@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.file_names import leaves_folder, real_path
-from infrablend.core.files import read_object
+from infrablend.core.files import read_object, sha256_of
 from infrablend.core.manifest import REPLACED
 from infrablend.core.run_layout import EXCLUDED, LOGS, RUN_FILE, SCENES, SHARDS_FILE
 from infrablend.core.typed_command import recorded_command, run_command
@@ -80,6 +80,35 @@ def require_finished(folder: Path) -> None:
             raise _in_shards(folder, root)
         if any((root / DOWNLOAD_FOLDER).glob(f"*{PLACED}")):
             raise _half_placed(folder, root)
+
+
+def markers_of(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of each record of InfraBlend for a folder and those around it, by path."""
+    inside = real_path(folder)
+    paths = [root / m.file for root in (inside, *inside.parents) for m in _MARKERS]
+    return {str(p): sha256_of(p) for p in paths if p.is_file() and not leaves_folder(p)}
+
+
+def require_unchanged(folder: Path, markers: Mapping[str, str] | None) -> None:
+    """Check that no command has written a dataset again while it was read.
+
+    Args:
+        folder: Folder of the dataset.
+        markers: `markers_of` the folder before it was read; None if it was not read.
+
+    Raises:
+        DatasetError: One has.
+    """
+    if markers is None:
+        return
+    now = markers_of(folder)
+    changed = sorted(p for p in {*markers, *now} if markers.get(p) != now.get(p))
+    if changed:
+        problems = [
+            Problem(p, "folder-changed", "written again meanwhile", "the record as it was", "repeat the command")
+            for p in changed
+        ]
+        raise DatasetError(f"{folder}: was written again while it was read", problems)
 
 
 def kept_aside(folder: Path) -> frozenset[str]:

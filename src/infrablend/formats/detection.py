@@ -11,7 +11,7 @@ from typing import Any
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.finished import require_finished
+from infrablend.core.finished import markers_of, require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import folder, temperatures
@@ -65,6 +65,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         problem = Problem(str(root), "folder-missing", "no such folder", "the folder of a dataset", "check the path")
         raise DatasetError("no dataset to read", [problem])
     require_finished(root)
+    markers = markers_of(root)
     root, format = labels_of_run(root, reading.format)
     if format is None:
         found = detect(root)
@@ -99,7 +100,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     dataset = add_flight_data(dataset)
     unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
     remarks = (*unread, *temperatures.scale_warnings(dataset))
-    return replace(dataset, problems=(*dataset.problems, *remarks))
+    return replace(dataset, problems=(*dataset.problems, *remarks), markers=markers)
 
 
 def _with_regular_pictures(dataset: Dataset) -> Dataset:

@@ -103,13 +103,18 @@ def choose_frames(
     plan = recorded.plan(data)
     before = read_choice(folder)
     after = _changed(before, choice, plan, run)
-    changed = before.keys() ^ after.keys()
+
+    def choose(now: Mapping[str, str]) -> Mapping[str, str]:
+        nonlocal before, after  # another call may have changed the choice meanwhile
+        before, after = dict(now), _changed(now, choice, plan, run)
+        return after
+
     counts: Mapping[str, Any] = record.get("counts", {})
-    if changed or after != before or status == EXCLUDING:
+    if after != before or status == EXCLUDING:
         flat = recorded.renderer == "flat"
         execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
         try:
-            counts = run_plan(plan, run, execution, "resume", on_progress, excluded=after).counts
+            counts = run_plan(plan, run, execution, "resume", on_progress, choose=choose).counts
         except OtherSettingsError as error:
             raise OtherSettingsError(
                 f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
@@ -119,7 +124,7 @@ def choose_frames(
     if choice.purge:
         with folder.output.claimed():
             deleted = purge(folder, folder.manifest().read())
-    return ChoiceReport(run, after, len(changed), deleted, counts)
+    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts)
 
 
 def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan, run: Path) -> dict[str, str]:

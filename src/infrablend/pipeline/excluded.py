@@ -6,6 +6,8 @@ The choice is written before anything moves. Whatever a kill leaves, the next ca
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shlex
 from collections.abc import Iterable, Mapping
@@ -19,7 +21,7 @@ from infrablend.errors import OutputError
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.pipeline.review import read_verdicts
 
-VERSION = 1
+VERSION = 2
 
 
 def read_choice(layout: RunLayout) -> dict[str, str]:
@@ -36,6 +38,8 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
         frames = data["frames"]
         if data["version"] != VERSION or not all(isinstance(v, str) for pair in frames.items() for v in pair):
             raise ValueError("not a choice of frames")
+        if data["sha256"] != _digest_of(frames):
+            raise ValueError("it was edited: frames are chosen by `infrablend exclude` and `include`")
         return dict(frames)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         command = shlex.join(["infrablend", "exclude", str(layout.root)])
@@ -47,7 +51,12 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
 
 def write_choice(layout: RunLayout, excluded: Mapping[str, str]) -> None:
     """Write the choice of frames."""
-    write_json(layout.excluded_file, {"version": VERSION, "frames": dict(sorted(excluded.items()))}, indent=2)
+    frames = dict(sorted(excluded.items()))
+    write_json(layout.excluded_file, {"version": VERSION, "frames": frames, "sha256": _digest_of(frames)}, indent=2)
+
+
+def _digest_of(frames: Mapping[str, str]) -> str:
+    return hashlib.sha256(json.dumps(dict(frames), sort_keys=True).encode()).hexdigest()
 
 
 def place_frames(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
+import logging
 import os
 import shutil
 from collections.abc import Iterable, Mapping
@@ -28,11 +31,30 @@ from infrablend.core.run_layout import (
 from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.excluded import excluded_files, read_choice
 from infrablend.pipeline.record import RecordError, load_record
+from infrablend.pipeline.review import REVIEW_FILE
+
+log = logging.getLogger(__name__)
 
 # Folders that contain nothing but what the run writes.
 DATASET_FOLDERS = (IMAGES, *written_names(), NATIVE, SCENES, EIGHT_BIT)
 LOG_FILES = ("run.log", "workers.log")
 MANIFEST = "files.jsonl"
+
+
+DIGEST = "sha256"
+"""Field of a run record with the digest of the fields that decide what the run is."""
+
+_DECIDING = ("categories", "data", "formats", "key", "levels", "machine", "recipe", "request", "seed", "shard")
+
+
+def _digest_of(record: Mapping[str, Any]) -> str:
+    deciding = {k: record[k] for k in _DECIDING if k in record}
+    return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
+
+
+def is_edited(record: Mapping[str, Any]) -> bool:
+    """Return whether a field of a run record that decides what the run is was changed after it was written."""
+    return DIGEST in record and record[DIGEST] != _digest_of(record)
 
 
 @dataclass(frozen=True)
@@ -60,11 +82,16 @@ class RunFolder(RunLayout):
             ) from error
         if not isinstance(data, dict) or not {"recipe", "infrablend"} <= data.keys():
             raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
+        if is_edited(data):
+            raise OutputError(
+                f"{self.run_file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} decide what the run is); "
+                "expected the record as written. Restore it, or make the run again with --overwrite."
+            )
         return data
 
     def write_run(self, data: dict[str, Any]) -> None:
-        """Write the run record atomically."""
-        write_json(self.run_file, data, indent=2)
+        """Write the run record atomically, with a digest of what decides the run."""
+        write_json(self.run_file, {**data, DIGEST: _digest_of(data)}, indent=2)
 
     def manifest(self) -> Manifest:
         """Return the manifest of the files that the run writes, unread; frames have their own records instead."""
@@ -159,6 +186,9 @@ class RunFolder(RunLayout):
         output.make_writable()
         return None
 
+    def _move_aside(self, manifest: Manifest, name: str) -> None:
+        log.warning("%s belongs to the run that is overwritten: moved to %s", name, manifest.move_aside(name))
+
     def _remove_run(self, record: Mapping[str, Any]) -> None:
         """Delete what a run wrote and nobody changed; the record stays until the next run replaces it."""
         manifest = self.manifest()
@@ -175,8 +205,13 @@ class RunFolder(RunLayout):
         for name, digest in excluded_files(self).items():
             manifest.add_present(name, digest)
         if os.path.lexists(self.excluded_file):
-            read_choice(self)  # raises if something else wrote it
-            manifest.add_present(EXCLUDED_FILE)
+            try:
+                read_choice(self)
+                manifest.add_present(EXCLUDED_FILE)
+            except OutputError:  # somebody else wrote it
+                self._move_aside(manifest, EXCLUDED_FILE)
+        if os.path.lexists(self.root / REVIEW_FILE):  # of the pictures that are removed now
+            self._move_aside(manifest, REVIEW_FILE)
         for name in LOG_FILES:
             manifest.add_present(f"{LOGS}/{name}")
         manifest.remove_own()

@@ -8,7 +8,7 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -137,7 +137,7 @@ def run_plan(
     execution: Execution = DEFAULT_EXECUTION,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
-    excluded: Mapping[str, str] | None = None,
+    choose: Callable[[Mapping[str, str]], Mapping[str, str]] | None = None,
     source: FrameSource | None = None,
 ) -> RunReport:
     """Render every frame of the plan that is not excluded, then write the label files.
@@ -148,7 +148,8 @@ def run_plan(
         execution: Workers, device and renderer.
         existing: What to do if `out` already contains a run; `resume` keeps its finished frames.
         on_progress: Called after each frame.
-        excluded: Frames to leave out from now on, each with its reason; None keeps the choice of a resumed run.
+        choose: Returns the frames to leave out from now on, each with its reason, from those that are left out now; it
+            is called while no other process can change them. None keeps the choice of a resumed run.
         source: Where to take finished frames from; None renders them.
 
     Raises:
@@ -167,7 +168,7 @@ def run_plan(
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
-        header = {**_header(plan, workers, device, renderer), **_command(previous, excluded is not None)}
+        header = {**_header(plan, workers, device, renderer), **_command(previous, choose is not None)}
         if source is not None:
             plan = replace(plan, levels=source.levels)
             header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
@@ -178,9 +179,10 @@ def run_plan(
         if previous is None:
             manifest.reset()
         kept_out = {} if previous is None else read_choice(folder)
-        folder.write_run({**header, "status": "running" if excluded is None else EXCLUDING})
-        if excluded is not None:
-            kept_out = dict(excluded)
+        if choose is not None:
+            kept_out = dict(choose(kept_out))
+        folder.write_run({**header, "status": "running" if choose is None else EXCLUDING})
+        if choose is not None:
             write_choice(folder, kept_out)
         state = _State(excluded=sum(f.frame_id in kept_out for f in plan.frames))
         if previous is None:
@@ -211,7 +213,7 @@ def run_plan(
         else:
             pool = PoolSettings(workers=max(1, workers), log_path=workers_log)
             executor = ProcessPool(worker, pool)
-        status, stopped = "complete", "interrupted" if excluded is None else EXCLUDING
+        status, stopped = "complete", "interrupted" if choose is None else EXCLUDING
         try:
             _make_frames(executor, todo, plan, state, 1 if in_process or source else workers, on_progress)
         except Interrupted:

@@ -12,7 +12,7 @@ from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMP
 from infrablend.core.manifest import REPLACED, Manifest
 from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
 from infrablend.errors import Problem, Severity
-from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.folder import RunFolder, is_edited
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.card import CARD_FILE
 
@@ -51,6 +51,8 @@ def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
     folder = RunFolder(root)
     manifest = folder.manifest().read()
     todo = "repeat the command of the run with --resume: it restores the file and keeps a changed one in log/replaced"
+    if is_edited(read_object(root / RUN_FILE) or {}):
+        yield Problem(RUN_FILE, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
     framed = set()  # these files have records of their own
     for path in folder.records():
         name = path.relative_to(root).as_posix()

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.formats import writing
+from infrablend.pipeline import choose
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.samples import SAMPLES
@@ -139,3 +141,102 @@ def test_numbers_that_are_not_finite_in_a_record_of_shards_are_refused(data: Pat
     for n in (1, 2):
         done(*command(data, shards, "--shard", f"{n}/2", "--overwrite"))
     done("merge", shards, tmp_path / "merged")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r.update(levels=[0, 100]),
+        lambda r: r["machine"].update(renderer="blender"),
+        lambda r: r["recipe"].update(seed=5),
+        lambda r: r.setdefault("request", {}).update(selection={"limit": 1}),
+    ],
+)
+def test_edited_record_of_a_run_is_refused_and_found_by_check(made: Path, data: Path, change) -> None:
+    record = json.loads((made / "run.json").read_text())
+    change(record)
+    (made / "run.json").write_text(json.dumps(record))
+    frame = next((made / "scenes").rglob("*.json")).relative_to(made / "scenes").with_suffix("").as_posix()
+    for words in (
+        command(data, made, "--resume"),
+        ["exclude", made, frame],
+        ["report", made],
+        ["rerender", made, frame],
+    ):
+        ended = run(*words)
+        assert ended.exit_code == 2, ended.output
+        assert "changed after InfraBlend wrote it" in ended.output
+    assert "file-changed" in run("check", made).output
+    done(*command(data, made, "--overwrite"))
+    assert (made / "log/replaced/run.json").is_file()
+    done("check", made)
+
+
+# -- choices of frames
+
+
+def frames_of(run_folder: Path) -> list[str]:
+    scenes = run_folder / "scenes"
+    return sorted(p.relative_to(scenes).with_suffix("").as_posix() for p in scenes.rglob("*.json"))
+
+
+def test_two_choices_at_once_are_both_kept(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, *_ = frames_of(made)
+    real, others = choose.run_plan, []
+
+    def meanwhile(*words: object, **more: object) -> object:
+        if not others:
+            others.append(second)
+            done("exclude", made, second)
+        return real(*words, **more)
+
+    monkeypatch.setattr(choose, "run_plan", meanwhile)
+    done("exclude", made, first)
+    assert set(json.loads((made / "excluded.json").read_text())["frames"]) == {first, second}
+    assert not {first, second} & {*frames_of(made)}
+
+
+def test_edited_choice_deletes_nothing(made: Path, data: Path) -> None:
+    first, second, *_ = frames_of(made)
+    done("exclude", made, first)
+    chosen = json.loads((made / "excluded.json").read_text())
+    (made / "excluded.json").write_text(json.dumps({**chosen, "frames": {second: "by hand"}}))
+    before = tree(made / "excluded") | tree(made / "images")
+    for words in (["exclude", made, "--purge"], ["include", made, first], command(data, made, "--resume")):
+        ended = run(*words)
+        assert ended.exit_code == 2, ended.output
+        assert "excluded.json" in ended.output and "edited" in ended.output
+    assert tree(made / "excluded") | tree(made / "images") == before
+    done(*command(data, made, "--overwrite"))
+    assert (made / "log/replaced/excluded.json").is_file()
+    assert first in frames_of(made)
+
+
+def test_review_of_an_overwritten_run_is_kept_aside(made: Path, data: Path) -> None:
+    first = frames_of(made)[0]
+    (made / "review.json").write_text(json.dumps({"frames": {first: {"verdict": "reject"}}}))
+    done(*command(data, made, "--overwrite", "--seed", 3))
+    assert not (made / "review.json").exists()
+    assert (made / "log/replaced/review.json").is_file()
+    assert run("exclude", made, "--review").exit_code == 2
+    assert first in frames_of(made)
+
+
+@pytest.mark.parametrize("words", [["convert", "--to", "yolo"], ["split", "--by", "gap", "--gap", 1, "--to", "coco"]])
+def test_dataset_that_is_written_again_meanwhile_is_an_error(
+    made: Path, data: Path, tmp_path: Path, words: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, done_before = writing.write, []
+
+    def meanwhile(*given: object, **more: object) -> object:
+        if not done_before:
+            done_before.append(True)
+            done(*command(data, made, "--overwrite", "--seed", 3))
+        return real(*given, **more)
+
+    monkeypatch.setattr(writing, "write", meanwhile)
+    ended = run(words[0], made, tmp_path / "out", *words[1:])
+    assert ended.exit_code == 2, ended.output
+    assert "was written again while it was read" in ended.output
+    assert "unfinished" in run("check", tmp_path / "out").output
+    done(words[0], made, tmp_path / "out", *words[1:], "--overwrite")
