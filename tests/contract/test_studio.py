@@ -107,10 +107,10 @@ def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str,
             [sys.executable, "-m", "infrablend", "studio", "--run", run, "--no-open"], capture_output=True, text=True
         )
         assert second.returncode == 2 and "open in another studio" in second.stderr
-        page.keyboard.press("ArrowLeft")
-        page.keyboard.press("ArrowLeft")
-        page.keyboard.press("a")
-        page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
+        # Each key after the page has answered the one before: the frame of `b` is shown on the way back as well.
+        for key, shown in (("ArrowLeft", "test/b_c0"), ("ArrowLeft", "test/a_c0"), ("a", "test/b_c0")):
+            page.keyboard.press(key)
+            page.locator(f'.verdict[data-frame="{shown}"]').wait_for()
         process.kill()
         page.locator("#popup").get_by_text("Connection lost").wait_for()
     assert read_verdicts(run / "review.json") == {"test/a_c0": Verdict("accept")}

@@ -44,11 +44,13 @@ MANIFEST = "files.jsonl"
 DIGEST = "sha256"
 """Field of a run record with the digest of the fields that decide what the run is."""
 
-_DECIDING = ("categories", "data", "formats", "key", "levels", "machine", "recipe", "request", "seed", "shard")
+_DECIDING = ("categories", "formats", "key", "levels", "recipe", "request", "seed", "shard")
 
 
 def _digest_of(record: Mapping[str, Any]) -> str:
-    deciding = {k: record[k] for k in _DECIDING if k in record}
+    deciding: dict[str, Any] = {k: record[k] for k in _DECIDING if k in record}
+    machine = record.get("machine")  # but not the number of workers, which decides nothing
+    deciding["renderer"] = machine.get("renderer") if isinstance(machine, Mapping) else None
     return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
 
 
@@ -84,7 +86,7 @@ class RunFolder(RunLayout):
             raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
         if is_edited(data):
             raise OutputError(
-                f"{self.run_file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} decide what the run is); "
+                f"{self.run_file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} or machine.renderer); "
                 "expected the record as written. Restore it, or make the run again with --overwrite."
             )
         return data

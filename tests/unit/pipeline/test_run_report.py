@@ -142,7 +142,7 @@ def test_an_unfinished_run_is_refused_with_the_command_that_finishes_it(made: Pa
     (made / "run.json").write_text(json.dumps({**record, "status": "interrupted"}))
     ended = run("report", made)
     assert ended.exit_code == 2
-    assert f"--out {made} --resume" in ended.output
+    assert f"--out {made}" in ended.output and "--resume" in ended.output
     ended = run("report", made / "images")
     assert ended.exit_code == 2
     assert "infrablend generate" in ended.output
