@@ -116,6 +116,23 @@ def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str,
     assert read_verdicts(run / "review.json") == {"test/a_c0": Verdict("accept")}
 
 
+def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(chromium: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
+    with studio(tmp_path, "--run", run) as (_, address), browser_page(chromium) as (page, _, _):
+        page.goto(address)
+        page.locator(".frame-cell img").first.wait_for()
+        page.goto(f"{address.partition('/?')[0]}/review?frame=1")
+        page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
+        (run / "scenes/test/a_c0.json").unlink()  # as `exclude` does: frame 1 is now another one
+        os.utime(run / "run.json")
+        page.keyboard.press("a")
+        page.get_by_text("have changed since this page was opened").first.wait_for()
+        assert not (run / "review.json").exists()
+        run.rename(tmp_path / "elsewhere")
+        page.keyboard.press("ArrowRight")
+        page.get_by_text("its frames are gone").first.wait_for()
+
+
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:
     fainter = frame_record("x")["inserted"][0] | {"extra": {"contrast_grey": -4.0}}
     first, second = (

@@ -20,6 +20,7 @@ from infrablend.cli.options import (
     comma_list,
     key_values,
     make_reading,
+    split_at_commas,
 )
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def convert(
     from infrablend.pipeline.convert import ClassChanges
     from infrablend.pipeline.select import Selection
 
-    pairs = [pair for text in rename or () for pair in text.split(",")]
+    pairs = [pair for text in rename or () for pair in split_at_commas(text)]
     report = api.convert(
         source,
         out,

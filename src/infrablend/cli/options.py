@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -62,17 +63,22 @@ RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `g
 
 
 def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
-    """Parse `"a, b"` into `("a", "b")` without repeats; None stays None.
+    r"""Parse `"a, b"` into `("a", "b")` without repeats; None stays None. A comma of a name is written `\,`.
 
     Raises:
         typer.BadParameter: An item is empty; the message names `option`.
     """
     if text is None:
         return None
-    items = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    items = tuple(dict.fromkeys(split_at_commas(text)))
     if not all(items):
         raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c", param_hint=option)
     return items
+
+
+def split_at_commas(text: str) -> list[str]:
+    r"""Return the items of a list, without blanks around them; a comma of an item is written `\,`."""
+    return [part.strip().replace("\\,", ",") for part in re.split(r"(?<!\\),", text)]
 
 
 def split_list(text: str | None) -> tuple[str, ...] | None:

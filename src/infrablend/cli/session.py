@@ -22,6 +22,7 @@ from infrablend.errors import ArgumentError
 if TYPE_CHECKING:
     from rich.console import Console
 
+_WARNED = 1000  # warnings that are remembered
 LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one started
 
 logger = logging.getLogger(__name__)
@@ -50,10 +51,17 @@ class _ConsoleHandler(logging.Handler):
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
+        self._warned: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            self._console.print(printable(self.format(record)), markup=False, highlight=False, soft_wrap=True)
+            line = printable(self.format(record))
+            if record.levelno == logging.WARNING:  # shown once; stages of an experiment repeat them
+                if line in self._warned:
+                    return
+                if len(self._warned) < _WARNED:
+                    self._warned.add(line)
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         except Exception:
             self.handleError(record)
 

@@ -21,7 +21,8 @@ from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import FrameSource, RunReport, differences, run_plan
+from infrablend.pipeline.run import FrameSource, RunReport, run_plan
+from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import os
 import time
@@ -14,10 +13,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from infrablend import __version__
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
@@ -50,6 +46,7 @@ from infrablend.pipeline.pace import Pace
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
+from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.run_report import write_report
 
 log = logging.getLogger(__name__)
@@ -485,24 +482,11 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
     versions, installed = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
     for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
         log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
-    if texts := differences(previous.get("key", {}), plan.key):
+    if texts := differences(previous.get("key", {}), plan.key, previous.get("request"), plan.request):
         raise OtherSettingsError(
             f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
             "Use the same recipe, data, seed, splits and choice of frames, or --overwrite, or another --out."
         )
-
-
-def differences(earlier: Mapping[str, Any], key: Mapping[str, Any]) -> list[str]:
-    """Return a text per field in which the key of a run differs from an earlier one; empty if they are equal."""
-    was, now = _comparable(earlier), _comparable(key)
-    texts = []
-    for k in sorted(k for k in now if was.get(k) != now[k]):
-        if isinstance(now[k], Mapping):
-            fields = _differing_fields(was.get(k, {}), now[k], k)
-            texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
-        else:
-            texts.append(f"{k} was {was.get(k)!r}, is {now[k]!r}")
-    return texts
 
 
 def _shard_facts(plan: RunPlan, state: _State) -> dict[str, Any]:
@@ -510,27 +494,6 @@ def _shard_facts(plan: RunPlan, state: _State) -> dict[str, Any]:
     if plan.shard is None:
         return {}
     return {"unfinished": {frame: failure.to_json() for frame, failure in sorted(state.reasons.items())}}
-
-
-def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a run's key with the recipe as this version records it, without its description."""
-    comparable = dict(key)
-    if isinstance(key.get("recipe"), Mapping):
-        recipe = upgrade_recorded(key["recipe"])
-        with contextlib.suppress(ValidationError):  # an invalid recipe is compared as it is recorded
-            upgraded = recipe_from_json(json.dumps(recipe))
-            recipe = json.loads(upgraded.model_dump_json(exclude={"output": {"formats"}}))
-        recipe.pop("description", None)
-        comparable["recipe"] = recipe
-    return comparable
-
-
-def _differing_fields(was: Any, now: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
-    if isinstance(was, Mapping) and isinstance(now, Mapping):
-        for k in sorted({*was, *now}):
-            yield from _differing_fields(was.get(k), now.get(k), f"{path}.{k}")
-    elif was != now:
-        yield path, was, now
 
 
 def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str, Any]:

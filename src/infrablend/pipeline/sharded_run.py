@@ -34,7 +34,8 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import RunReport, differences, run_plan
+from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import MAX_SHARDS, Shard
 
 log = logging.getLogger(__name__)

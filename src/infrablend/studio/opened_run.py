@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import logging
 import os
@@ -79,6 +80,11 @@ class RunFrames:
             DatasetError: There is no such row.
         """
         reading = self.reading
+        if not reading.ids:
+            raise DatasetError(
+                f"{self.layout.root}: its frames are gone; expected the run that was opened. If it was removed or is "
+                "being written again, open it again when it is finished"
+            )
         if not 0 <= number < len(reading.ids):
             raise DatasetError(f"frame {number}: no such frame; the run has {len(reading.ids)}")
         return reading.row(number)
@@ -139,6 +145,18 @@ class OpenedRun(RunFrames):
     def close(self) -> None:
         """Release the run."""
         os.close(self._lock)
+
+    def _begin(self) -> None:
+        super()._begin()
+        # A run that was written again has other folders, and the lock is on the old one.
+        if hasattr(self, "_lock") and self._lock_is_stale():
+            stale, self._lock = self._lock, self._locked()
+            os.close(stale)
+
+    def _lock_is_stale(self) -> bool:
+        with contextlib.suppress(OSError):
+            return not os.path.samestat(os.fstat(self._lock), (self.layout.root / SCENES).stat())
+        return False  # no folder to lock
 
     def _locked(self) -> int:
         """Lock the folder of the records: it leaves no file, and does not keep commands from writing the run."""

@@ -125,7 +125,12 @@ def _records(layout: RunLayout) -> Iterator[tuple[str, str, _State]]:
     top = str(layout.root / SCENES)
     folders = [top]
     while folders:
-        for entry in sorted(os.scandir(folders.pop()), key=lambda e: e.name):
+        try:
+            entries = sorted(os.scandir(folders.pop()), key=lambda e: e.name)
+        except OSError as error:  # removed, or written again meanwhile
+            log.warning("%s: %s", layout.root, error)
+            continue
+        for entry in entries:
             if entry.is_dir(follow_symlinks=False):
                 folders.append(entry.path)
             elif entry.name.endswith(".json"):

@@ -45,6 +45,20 @@ def test_a_full_disk_under_the_log_changes_nothing(tmp_path: Path) -> None:
     assert ended.returncode == 0 and "clean" in ended.stdout and "Traceback" not in ended.stderr, ended.stderr
 
 
+def test_a_warning_is_shown_once_and_logged_each_time(tmp_path: Path) -> None:
+    code = (
+        "import logging; from pathlib import Path; from infrablend.cli.session import open_session\n"
+        f"with open_session(False, False, Path({str(tmp_path / 'log')!r})):\n"
+        "    for text in ('first', 'second', 'first'):\n"
+        "        logging.getLogger('x').warning('%s thing', text)\n"
+        "        logging.getLogger('x').error('%s fault', text)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert (ended.stderr.count("first thing"), ended.stderr.count("second thing")) == (1, 1)
+    assert ended.stderr.count("first fault") == 2
+    assert (tmp_path / "log").read_text().count("first thing") == 2
+
+
 def test_a_file_that_is_no_log_is_left_alone(tmp_path: Path) -> None:
     data = SAMPLES["coco"](tmp_path / "data")
     labels = sorted(data.rglob("*.json"))[0]

@@ -67,6 +67,15 @@ def test_classes_are_renamed_joined_and_dropped(data: Path, tmp_path: Path) -> N
     assert [c.name for c in api.read_dataset(out).categories] == ["Person", "vehicle"]
 
 
+def test_names_with_commas_are_chosen_with_a_backslash(data: Path, tmp_path: Path) -> None:
+    renamed = run("-q", "convert", data, tmp_path / "a", "--to", "coco", "--rename", r"Car=car\, truck,Person=P")
+    assert renamed.exit_code == 0, renamed.output
+    assert {"car, truck", "P"} <= {c.name for c in api.read_dataset(tmp_path / "a").categories}
+    dropped = run("-q", "convert", tmp_path / "a", tmp_path / "b", "--to", "coco", "--drop-class", r"car\, truck, P")
+    assert dropped.exit_code == 0, dropped.output
+    assert not {"car, truck", "P"} & {c.name for c in api.read_dataset(tmp_path / "b").categories}
+
+
 def test_ids_stay_where_that_is_asked(data: Path, tmp_path: Path) -> None:
     source = {i.name: i.source_id for i in api.read_dataset(data).images}
     api.convert(data, tmp_path / "out", "hit-uav", writing=api.WriteSettings(ids="source"))

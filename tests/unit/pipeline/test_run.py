@@ -211,6 +211,20 @@ def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
         generate(dataset, tmp_path / "run", existing="resume", seed=5)
 
 
+def test_resume_names_options_and_not_digests(dataset, tmp_path):
+    from infrablend.pipeline.run_key import differences
+
+    key = {"backgrounds": "01ab", "seed": 0, "frames": [f"test/{k}_c0" for k in range(6)]}
+    asked = {"reading": {"splits": ("test",)}, "selection": {"limit": 6}}
+    now = {"reading": {"splits": ("test",)}, "selection": {"limit": 5}}
+    changed = {**key, "backgrounds": "02cd", "frames": key["frames"][:5]}
+    shown = "(test/0_c0, test/1_c0, test/2_c0, ...)"
+    assert differences(key, changed, asked, now) == ["limit was 6, is 5", f"frames was 6 {shown}, is 5 {shown}"]
+    changed = {**key, "backgrounds": "02cd"}
+    assert differences(key, changed, asked, asked) == ["the backgrounds, their labels or their metadata have changed"]
+    assert differences(key, {**changed, "backgrounds": "01ab"}) == []
+
+
 RECORDED = Path(__file__).parents[1] / "config" / "recorded_recipes.json"
 
 

@@ -33,6 +33,7 @@ from infrablend.training.request import TrainRequest
 _FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
 # Rejected labels and pictures that an error lists; it counts the others.
 _REJECTED_SHOWN = 20
+_FEW_PICTURES = 100
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +69,11 @@ def select_training_data(
             problem = Problem(f"split {split}", "split-empty", "no pictures", expected, todo)
             needed = split == "train" or preset.patience
             problems.append(problem if needed else replace(problem, severity="warning"))
+    if 0 < splits["train"] < _FEW_PICTURES and preset.name != "smoke":
+        problems.append(Problem("split train", "few-pictures", f"{splits['train']} pictures",
+                                f"{_FEW_PICTURES} or more: a detector finds little after fewer",
+                                "give more pictures, or take its figures as those of a test run",
+                                severity="warning"))  # fmt: skip
     found = Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
     for name in keep:
         if splits["train"] and not found[name]:
@@ -103,7 +109,8 @@ def select_training_data(
 
 def _classes_line(names: Sequence[str]) -> str:
     """Return the option that trains on these classes alone, ready to paste; empty for no class."""
-    return f"add --classes {shlex.quote(','.join(names))}" if names else ""
+    listed = ",".join(name.replace(",", "\\,") for name in names)
+    return f"add --classes {shlex.quote(listed)}" if names else ""
 
 
 def _checked(dataset: Dataset, agc: Agc) -> Dataset:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments, KeyEventArguments
 
-from infrablend.errors import InfraBlendError
+from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
@@ -52,6 +53,7 @@ class ReviewPage:
         self._view = view
         self._order: list[int] = []
         self._number: int | None = None
+        self._shown: FrameRow | None = None
         self._boxes = True
         self._originals = False
         self._advance = True
@@ -132,8 +134,12 @@ class ReviewPage:
     # ---- one frame
 
     def _show(self, number: int) -> None:
-        self._number = number
-        row = self._run.row(number)
+        try:
+            row = self._run.row(number)
+        except InfraBlendError as error:
+            tell(error)
+            return
+        self._number, self._shown = number, row
         self._list.set_visibility(False)
         self._detail.set_visibility(True)
         self._detail.clear()
@@ -164,8 +170,9 @@ class ReviewPage:
                 self._build_facts(row)
         if at is not None:  # fetched ahead: the next picture then shows at once
             for near in self._order[at + 1 : at + 3]:
-                ahead = ui.element("link").props("rel=prefetch as=image")
-                ahead.props["href"] = self._picture_address(near, self._run.row(near))
+                with contextlib.suppress(InfraBlendError):  # the run has changed; the frame itself reports it
+                    address = self._picture_address(near, self._run.row(near))
+                    ui.element("link").props("rel=prefetch as=image").props["href"] = address
 
     def _build_verdict(self, number: int, row: FrameRow) -> None:
         ui.html(f"<h2>{'Verdict'}</h2>", sanitize=False)
@@ -280,7 +287,7 @@ class ReviewPage:
         if self._number is None:
             return
         try:
-            self._run.review.decide(self._run.row(self._number).id, verdict)
+            self._run.review.decide(self._frame_shown(self._number), verdict)
         except InfraBlendError as error:
             tell(error)
             return
@@ -290,6 +297,17 @@ class ReviewPage:
         else:
             self._show(self._number)
         ui.notify(f"{_WORDS[verdict.word]}{': ' + verdict.reason if verdict.reason else ''}", timeout=900)
+
+    def _frame_shown(self, number: int) -> str:
+        """Return the id of the frame that the page shows.
+
+        Raises:
+            DatasetError: Another command has changed the run since: a verdict would be on another picture.
+        """
+        row = self._run.row(number)
+        if self._shown is None or (row.id, row.digest) != (self._shown.id, self._shown.digest):
+            raise DatasetError("the frames of the run have changed since this page was opened. Reload the page")
+        return row.id
 
     def _undo(self) -> None:
         try:

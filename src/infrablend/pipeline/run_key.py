@@ -1,0 +1,87 @@
+"""Compares the keys of two runs: what must be equal for their frames to be frames of one run."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from infrablend.config.modes import recipe_from_json, upgrade_recorded
+
+_BACKGROUNDS = "backgrounds"
+_SHOWN = 3
+
+
+def differences(
+    earlier: Mapping[str, Any],
+    key: Mapping[str, Any],
+    asked_earlier: Mapping[str, Any] | None = None,
+    asked: Mapping[str, Any] | None = None,
+) -> list[str]:
+    """Return a text per field in which the key of a run differs from an earlier one; empty if they are equal.
+
+    Args:
+        earlier: Key of the earlier run (`RunPlan.key`).
+        key: Key of the run.
+        asked_earlier: How the earlier run read its backgrounds and chose frames (`RunPlan.request`), which
+            explains other backgrounds; None if it is not known.
+        asked: The same of the run.
+    """
+    was, now = _comparable(earlier), _comparable(key)
+    texts, asked_texts = [], _asked_differences(asked_earlier, asked)
+    for k in sorted(k for k in now if was.get(k) != now[k]):
+        if k == _BACKGROUNDS:  # digests, which nobody can compare by eye
+            texts += asked_texts or ["the backgrounds, their labels or their metadata have changed"]
+        elif isinstance(now[k], Mapping):
+            fields = _differing_fields(was.get(k, {}), now[k], k)
+            texts += [f"{name} was {a!r}, is {b!r}" for name, a, b in fields]
+        else:
+            texts.append(f"{k} was {_short(was.get(k))}, is {_short(now[k])}")
+    return list(dict.fromkeys(texts))
+
+
+def _asked_differences(earlier: Mapping[str, Any] | None, asked: Mapping[str, Any] | None) -> list[str]:
+    if earlier is None or asked is None:
+        return []
+    return [
+        f"{path.rpartition('.')[2]} was {_short(was)}, is {_short(now)}"
+        for name in ("reading", "selection")
+        for path, was, now in _differing_fields(_plain(earlier.get(name, {})), _plain(asked.get(name, {})), name)
+    ]
+
+
+def _plain(values: Any) -> Any:
+    """Return values as they are read from a record."""
+    return json.loads(json.dumps(values, default=str))
+
+
+def _short(value: Any) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, list) and len(value) > _SHOWN:
+        return f"{len(value)} ({', '.join(map(str, value[:_SHOWN]))}, ...)"
+    return ", ".join(map(str, value)) if isinstance(value, list) else repr(value)
+
+
+def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run's key with the recipe as this version records it, without its description."""
+    comparable = dict(key)
+    if isinstance(key.get("recipe"), Mapping):
+        recipe = upgrade_recorded(key["recipe"])
+        with contextlib.suppress(ValidationError):  # an invalid recipe is compared as it is recorded
+            upgraded = recipe_from_json(json.dumps(recipe))
+            recipe = json.loads(upgraded.model_dump_json(exclude={"output": {"formats"}}))
+        recipe.pop("description", None)
+        comparable["recipe"] = recipe
+    return comparable
+
+
+def _differing_fields(was: Any, now: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for k in sorted({*was, *now}):
+            yield from _differing_fields(was.get(k), now.get(k), f"{path}.{k}")
+    elif was != now:
+        yield path, was, now
