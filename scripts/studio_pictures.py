@@ -15,13 +15,17 @@ from playwright.sync_api import Page, sync_playwright
 ROOT = Path(__file__).resolve().parent.parent
 DEMO = ROOT / "build" / "demo"
 IMAGES = ROOT / "docs" / "images"
-WAIT_MS = 180_000
+WAIT_MS = 60_000
 
 
 def main(demo: Path) -> None:
     """Start the studio on a demo's folder, and take a picture of each page."""
-    command = [sys.executable, "-m", "infrablend", "-q", "studio", "hit-uav-drone-physical", "--no-open"]
-    command += ["--run", str(demo / "run"), "--data", str(demo / "world")]
+    recipe, world, second = "hit-uav-drone-physical", demo / "world", demo / "physical"
+    infrablend = [sys.executable, "-m", "infrablend", "-q"]
+    if not second.is_dir():
+        subprocess.run([*infrablend, "generate", recipe, "--data", world, "--out", second], check=True)
+    command = [*infrablend, "studio", recipe, "--no-open", "--run", demo / "run", "--data", world]
+    command += ["--compare", second, "--results", ROOT / "docs" / "results"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as studio, sync_playwright() as playwright:
         assert studio.stdout is not None
         address = studio.stdout.readline().strip()
@@ -32,6 +36,8 @@ def main(demo: Path) -> None:
         base = address.partition("/?")[0]
         take(page, f"{base}/review", ".frame-cell img", "review")
         take(page, f"{base}/review?frame=2", ".crops img", "frame")
+        take(page, f"{base}/results", "table.figures", "results")
+        take(page, f"{base}/compare", ".wipe img", "compare")
         page.emulate_media(color_scheme="dark")
         take(page, f"{base}/tune", ".tune-facts .studio-card", "tune")
         browser.close()
@@ -43,7 +49,7 @@ def take(page: Page, address: str, ready: str, name: str) -> None:
     page.goto(address)
     page.locator(ready).first.wait_for()
     page.wait_for_load_state("networkidle")
-    page.wait_for_function("() => [...document.images].every(i => i.complete)")
+    page.wait_for_function("() => [...document.images].every(i => i.complete || i.loading == 'lazy')")
     page.screenshot(path=IMAGES / f"studio_{name}.png")
 
 

@@ -192,7 +192,7 @@ def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
         for row in table_rows(of["classes"])
     ]  # fmt: skip
     lines = [str(record.get("title") or record["experiment"]), f"scale {record['scale']}, status {record['status']}"]
-    tables = (ResultTable("Evaluations", ("evaluation", *HEAD), tuple(tuple(r) for r in rows)),)
+    tables = (ResultTable("Evaluations", ("evaluation", *HEAD), tuple(tuple(r) for r in rows)),) if rows else ()
     pictures = _pictures(path.parent, [f"{path.stem}_*.svg"])
     return ResultReport(f"Experiment: {path.stem}", path.parent, tuple(lines), tables, pictures)
 

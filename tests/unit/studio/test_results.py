@@ -53,6 +53,13 @@ def test_reports_are_found_in_the_run_and_in_named_folders(tmp_path: Path) -> No
     assert found.picture(1, 0)[1] == ".png"
 
 
+def test_an_experiment_without_detectors_has_no_table(tmp_path: Path) -> None:
+    record = {"experiment": "datasets", "title": "Datasets", "scale": "small", "status": "complete", "evaluations": {}}
+    written(tmp_path / "pages", "datasets.json", record).joinpath("datasets.md").touch()
+    (report,) = find_results(written(tmp_path / "run", "run.json", {}), [tmp_path / "pages"]).reports
+    assert (report.title, report.tables, report.lines[0]) == ("Experiment: datasets", (), "Datasets")
+
+
 def test_only_pictures_of_the_reports_are_served(tmp_path: Path) -> None:
     folder = written(tmp_path / "evaluation", "evaluation.json", EVALUATION)
     picture(tmp_path / "secret.png", 1)
