@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.contract.test_formats import CATEGORIES, golden_images
+from tests.samples import picture
 
 from infrablend.core import spool
 from infrablend.core.dataset import Category, ImageRecord, Instance
@@ -56,19 +57,21 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def made_up_images(count: int) -> Iterator[ImageRecord]:
+def made_up_images(folder: Path, count: int) -> Iterator[ImageRecord]:
+    path = picture(folder / "picture.png", 0, (64, 64))
     for n in range(count):
         box = np.array([1.0, 2.0, 30.0 + n % 7, 40.0])
         objects = tuple(Instance("drone", box + k, inserted=True) for k in range(3))
-        yield ImageRecord(f"{n:06d}", Path(f"{n:06d}.png"), "train", (64, 64), 30.0, None, None, objects)
+        name = f"{n:06d}"
+        yield ImageRecord(name, path, "train", (64, 64), 30.0, None, None, objects, file_name=f"{name}.png")
 
 
-@pytest.mark.parametrize("name", ["coco", "monet", "label-studio", "cvat", "huggingface"])
+@pytest.mark.parametrize("name", [w.name for w in WRITERS])
 def test_memory_does_not_grow_with_the_number_of_images(tmp_path, monkeypatch, name):
     monkeypatch.setattr(spool, "IN_MEMORY", 10)
     peaks = []
     for count in (50, 250):
-        images = store_images(made_up_images(count), tmp_path)
+        images = store_images(made_up_images(tmp_path, count), tmp_path)
         tracemalloc.start()
         settings = writing.WriteSettings(pictures=False)
         writing.write(name, tmp_path / str(count), images, (Category(1, "drone"),), settings=settings)
