@@ -37,6 +37,7 @@ BUG = 70
 INTERRUPTED = 130
 
 SHOWN_PROBLEMS = 20
+_NOT_USED = "is not used: "
 
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS}
 
@@ -68,9 +69,26 @@ def printable(text: str) -> str:
     return escape_unfit(text, keep="\n\t")
 
 
+def fields_together(problems: Iterable[Problem]) -> list[Problem]:
+    """Return the problems; those of recipe fields that are not used for the same reason become one, and come last."""
+    from infrablend.config.modes import DROPPED
+
+    others, fields = [], dict[str, list[str]]()
+    for p in problems:
+        reason = p.found.partition(_NOT_USED)[2] if p.code == DROPPED else ""
+        if reason:
+            fields.setdefault(reason, []).append(p.where)
+        else:
+            others.append(p)
+    for reason, names in fields.items():
+        why = reason if len(names) == 1 else reason.replace("this field has", "these fields have")
+        others.append(Problem(", ".join(sorted(names)), DROPPED, f"not used: {why}", severity="warning"))
+    return others
+
+
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:
     """Return the first 20 lines of `format_problems`, and a line on how many follow and where they are listed."""
-    found = list(problems)
+    found = fields_together(problems)
     every = format_problems(found)
     lines = [f"  - {printable(line)}" for line in every[:SHOWN_PROBLEMS]]
     more = len(every) - SHOWN_PROBLEMS

@@ -13,12 +13,11 @@ from typing import Any
 
 import typer
 
-from infrablend.cli.exits import printable, problem_lines
+from infrablend.cli.exits import fields_together, printable, problem_lines
 from infrablend.errors import OutputError, Problem, format_problems
 from infrablend.report.figures import human_seconds
 
 SHOWN_WARNINGS = 5
-_NOT_USED = "is not used: "
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +58,7 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
     for p in found:
         log.info("%s: %s", p.severity, p)
     errors = [p for p in found if p.severity == "error"]
-    warnings = format_problems(sorted(_together({p for p in found if p.severity != "error"})))
+    warnings = format_problems(sorted(fields_together({p for p in found if p.severity != "error"})))
     if errors:
         lines = problem_lines(errors, log_path)
         typer.echo("\n".join([f"{len(errors)} problem(s):", *lines]), err=True)
@@ -68,23 +67,6 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
         if len(warnings) > SHOWN_WARNINGS:
             lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {record}")
         typer.echo(printable("\n".join([f"{len(warnings)} warning(s):", *lines])), err=True)
-
-
-def _together(warnings: Iterable[Problem]) -> list[Problem]:
-    """Return the warnings with one for all fields of a recipe that are not used for the same reason."""
-    from infrablend.config.modes import DROPPED
-
-    others, fields = [], dict[str, list[str]]()
-    for p in sorted(warnings):
-        reason = p.found.partition(_NOT_USED)[2] if p.code == DROPPED else ""
-        if reason:
-            fields.setdefault(reason, []).append(p.where)
-        else:
-            others.append(p)
-    for reason, names in fields.items():
-        why = reason if len(names) == 1 else reason.replace("this field has", "these fields have")
-        others.append(Problem(", ".join(names), DROPPED, f"not used: {why}", severity="warning"))
-    return others
 
 
 def table(rows: Mapping[str, str]) -> str:

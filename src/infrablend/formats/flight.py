@@ -18,6 +18,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from infrablend.core.dataset import Dataset, ImageRecord, TimeOfDay
+from infrablend.core.files import open_regular
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.values import is_place
@@ -27,6 +28,7 @@ from infrablend.thermal.sun import sun_position, time_of
 ANY_CAMERA = ("folder", "yolo", "coco", "voc", "dota", "masks")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
+_HEAD_BYTES = 65536
 # A picture without a radiometric layer and this many times larger than those with one is a visible twin.
 _TWIN_SIZE = 4
 # Clocks that differ by this much in at least three pictures are reported; a larger gap means other flights.
@@ -58,8 +60,10 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     jpegs = [i for i in dataset.images if _is_jpeg(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
-    looked_at = {i.id: f for i in jpegs[::step][:_LOOKED_AT] if isinstance(f := _read(i), CameraFacts)}
-    if not any(f.from_a_drone_camera for f in looked_at.values()):
+    sample = jpegs[::step][:_LOOKED_AT]
+    looked_at = {i.id: f for i in sample if isinstance(f := _read(i), CameraFacts)}
+    damaged = [i for i in sample if i.id not in looked_at]
+    if not any(f.from_a_drone_camera for f in looked_at.values()) and not any(map(_names_a_drone_camera, damaged)):
         return dataset
     faults: list[Problem] = []
     facts: dict[str, CameraFacts] = {}
@@ -99,6 +103,16 @@ def _is_jpeg(image: ImageRecord) -> bool:
     """Return whether a picture is a JPEG file and no link; opening a pipe would wait for ever."""
     path = image.path
     return path.suffix.lower() in (".jpg", ".jpeg") and path.is_file() and not path.is_symlink()
+
+
+def _names_a_drone_camera(image: ImageRecord) -> bool:
+    """Return whether the head of a file that cannot be read names a camera of DJI or FLIR."""
+    try:
+        with open_regular(image.path) as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    return any(name in head for name in (b"drone-dji", b"DJI", b"FLIR"))
 
 
 def _without_level_roll(image: ImageRecord) -> ImageRecord:

@@ -54,6 +54,13 @@ def test_visible_twins_and_other_files_are_left_out_and_counted(tmp_path: Path) 
     assert sum(p.code == "flight-left-out" for p in dataset.problems) == 3
 
 
+def test_a_card_of_damaged_files_is_reported(tmp_path: Path) -> None:
+    flight(tmp_path, 2)
+    for path in tmp_path.glob("*.JPG"):
+        path.write_bytes(path.read_bytes().replace(b"<x:xmpmeta", b"<xmpmeta", 1))  # the segment's length is now wrong
+    assert "its flight data are not read" in " ".join(str(p) for p in api.read_dataset(tmp_path).problems)
+
+
 def test_labelled_pictures_are_kept(tmp_path: Path) -> None:
     flight(tmp_path, 2)
     plain_jpeg(tmp_path / "DJI_0009.JPG", (2000, 1500), {0x010F: "DJI"})
