@@ -1,7 +1,9 @@
 """The contract of every executor, and the failures that the process pool must survive."""
 
+import contextlib
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +16,7 @@ import pytest
 
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, RenderError, WorkerDiedError
-from infrablend.execution import PoolSettings, ProcessPool, Serial, WarmPool
+from infrablend.execution import PoolSettings, ProcessPool, RayPool, RaySettings, Serial, WarmPool
 
 OBEY = WorkerSpec("executor_work:obey")
 # Far above what any machine needs: an upper bound on a wait, never a measurement.
@@ -27,11 +29,27 @@ def pool(worker=OBEY, **settings):
     return ProcessPool(worker, PoolSettings(**settings))
 
 
-@pytest.fixture(params=["serial", "pool-1", "pool-2"])
+@pytest.fixture(scope="module")
+def started_ray():
+    """A Ray on this machine, so that not every test has to start one."""
+    ray = pytest.importorskip(
+        "ray", reason="NEEDS RAY: `make ray` installs it; the executor for Ray is not tested without"
+    )
+    ray.init(
+        num_cpus=2, include_dashboard=False, log_to_driver=False, configure_logging=False, object_store_memory=10**8
+    )
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture(params=["serial", "pool-1", "pool-2", "ray-1", "ray-2"])
 def make(request):
     """A function WorkerSpec -> executor."""
     if request.param == "serial":
         return Serial
+    if request.param.startswith("ray"):
+        request.getfixturevalue("started_ray")
+        return lambda worker: RayPool(worker, RaySettings(workers=int(request.param[-1])))
     return lambda worker: pool(worker, workers=int(request.param[-1]))
 
 
@@ -39,9 +57,20 @@ def orders(*orders):
     return [Task(f"t{i}", order) for i, order in enumerate(orders)]
 
 
+def workers_left():
+    """Processes that executors have left, without those of a Ray that stays."""
+    left = []
+    for child in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.NoSuchProcess):  # a zombie has ended, too
+            words = " ".join(child.cmdline())
+            if "RayWorker" in words or not re.search(r"\bray\b|gcs_server|raylet", words):
+                left.append(child)
+    return left
+
+
 def assert_no_children():
     deadline = time.monotonic() + WAIT_S
-    while (left := psutil.Process().children(recursive=True)) and time.monotonic() < deadline:
+    while (left := workers_left()) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not left
 

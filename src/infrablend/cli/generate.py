@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +32,13 @@ if TYPE_CHECKING:
     from infrablend.pipeline.shard import ShardRequest
 
 
+class Executor(StrEnum):
+    """Where the workers of a run are."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
 def generate(
     ctx: typer.Context,
     recipe: RecipeArgument,
@@ -57,6 +65,15 @@ def generate(
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     device: DeviceOption = Device.AUTO,
+    executor: Annotated[
+        Executor, typer.Option(help="Where the workers run: processes of this machine, or Ray (extra infrablend[ray]).")
+    ] = Executor.LOCAL,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Ray cluster to use [default: RAY_ADDRESS, else Ray is started for the run]."
+        ),
+    ] = None,
     to: Annotated[
         str | None,
         typer.Option(
@@ -99,7 +116,10 @@ def generate(
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.request import Execution, RunRequest
 
-    execution, selection = Execution(workers, device.value), FrameSelection(limit, sample, chosen)
+    execution, selection = (
+        Execution(workers, device.value, executor=executor.value, address=address),
+        FrameSelection(limit, sample, chosen),
+    )
     if plan:
         planned = api.plan(
             recipe,

@@ -1,9 +1,10 @@
-"""Runs tasks in this process or in worker processes; the port is `core.tasks.Executor`.
+"""Runs tasks in this process, in worker processes or in Ray actors; the port is `core.tasks.Executor`.
 
 `WarmPool` keeps its workers between calls.
 """
 
 from infrablend.execution.process_pool import PoolSettings, ProcessPool, WarmPool
+from infrablend.execution.ray_pool import RayPool, RaySettings
 from infrablend.execution.serial import Serial
 
-__all__ = ["PoolSettings", "ProcessPool", "Serial", "WarmPool"]
+__all__ = ["PoolSettings", "ProcessPool", "RayPool", "RaySettings", "Serial", "WarmPool"]

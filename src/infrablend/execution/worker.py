@@ -137,7 +137,8 @@ def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -
         inbox.put(message[1:] if message[0] == "task" else None)
 
 
-def _perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> ResultMessage:
+def perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> ResultMessage:
+    """Perform a task; whatever it raises becomes a failure."""
     value: bytes | None = None
     failure = None
     begun = time.monotonic()
@@ -171,6 +172,6 @@ def main(fd: int) -> None:
     conn.send(("ready",))
     while (item := inbox.get()) is not None:
         index, task = item
-        conn.send(("done", index, _perform(work, task, process)))
+        conn.send(("done", index, perform(work, task, process)))
     close_callable(work)
     _exit_at_once(0)

@@ -22,6 +22,7 @@ from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)
 
+EXECUTORS = ("local", "ray")
 WORKER_BYTES = 500 * 2**20  # memory of one rendering worker, measured and rounded up
 
 Settings = Sequence[str] | Mapping[str, Any]
@@ -37,6 +38,11 @@ class Execution:
         device: Device that Cycles renders on: auto, cpu, cuda, optix, hip, metal or oneapi.
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
         in_process: Compute all frames in the calling process; only with the flat renderer.
+        executor: `local`, or `ray` to run the workers on the machines of a Ray cluster, which need the same paths and
+            packages; `workers` None is then one for each core of the cluster, and a worker reserves a core, 500 MB and,
+            if `device` names a kind of GPU, a GPU.
+        address: Address of the cluster, as for `ray.init`; None takes `RAY_ADDRESS`, else starts Ray on this machine
+            for the run.
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -46,12 +52,17 @@ class Execution:
     device: str = "auto"
     renderer: str = "blender"
     in_process: bool = False
+    executor: str = "local"
+    address: str | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None:
             require_whole("workers", self.workers, 1)
         require_choice("device", self.device, get_args(Device))
         require_choice("renderer", self.renderer, RENDERERS)
+        require_choice("executor", self.executor, EXECUTORS)
+        if self.address is not None and self.executor != "ray":
+            raise ArgumentError("address: used by executor='ray' only (--executor ray). Give both, or leave it out")
 
     def worker_count(self) -> int:
         """Return the number of workers to start: the requested number, limited by free memory and cores.
@@ -59,7 +70,7 @@ class Execution:
         A run that exhausts the memory would swap endlessly.
         """
         cores = available_cores()
-        if self.workers is None or self.workers <= cores:
+        if self.workers is None or self.workers <= cores or self.executor == "ray":  # Ray places them where they fit
             return self.workers or cores
         most = max(cores, int(psutil.virtual_memory().available // WORKER_BYTES))
         if self.workers > most:

@@ -33,10 +33,9 @@ from infrablend.errors import (
     Problem,
     RenderError,
 )
-from infrablend.execution.process_pool import PoolSettings, ProcessPool
-from infrablend.execution.serial import Serial
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.excluded import place_frames, read_choice, write_choice
+from infrablend.pipeline.executors import make_executor
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.frame_settings import FrameDone
@@ -156,7 +155,6 @@ def run_plan(
         RenderError: The renderer cannot start.
     """
     workers, device, renderer = execution.worker_count(), execution.device, execution.renderer
-    in_process = execution.in_process
     started = time.monotonic()
     folder = RunFolder(out, "run" if plan.shard is None else "shard")
     with contextlib.ExitStack() as stack:
@@ -166,6 +164,8 @@ def run_plan(
             _require_same_run(previous, plan, out, device, renderer)
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
         header = {**_header(plan, workers, device, renderer), **_command(previous, choose is not None)}
+        if execution.executor != "local":
+            header["machine"]["executor"] = execution.executor
         if source is not None:
             plan = replace(plan, levels=source.levels)
             header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
@@ -200,19 +200,12 @@ def run_plan(
             "%d frames, %d already there, seed %d, %d workers", len(plan.frames), state.resumed, plan.seed, workers
         )
         worker = WorkerSpec(FACTORY, settings_for(plan, levels, execution, out))
-        executor: Executor
         workers_log = folder.log_folder / "workers.log"
         part_from_links(workers_log)
-        if source is not None:
-            executor = source.executor
-        elif in_process:
-            executor = Serial(worker, workers_log)
-        else:
-            pool = PoolSettings(workers=max(1, workers), log_path=workers_log)
-            executor = ProcessPool(worker, pool)
+        executor = make_executor(worker, execution, workers_log) if source is None else source.executor
         status, stopped = "complete", "interrupted" if choose is None else EXCLUDING
         try:
-            _make_frames(executor, todo, plan, state, 1 if in_process or source else workers, on_progress)
+            _make_frames(executor, todo, plan, state, 1 if execution.in_process or source else workers, on_progress)
         except Interrupted:
             status = stopped
         except (MissingDependencyError, RenderError):  # the renderer could not start

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Adds what the studio needs to .venv: NiceGUI, the extra `studio`. With `browser`, what its tests need: Playwright, and
+# Adds an extra to .venv: `studio` (NiceGUI) or `ray`. With `browser`, what the tests of the studio need: Playwright, and
 # Debian's Chromium if packages can be installed here; the tests are skipped without it.
 # A second run does nothing until a requirement file changes.
 set -euo pipefail
@@ -8,7 +8,12 @@ cd "$(dirname "$0")/.."
 what="${1:-studio}"
 say() { printf '%s: %s\n' "$what" "$*" >&2; }
 stop() { say "$*"; exit 1; }
-[ "$what" = studio ] || [ "$what" = browser ] || stop "unknown argument; expected studio or browser"
+case "$what" in
+  studio) module=nicegui title="NiceGUI (about 30 MB to download)" ;;
+  browser) module=playwright title="Playwright for tests (about 50 MB to download)" ;;
+  ray) module=ray title="Ray (about 75 MB to download)" ;;
+  *) stop "unknown argument; expected studio, browser or ray" ;;
+esac
 
 mkdir -p build
 if command -v flock >/dev/null; then exec 9>build/.setup.lock; flock 9; fi
@@ -40,14 +45,13 @@ if [ "$what" = browser ] && [ ! -f "$axe" ] && command -v npm >/dev/null; then
   then rm -rf build/axe; say "axe-core is not available (see build/axe.log): its test will be skipped"; fi
 fi
 
-inputs=(requirements/project.txt "requirements/$what.txt" scripts/studio_env.sh)
+inputs=(requirements/project.txt "requirements/$what.txt" scripts/extra_env.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv/infrablend-$what.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then exit 0; fi
 
-if [ "$what" = studio ]; then module=nicegui; say "installing NiceGUI into .venv (about 30 MB to download)"
-else module=playwright; say "installing Playwright for tests into .venv (about 50 MB to download)"; fi
+say "installing $title into .venv"
 log=build/$what-env.log
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --only-binary :all: \
   -r "requirements/$what.txt" >"$log" 2>&1 || {

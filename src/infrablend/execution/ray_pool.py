@@ -1,0 +1,411 @@
+"""Runs tasks in Ray actors: on this machine, or on the machines of a Ray cluster.
+
+A worker is an actor that keeps its callable, as a process of `ProcessPool` does, and the rules are the same: a task
+whose worker died or hung is tried again on another one, workers are replaced after a number of tasks, and values do
+not depend on who computed them. Ray decides where the actors run, waits for machines, and notices their loss. Only
+tasks, each of a few kilobytes, and results go through the driver; pictures, models and frames are read and written by
+the workers, so all machines need the same paths and packages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import signal
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
+from infrablend.errors import Interrupted, MissingDependencyError, OutputError, RenderError, WorkerDiedError
+from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.process_pool import module_path
+from infrablend.execution.worker import ONE_THREAD, ResultMessage
+
+log = logging.getLogger(__name__)
+
+IN_FLIGHT = 2  # tasks per worker: one runs and one waits with the worker, so that it never idles
+_POLL_S = 0.2
+_CONNECT_S = 10.0
+_REMIND_S = 60.0
+_MIN_TASKS_BEFORE_RSS = 20
+
+
+@dataclass(frozen=True)
+class RaySettings:
+    """Where Ray runs, and the limits and lifetimes of its workers.
+
+    Attributes:
+        workers: Maximum number of workers; None for one per processor core of the cluster.
+        address: Address of a cluster, as for `ray.init`; None takes `RAY_ADDRESS`, else starts Ray on this machine and
+            stops it at the end. A Ray that the program has already started is used as it is.
+        retries: Number of further attempts at a task after its worker was lost or hung.
+        task_timeout_s: Time limit for one task, after which its worker is killed; None for no limit.
+        tasks_per_worker: Number of tasks after which a worker is replaced.
+        worker_bytes: Memory that each worker reserves with Ray, which places no more workers on a machine than fit.
+        rss_ceiling_bytes: Resident memory above which a worker is replaced, but not before its 20th task.
+        gpus: Share of a GPU that each worker reserves; 0 for none.
+        grace_s: Time for running tasks to finish after an interruption.
+        log_level: Level of Python's logging in the workers; Ray keeps their output.
+    """
+
+    workers: int | None = None
+    address: str | None = None
+    retries: int = 2
+    task_timeout_s: float | None = 600.0
+    tasks_per_worker: int = 500
+    worker_bytes: int = 0
+    rss_ceiling_bytes: int = 1536 * 2**20
+    gpus: float = 0.0
+    grace_s: float = 5.0
+    log_level: int = logging.INFO
+
+
+class RayPool:
+    """Executor that runs tasks in Ray actors."""
+
+    def __init__(self, worker: WorkerSpec, settings: RaySettings | None = None) -> None:
+        """Keep the settings; Ray and the workers start with `run`."""
+        self._worker = worker
+        self._settings = settings or RaySettings()
+
+    def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
+        """Run tasks and yield their results, see `core.tasks.Executor`.
+
+        Raises:
+            MissingDependencyError: Ray is not installed.
+            OutputError: There is no cluster at the address.
+        """
+        source = iter(tasks)
+        first = next(source, None)
+        if first is None:
+            return
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(_messages_to_log())
+            ray = stack.enter_context(_connected(self._settings))
+            run = _Run(ray, self._settings, self._worker)
+            stop = stack.enter_context(Interruption(run.kill_all))
+            stack.callback(run.kill_all)
+            yield from run.results(_chain(first, source), stop)
+            run.finish_all()
+
+
+def _chain(first: Task, rest: Iterator[Task]) -> Iterator[Task]:
+    yield first
+    yield from rest
+
+
+@contextlib.contextmanager
+def _connected(settings: RaySettings) -> Iterator[Any]:
+    """Connect to a cluster, or start Ray on this machine; stop what was started.
+
+    Raises:
+        MissingDependencyError: Ray is not installed.
+        OutputError: There is no cluster at the address.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent anywhere unless the user asks for it
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingDependencyError(
+            'Ray is not installed. Run: pip install "infrablend[ray]" (in a checkout: make ray)'
+        ) from error
+    if ray.is_initialized():
+        yield ray
+        return
+    address = settings.address or os.environ.get("RAY_ADDRESS")
+    if address is None:
+        # Tokens protect clusters from others on the network; this Ray listens to this machine, and ends with the run.
+        os.environ.setdefault("RAY_AUTH_MODE", "disabled")
+        # `local` also where somebody else has started a Ray on this machine.
+        options: dict[str, Any] = {"address": "local", "num_cpus": settings.workers, "object_store_memory": 100 * 2**20}
+        options |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    else:
+        options = {"address": address}
+    terminated = signal.getsignal(signal.SIGTERM)
+    try:
+        _require_listener(settings.address or os.environ.get("RAY_ADDRESS"))
+        ray.init(log_to_driver=False, configure_logging=False, **options)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        where = "on this machine" if address is None else f"at {address}"
+        raise OutputError(
+            f"Ray {where}: {type(error).__name__}: {error}; expected a running cluster with the same versions of Ray "
+            "and Python. Check --address and RAY_ADDRESS, or leave both out to start Ray on this machine"
+        ) from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, terminated)  # Ray has a handler of its own
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _require_listener(address: str | None) -> None:
+    """Check that somebody listens at `host:port`: Ray would wait for minutes, and no signal would end that.
+
+    Raises:
+        OSError: Nobody does.
+    """
+    host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
+    if colon and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+
+
+@contextlib.contextmanager
+def _messages_to_log() -> Iterator[None]:
+    """Send the messages of Ray's machines to the log: it would print them on stdout, which is for results."""
+    try:
+        from ray._private import worker
+    except ImportError:
+        yield
+        return
+    before: Any = getattr(worker, "print_to_stdstream", None)
+    worker.print_to_stdstream = lambda data, *_, **__: log.info("Ray: %s", " ".join(map(str, data["lines"])))
+    try:
+        yield
+    finally:
+        worker.print_to_stdstream = before
+
+
+@dataclass
+class _Attempt:
+    """An attempt at a task; `number` counts from 1."""
+
+    task: Task
+    number: int = 1
+
+
+@dataclass(eq=False)
+class _Worker:
+    """The driver's view of one actor.
+
+    Attributes:
+        starting: Reference to the result of its start, until that is known.
+        in_flight: References to results with their attempts, in the order of submission.
+        since: Start of its current task, on the monotonic clock.
+    """
+
+    number: int
+    actor: Any
+    starting: Any
+    ending: bool = False
+    finished: int = 0
+    since: float = field(default_factory=time.monotonic)
+    in_flight: deque[tuple[Any, _Attempt]] = field(default_factory=deque)
+
+
+class _Run:
+    """State of a pool: its actors and the waiting tasks."""
+
+    def __init__(self, ray: Any, settings: RaySettings, spec: WorkerSpec) -> None:
+        self._ray = ray
+        self._settings = settings
+        self._spec = ray.put(spec)
+        self._actor_class = _actor_class(ray, settings)
+        self._most = settings.workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+        self._workers: list[_Worker] = []
+        self._started = 0
+        self._failed_starts = 0
+        self._pending: deque[_Attempt] = deque()
+        self._arrived: deque[TaskResult] = deque()
+        self._open = 0
+
+    def results(self, source: Iterator[Task], stop: Interruption) -> Iterator[TaskResult]:
+        """Feed workers, wait and collect results until no task is left or the user stops the run."""
+        exhausted = False
+        give_up_at: float | None = None
+        remind_at = time.monotonic() + _REMIND_S
+        while True:
+            if give_up_at is None and stop.requested and not (exhausted and not self._open):
+                give_up_at = time.monotonic() + self._settings.grace_s
+                self._pending.clear()
+            if give_up_at is None:
+                while not exhausted and self._open < self._most * IN_FLIGHT:
+                    task = next(source, None)
+                    if task is None:
+                        exhausted = True
+                    else:
+                        self._pending.append(_Attempt(task))
+                        self._open += 1
+                if exhausted and not self._open:
+                    return
+                self._start_workers()
+                self._feed()
+            elif not any(w.in_flight for w in self._workers) or time.monotonic() >= give_up_at:
+                raise Interrupted(STOPPED)
+            self._collect(winding_down=give_up_at is not None)
+            if any(w.starting is None for w in self._workers):
+                remind_at = time.monotonic() + _REMIND_S
+            elif time.monotonic() >= remind_at:
+                remind_at += _REMIND_S
+                log.warning("waiting for Ray to place %d workers: %s", len(self._workers), self._free())
+            while self._arrived:
+                yield self._arrived.popleft()
+
+    def _free(self) -> str:
+        free = self._ray.available_resources()
+        return f"{free.get('CPU', 0):g} cores and {free.get('memory', 0) / 2**30:.1f} GiB are free in the cluster"
+
+    # ---- starting and feeding
+
+    def _start_workers(self) -> None:
+        outstanding = len(self._pending) + sum(len(w.in_flight) for w in self._workers)
+        for _ in range(min(self._most, outstanding) - sum(not w.ending for w in self._workers)):
+            actor = self._actor_class.remote(self._settings.log_level, module_path(), str(Path.cwd()))
+            self._workers.append(_Worker(self._started, actor, actor.start.remote(self._spec)))
+            self._started += 1
+
+    def _feed(self) -> None:
+        """Hand out waiting tasks: one to each worker first, then a second one to each."""
+        for depth in range(1, IN_FLIGHT + 1):
+            for w in self._workers:
+                if self._pending and w.starting is None and not w.ending and len(w.in_flight) < depth:
+                    attempt = self._pending.popleft()
+                    if not w.in_flight:
+                        w.since = time.monotonic()
+                    w.in_flight.append((w.actor.perform.remote(attempt.task), attempt))
+
+    # ---- collecting
+
+    def _collect(self, winding_down: bool) -> None:
+        """Wait for a result or a start, and take all that are there."""
+        waiting = [w.starting for w in self._workers if w.starting is not None]
+        waiting += [w.in_flight[0][0] for w in self._workers if w.in_flight]
+        if not waiting:
+            time.sleep(_POLL_S)
+            return
+        ready = set(self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0])
+        if not ready:
+            self._ray.wait(waiting, num_returns=1, timeout=_POLL_S)
+            ready = set(self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0])
+        for w in list(self._workers):
+            if w.starting is not None and w.starting in ready:
+                self._take_start(w)
+            while w.in_flight and w in self._workers and w.in_flight[0][0] in ready:
+                self._take_result(w, winding_down)
+        limit = self._settings.task_timeout_s
+        for w in list(self._workers):
+            if limit is not None and w.in_flight and time.monotonic() - w.since > limit and not self._is_ready(w):
+                self._handle_lost_worker(w, "timeout", f"took longer than {limit:g} s", winding_down)
+
+    def _is_ready(self, w: _Worker) -> bool:
+        """Return whether a result waits: a slow consumer is not a hang."""
+        return bool(self._ray.wait([w.in_flight[0][0]], timeout=0)[0])
+
+    def _take_start(self, w: _Worker) -> None:
+        try:
+            failure: Failure | None = self._ray.get(w.starting)
+        except self._ray.exceptions.RayError as error:
+            self._workers.remove(w)
+            self._failed_starts += 1
+            log.warning("worker %d was lost before its first task: %s", w.number, _first_line(error))
+            if self._failed_starts > self._settings.retries:
+                raise WorkerDiedError(
+                    f"Workers cannot start: {self._failed_starts} in a row ended before their first task; the last: "
+                    f"{_first_line(error)}. Run `infrablend doctor` on the machines of the cluster."
+                ) from error
+            return
+        w.starting = None
+        if failure is not None:
+            self._raise_factory_error(w, failure)
+        self._failed_starts = 0
+
+    def _raise_factory_error(self, w: _Worker, failure: Failure) -> None:
+        error = failure.to_exception()
+        log.info("worker %d could not start:\n%s", w.number, failure.traceback)
+        if type(error).__name__ == failure.error:
+            raise error
+        raise RenderError(f"The renderer could not start: {error.message}", error.problems)
+
+    def _take_result(self, w: _Worker, winding_down: bool) -> None:
+        reference, attempt = w.in_flight[0]
+        try:
+            done: ResultMessage = self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            self._handle_lost_worker(w, "crash", "was lost", winding_down, error)
+            return
+        w.in_flight.popleft()
+        w.since = time.monotonic()
+        w.finished += 1
+        value, failure = None, done.failure
+        if done.value is not None:
+            try:
+                value = pickle.loads(done.value)
+            except Exception as e:  # for example a class that only the worker can import
+                failure = Failure("error", type(e).__name__, f"the result of {attempt.task.key} is unreadable: {e}")
+        big = w.finished >= _MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
+        w.ending = w.ending or big or w.finished >= self._settings.tasks_per_worker
+        if w.ending and not w.in_flight:
+            self._workers.remove(w)
+            self._end(w)
+        self._deliver(
+            TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
+        )
+
+    def _deliver(self, result: TaskResult) -> None:
+        self._open -= 1
+        self._arrived.append(result)
+
+    def _handle_lost_worker(
+        self, w: _Worker, kind: FailureKind, what: str, winding_down: bool, error: Exception | None = None
+    ) -> None:
+        """Retry or fail the task that a worker was running when it, or its machine, was lost."""
+        self._workers.remove(w)
+        self._ray.kill(w.actor)
+        guilty, *innocent = [attempt for _, attempt in w.in_flight]
+        if winding_down:
+            return
+        self._pending.extendleft(reversed(innocent))
+        if guilty.number <= self._settings.retries:
+            log.warning("worker %d %s on %s; trying again", w.number, what, guilty.task.key)
+            self._pending.appendleft(_Attempt(guilty.task, guilty.number + 1))
+            return
+        text = f"{guilty.task.key}: its worker {what} on attempt {guilty.number} of {guilty.number}"
+        failure = Failure(kind, "WorkerDiedError", text, traceback=str(error or ""))
+        self._deliver(TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0))
+
+    # ---- endings
+
+    def _end(self, w: _Worker) -> None:
+        """Let a worker close its callable; it ends when its last reference is gone."""
+        with contextlib.suppress(self._ray.exceptions.RayError):
+            self._ray.get(w.actor.finish.remote(), timeout=self._settings.grace_s)
+        self._ray.kill(w.actor)
+
+    def finish_all(self) -> None:
+        """Let all workers end after the last task."""
+        ready = [w for w in self._workers if w.starting is None]
+        references = [w.actor.finish.remote() for w in ready]
+        if references:
+            self._ray.wait(references, num_returns=len(references), timeout=self._settings.grace_s)
+        self.kill_all()
+
+    def kill_all(self) -> None:
+        """Kill every worker."""
+        for w in self._workers:
+            with contextlib.suppress(Exception):
+                self._ray.kill(w.actor)
+        self._workers.clear()
+
+
+def _actor_class(ray: Any, settings: RaySettings) -> Any:
+    from infrablend.execution.ray_worker import RayWorker
+
+    options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0}
+    options["runtime_env"] = {"env_vars": dict(ONE_THREAD)}
+    if settings.worker_bytes:
+        options["memory"] = settings.worker_bytes
+    if settings.gpus:
+        options["num_gpus"] = settings.gpus
+    return ray.remote(**options)(RayWorker)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]
