@@ -20,6 +20,7 @@ from infrablend.pipeline.merge import merge_shards
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
+from infrablend.pipeline.shard import ShardRequest
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState
 from infrablend.pipeline.submission.request import Scheduler, Submission
 from infrablend.pipeline.submission.submit import submission_text as make_submission_text
@@ -130,21 +131,23 @@ def submit(job: Submission, to: Scheduler) -> str:
     return submit_jobs(job, to)
 
 
-def plan(
+def plan(  # noqa: PLR0913 - as in `realism`
     recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None,
     selection: FrameSelection = ALL_FRAMES, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
-    existing: Existing = "refuse",
+    existing: Existing = "refuse", shard: ShardRequest | None = None, price_per_core_hour: float | None = None,
 ) -> PlanReport:  # fmt: skip
     """Return what `generate` with the same arguments would write, without writing it.
+
+    With `shard`, times are those of one shard and of merging. `price_per_core_hour`, in any currency, adds the cost.
 
     >>> plan("hit-uav-drone", "hit-uav").facts["frames"]
     8
     """
     folder = None if out is None else Path(out)
     chosen = selection if limit is None else replace(selection, limit=limit)
-    request = RunRequest(recipe, Path(data), folder, chosen, seed, settings, reading, execution, existing)
-    return PlanReport(describe_run(request))
+    request = RunRequest(recipe, Path(data), folder, chosen, seed, settings, reading, execution, existing, shard)
+    return PlanReport(describe_run(request, price_per_core_hour))
 
 
 def rerender(

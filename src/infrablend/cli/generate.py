@@ -93,6 +93,9 @@ def generate(
     plan: Annotated[
         bool, typer.Option("--plan", help="Show what the run would produce without writing anything.")
     ] = False,
+    price: Annotated[
+        float | None, typer.Option(min=0, help="Price of a core-hour, in any currency: --plan then shows the cost.")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Finish the interrupted run in OUT.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in OUT.")] = False,
     as_json: JsonOption = False,
@@ -108,6 +111,8 @@ def generate(
     if len(given) > 1:
         raise typer.BadParameter(f"{' and '.join(given)} exclude each other; give one of them", param_hint=given[1])
     part = shard_request(shard, shard_size)
+    if price is not None and not plan:
+        raise typer.BadParameter("used by --plan only; give both, or leave it out", param_hint="--price")
     fields = [*(settings or []), *([] if names is None else [f"output.formats=[{', '.join(names)}]"])]
 
     from infrablend import api
@@ -131,6 +136,8 @@ def generate(
             reading=reading,
             execution=execution,
             existing=existing,
+            shard=part,
+            price_per_core_hour=price,
         ).to_json()
         if as_json:
             print_json(planned)

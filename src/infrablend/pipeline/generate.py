@@ -37,13 +37,17 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
     return run_plan(plan, request.out, request.execution, request.existing, on_progress)
 
 
-def describe_run(request: RunRequest) -> dict[str, Any]:
-    """Return the estimated frames, disk space, time and categories of a run without writing anything."""
+def describe_run(request: RunRequest, price_per_core_hour: float | None = None) -> dict[str, Any]:
+    """Return the estimated frames, disk space, time, cost and categories of a run without writing anything.
+
+    With a shard in the request, times are those of one shard and of merging.
+    """
     plan = prepare_run(request)
+    shards = None if request.shard is None else request.shard.of(len(plan.frames)).count
     return {
-        **plan.estimate(request.execution.worker_count()),
+        **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,
-        "out": None if request.out is None else RunFolder(request.out).outlook(request.existing),
+        "out": None if request.out is None or shards else RunFolder(request.out).outlook(request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],

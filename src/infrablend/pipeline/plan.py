@@ -128,22 +128,47 @@ class RunPlan:
         r = self.recipe
         return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
-    def estimate(self, workers: int) -> dict[str, Any]:
-        """Estimate frames, disk space and time of the run on an idle machine."""
+    def estimate(
+        self, workers: int, shards: int | None = None, price_per_core_hour: float | None = None
+    ) -> dict[str, Any]:
+        """Estimate frames, disk space, time and cost of the run on idle machines.
+
+        Args:
+            workers: Worker processes, for each shard if there are any.
+            shards: Number of shards that the run is divided into; None for an undivided run.
+            price_per_core_hour: Price, in any currency; None gives no cost.
+        """
         sizes = [f.background.path.stat().st_size for f in self.frames[:: max(1, len(self.frames) // 200)]]
         factor = 4.0 if self.recipe.output.image == "png" else 1.0
         frames, formats = len(self.frames), max(1, len(self.recipe.output.formats))
         start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
-        seconds = start_s + frames * (TYPICAL_FRAME_CPU_S / max(workers, 1) + WRITE_LABELS_S * formats)
+        workers = max(workers, 1)
+        labels_s = frames * WRITE_LABELS_S * formats
+        render_s = start_s + frames * TYPICAL_FRAME_CPU_S / workers
+        core_hours = (workers * START_S * (shards or 1) + frames * TYPICAL_FRAME_CPU_S + labels_s) / 3600
         per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + TYPICAL_LABELS_BYTES
         return {
             "backgrounds": len(self.dataset.images),
             "frames": len(self.frames),
             "frames_per_split": _count(f.background.split for f in self.frames),
             "disk_bytes": round(per_frame * len(self.frames)),
-            "about_s": round(seconds),
+            "about_s": round(render_s + labels_s),
             "workers": workers,
+            "core_hours": round(core_hours, 3),
+            **({} if price_per_core_hour is None else {"cost": round(core_hours * price_per_core_hour, 2)}),
+            **({} if shards is None else self._of_shards(shards, workers, start_s, labels_s)),
             "left_out": _count(p.code for p in self.problems if p.severity == "error"),
+        }
+
+    def _of_shards(self, shards: int, workers: int, start_s: float, merge_s: float) -> dict[str, Any]:
+        """Return what a plan in shards estimates instead: times of one shard and of merging, not of the whole run."""
+        most = -(-len(self.frames) // shards)
+        return {
+            "about_s": None,
+            "shards": shards,
+            "frames_per_shard": most,
+            "about_per_shard_s": round(start_s + most * TYPICAL_FRAME_CPU_S / workers),
+            "about_merge_s": round(merge_s),
         }
 
 

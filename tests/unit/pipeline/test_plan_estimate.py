@@ -1,0 +1,43 @@
+"""What `generate --plan` estimates: core-hours, cost, and the time of each shard."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import run
+from tests.samples import SAMPLES
+
+RECIPE = "hit-uav-drone"
+
+
+def planned(data: Path, *options: object) -> dict[str, object]:
+    done = run(
+        "generate", RECIPE, "--data", data, "--out", data.parent / "out", "--workers", 2, "--plan", "--json", *options
+    )
+    assert done.exit_code == 0, done.output
+    assert not (data.parent / "out").exists()
+    result: dict[str, object] = json.loads(done.stdout)
+    return result
+
+
+def test_cost_is_core_hours_times_the_price(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    whole, paid = planned(data), planned(data, "--price", 1000)
+    assert "cost" not in whole and paid["core_hours"] == whole["core_hours"]
+    assert paid["cost"] == pytest.approx(1000 * float(str(whole["core_hours"])), abs=0.51)  # hours have three digits
+    refused = run("generate", RECIPE, "--data", data, "--out", tmp_path / "out", "--price", 1)
+    assert refused.exit_code == 2 and "--plan" in refused.output
+
+
+def test_shards_are_planned_one_by_one(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    whole = planned(data)
+    frames = int(str(whole["frames"]))
+    parts = planned(data, "--shard", "1/3")
+    assert parts["frames"] == frames and parts["shards"] == 3 and parts["frames_per_shard"] == -(-frames // 3)
+    assert parts["about_s"] is None and int(str(parts["about_per_shard_s"])) <= int(str(whole["about_s"]))
+    assert float(str(parts["core_hours"])) > float(str(whole["core_hours"]))  # every shard starts its own workers
+    assert planned(data, "--shard", "1", "--shard-size", 2)["shards"] == -(-frames // 2)
