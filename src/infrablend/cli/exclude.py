@@ -81,10 +81,14 @@ def include(
 
 
 def _show(report: ChoiceReport, session: Session) -> None:
-    from infrablend.cli.results import print_json, print_result, table
+    from infrablend.cli.exits import PARTIAL
+    from infrablend.cli.results import print_json, print_problems, print_result, table
 
+    print_problems(report.problems, session.log_path, report.out / "run.json")
     if session.json:
         print_json(report.to_json())
+        if not report.ok:
+            raise typer.Exit(PARTIAL)
         return
     rows = {
         "changed": f"{report.changed} frames",
@@ -94,3 +98,5 @@ def _show(report: ChoiceReport, session: Session) -> None:
     if report.purged_files:
         rows["deleted"] = f"{report.purged_files} files"
     print_result(f"{table(rows)}\n{report.out}")
+    if not report.ok:
+        raise typer.Exit(PARTIAL)

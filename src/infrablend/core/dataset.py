@@ -199,7 +199,7 @@ class Dataset:
         problems: Problems found; items with an `error` were skipped, items with a `warning` kept.
         notes: Facts for the run record, e.g. which annotation forms were merged and how often they disagreed.
         extra: Top-level fields of the source (info, licences), kept for writing.
-        markers: Digests of the records of InfraBlend for the folder when it was read (`finished.markers_of`);
+        markers: What identifies the records of InfraBlend for the folder when it was read (`finished.markers_of`);
             None for datasets that were not read from a folder.
     """
 

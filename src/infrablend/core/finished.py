@@ -83,10 +83,18 @@ def require_finished(folder: Path) -> None:
 
 
 def markers_of(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of each record of InfraBlend for a folder and those around it, by path."""
+    """Return what identifies each record of InfraBlend for a folder and those around it, by path.
+
+    A record that is written again is another file, also if it has the same content.
+    """
     inside = real_path(folder)
     paths = [root / m.file for root in (inside, *inside.parents) for m in _MARKERS]
-    return {str(p): sha256_of(p) for p in paths if p.is_file() and not leaves_folder(p)}
+    return {str(p): _identity(p) for p in paths if p.is_file() and not leaves_folder(p)}
+
+
+def _identity(path: Path) -> str:
+    status = path.stat()
+    return f"{sha256_of(path)} {status.st_ino} {status.st_mtime_ns}"
 
 
 def require_unchanged(folder: Path, markers: Mapping[str, str] | None) -> None:

@@ -18,7 +18,7 @@ import logging
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -67,8 +67,12 @@ class OutputFolder:
     can_overwrite: bool = False
 
     @contextlib.contextmanager
-    def claimed(self) -> Iterator[None]:
+    def claimed(self) -> Iterator[Callable[[], None]]:
         """Create the folder and lock it; the lock is released when the block or the process ends.
+
+        Yields:
+            Function that raises an OutputError if the folder is now another one: what was locked has been moved away or
+            removed, and another command may write to the new one. At the end of the block it is called, too.
 
         Raises:
             OutputError: Another process is writing to the folder, or it cannot be created.
@@ -91,9 +95,25 @@ class OutputFolder:
                 ) from error
             except OSError as error:  # file systems without locks
                 log.warning("%s: cannot be locked (%s); do not let two commands write to it", self.root, error)
-            yield
+
+            def require_claim() -> None:
+                self._require_same(handle)
+
+            yield require_claim
+            require_claim()
         finally:
             os.close(handle)
+
+    def _require_same(self, handle: int) -> None:
+        try:
+            same = os.path.samestat(os.fstat(handle), self.root.stat())
+        except OSError:  # a folder that is gone is noticed by what writes to it
+            return
+        if not same:
+            raise OutputError(
+                f"{self.root}: was moved or removed, and made again, while this {self.noun} was written; expected the "
+                "folder to stay. Repeat the command with another folder, or when nothing else uses this one"
+            )
 
     def is_claimed(self) -> bool:
         """Return whether a process is writing to the folder, as far as its file system has locks."""

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.files import sha256_of
 from infrablend.core.finished import COMPLETE, EXCLUDING, finishing_command
+from infrablend.core.run_layout import EXCLUDED
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
-from infrablend.pipeline.excluded import purge, read_choice, read_review
+from infrablend.pipeline.excluded import purge, read_choice, read_review, require_choice
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import similar
 from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.record import read_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import run_plan
@@ -59,6 +62,12 @@ class ChoiceReport:
     changed: int
     purged_files: int
     counts: Mapping[str, Any]
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether no frame of the run was skipped or failed."""
+        return not any(p.severity == "error" for p in self.problems)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -68,6 +77,7 @@ class ChoiceReport:
             "changed": self.changed,
             "purged_files": self.purged_files,
             "counts": dict(self.counts),
+            "problems": [p.to_json() for p in self.problems],
         }
 
 
@@ -101,20 +111,29 @@ def choose_frames(
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
     recorded = RecordedRun.from_record(record, folder.run_file)
     plan = recorded.plan(data)
+    require_choice(record, folder)
+    if not folder.manifest().exists:
+        raise OutputError(
+            f"{run}: the list of its label files (log/files.jsonl) is missing; expected it, because labels of excluded "
+            "frames are removed by it. Write the labels again first: the command of the run with --resume"
+        )
     before = read_choice(folder)
     after = _changed(before, choice, plan, run)
 
     def choose(now: Mapping[str, str]) -> Mapping[str, str]:
         nonlocal before, after  # another call may have changed the choice meanwhile
         before, after = dict(now), _changed(now, choice, plan, run)
+        _require_backgrounds(plan, folder, after)
         return after
 
     counts: Mapping[str, Any] = record.get("counts", {})
+    problems: tuple[Problem, ...] = ()
     if after != before or status == EXCLUDING:
         flat = recorded.renderer == "flat"
         execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
         try:
-            counts = run_plan(plan, run, execution, "resume", on_progress, choose=choose).counts
+            report = run_plan(plan, run, execution, "resume", on_progress, choose=choose)
+            counts, problems = report.counts, report.problems
         except OtherSettingsError as error:
             raise OtherSettingsError(
                 f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
@@ -124,19 +143,51 @@ def choose_frames(
     if choice.purge:
         with folder.output.claimed():
             deleted = purge(folder, folder.manifest().read())
-    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts)
+    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts, problems)
+
+
+def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str, str]) -> None:
+    """Check that the finished frames that stay need not be rendered again: a choice of frames changes no picture.
+
+    Raises:
+        OtherSettingsError: Their backgrounds were changed or removed.
+    """
+    digests: dict[Path, str | None] = {}
+    changed = []
+    for frame in plan.frames:
+        if frame.frame_id in excluded:
+            continue
+        place = folder.record(frame.frame_id)
+        record = read_record(place) or read_record(folder.root / EXCLUDED / place.relative_to(folder.root))
+        path = frame.background.path
+        if record is None:
+            continue
+        if path not in digests:
+            digests[path] = sha256_of(path) if path.is_file() else None
+        if digests[path] != record.background.get("sha256"):
+            changed.append(Problem(str(path), "background-changed", f"not the one that {frame.frame_id} was made of"))
+    if changed:
+        raise OtherSettingsError(
+            f"{len(changed)} frames would have to be rendered again on other backgrounds; nothing was changed. Restore "
+            "the backgrounds, or render these frames again first: the command of the run with --resume",
+            changed,
+        )
 
 
 def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan, run: Path) -> dict[str, str]:
     """Return the excluded frames after a change."""
     rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review, run)
-    ids: dict[str, list[str]] = {}
+    of_background: dict[str, list[str]] = {}
     for frame in plan.frames:
         background = frame.background
-        for name in (frame.frame_id, f"{background.split}/{background.id}", background.id):
-            ids.setdefault(name, []).append(frame.frame_id)
+        for name in (f"{background.split}/{background.id}", background.id):
+            of_background.setdefault(name, []).append(frame.frame_id)
+    # A frame may have the name of a background: `train/a_c0`, made of `train/a`, beside a background `a_c0`.
+    frames = {frame.frame_id: [frame.frame_id] for frame in plan.frames}
+    ids = {**of_background, **frames}
     wanted = [*choice.exclude, *choice.include, *rejected, *accepted]
-    unknown = [name for name in wanted if name not in ids]
+    reviewed = {*rejected, *accepted}  # verdicts are on frames
+    unknown = [name for name in wanted if name not in (frames if name in reviewed else ids)]
     if unknown:
         problems = [
             Problem(name, "frame-unknown", "no frame of the run has this id", f"an id such as {similar(name, ids)}")

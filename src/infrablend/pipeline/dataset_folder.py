@@ -58,7 +58,7 @@ class DatasetFolder:
         """
         head = {"infrablend": __version__, **header, **command_facts()}  # the finished record does without the command
         with self._output.claimed():
-            self._empty(overwrite)
+            self._empty(overwrite, head)
             self._write_record({**head, "status": "running"})
             with self._manifest.recording():
                 try:
@@ -121,16 +121,18 @@ class DatasetFolder:
         self._output.require_only({*own, self._record, _JOURNAL, REPLACED, CARD_FILE}, entries)
         return earlier
 
-    def _empty(self, overwrite: bool) -> None:
-        """Delete what an earlier call wrote, and note what else there is."""
+    def _empty(self, overwrite: bool, head: Mapping[str, Any]) -> None:
+        """Delete what an earlier call wrote, and note what else there is; the folder is unfinished from then on."""
         entries = self._entries(overwrite)
         if not entries:
             return
         earlier = self._require_ours(entries)
+        # With the list, so that a call that is killed while it deletes can be repeated.
+        self._write_record({**head, "status": "running", "written": earlier.to_json()})
         earlier.remove_own()
         rest = files_below(self.root, [e for e in entries if e != REPLACED])
         rest += [e for e in entries if not (self.root / e).is_dir() and (self.root / e).exists()]
         self._kept = sorted({*rest} - {self._record, _JOURNAL, CARD_FILE})
-        # The record of the earlier call stays until the next one replaces it: an interrupted call can be repeated.
+        # The record stays until the next one replaces it: an interrupted call can be repeated.
         if earlier.exists:
             self._manifest.reset()

@@ -40,7 +40,7 @@ class EvaluationFolder:
         if entries and not overwrite:
             self._output.require_empty()
 
-    def claimed(self) -> contextlib.AbstractContextManager[None]:
+    def claimed(self) -> contextlib.AbstractContextManager[object]:
         """Return a context in which no other command writes to the folder."""
         return self._output.claimed()
 

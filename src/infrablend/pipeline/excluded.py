@@ -12,9 +12,11 @@ import os
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import load_json, output_error, sha256_of, write_json
+from infrablend.core.finished import COMPLETE
 from infrablend.core.manifest import Manifest, remove_empty
 from infrablend.core.run_layout import EXCLUDED, IMAGES, SCENES, RunLayout
 from infrablend.errors import OutputError
@@ -22,6 +24,8 @@ from infrablend.pipeline.record import RecordError, load_record
 from infrablend.pipeline.review import read_verdicts
 
 VERSION = 2
+CHOICE = "choice"
+"""Field of a run record with the digest of the frames that are left out."""
 
 
 def read_choice(layout: RunLayout) -> dict[str, str]:
@@ -47,6 +51,26 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
             f"{path}: cannot be read ({error}); expected the frames that `infrablend exclude` left out. Restore the "
             f"file; or remove it and repeat `{command}`, which puts all frames back first"
         ) from error
+
+
+def require_choice(record: Mapping[str, Any], layout: RunLayout) -> None:
+    """Check that the choice of a finished run is the one that its labels were written with.
+
+    Raises:
+        OutputError: `excluded.json` is damaged, was removed, or is an earlier one.
+    """
+    frames = read_choice(layout)
+    if record.get("status") == COMPLETE and record.get(CHOICE) != choice_digest(frames):
+        found = f"chooses {len(frames)} frames" if frames else "is missing"
+        raise OutputError(
+            f"{layout.excluded_file}: {found}; expected the choice that the labels of the run were written with. "
+            "Restore the file, or make the run again with --overwrite"
+        )
+
+
+def choice_digest(frames: Mapping[str, str]) -> str | None:
+    """Return the digest of a choice for the record of its run; None if no frame is left out."""
+    return _digest_of(frames) if frames else None
 
 
 def write_choice(layout: RunLayout, excluded: Mapping[str, str]) -> None:
@@ -108,6 +132,8 @@ def excluded_files(layout: RunLayout) -> dict[str, str | None]:
             record = load_record(path)
         except RecordError:
             continue
+        if path != layout.root / EXCLUDED / SCENES / f"{record.frame_id}.json":
+            continue  # a copy that somebody made
         found[f"{EXCLUDED}/{IMAGES}/{record.image}"] = record.image_sha256
         found[path.relative_to(layout.root).as_posix()] = None
     return found

@@ -41,6 +41,8 @@ LOG_FILES = ("run.log", "workers.log")
 MANIFEST = "files.jsonl"
 
 
+FILES = "files"
+"""Field of a run record with the number of files in its manifest, without those of frames."""
 DIGEST = "sha256"
 """Field of a run record with the digest of the fields that decide what the run is."""
 
@@ -100,6 +102,12 @@ class RunFolder(RunLayout):
         ignored = (IMAGES, SCENES, LOGS, RUN_FILE, EXCLUDED, EXCLUDED_FILE, part_path(self.run_file).name)
         return Manifest(self.root, self.log_folder / MANIFEST, self.log_folder / REPLACED, ignored, PICTURE_TABLES)
 
+    @staticmethod
+    def listed(manifest: Manifest) -> list[str]:
+        """Return the files with known content in the manifest of a run, without those of frames."""
+        names = (name for name in manifest.paths if name.split("/")[0] not in (IMAGES, SCENES, EXCLUDED))
+        return [name for name in names if manifest.has_content(name)]
+
     def strays(self, known: Iterable[str]) -> list[str]:
         """Return the files in the folders of the dataset that are not among the known ones, sorted."""
         return sorted({*files_below(self.root, DATASET_FOLDERS)} - {*known})
@@ -137,6 +145,18 @@ class RunFolder(RunLayout):
                 problem = Problem(str(path), "log-not-a-file", "a link, pipe or folder", expected, todo)
                 raise OutputError(f"{self.root}: the logs cannot be written", [problem])
 
+    def _require_own_folders(self) -> None:
+        """Refuse links in place of the run's folders: files would be written, moved and deleted elsewhere."""
+        tops = [self.root / name for name in (*DATASET_FOLDERS, EXCLUDED)]
+        below = [child for top in tops if top.is_dir() and not top.is_symlink() for child in sorted(top.iterdir())]
+        links = [path for path in (*tops, *below) if path.is_symlink() and path.is_dir()]
+        if links:
+            todo = "remove the link, or move the folder back"
+            raise OutputError(
+                f"{self.root}: folders of the {self.noun} are links; nothing was touched",
+                [Problem(str(path), "folder-linked", "a link", "a folder", todo) for path in links],
+            )
+
     def outlook(self, existing: Existing) -> str | None:
         """Return what a run would do with the present contents of the folder; None if there are none.
 
@@ -173,6 +193,7 @@ class RunFolder(RunLayout):
         entries = output.require_empty(existing=existing)
         if entries and RUN_FILE not in entries:
             raise output.refuse_not_ours()
+        self._require_own_folders()
         if entries:
             try:
                 record = self.read_run()  # raises if another program wrote this run.json

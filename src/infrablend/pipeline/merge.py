@@ -150,6 +150,12 @@ def _read(folder: RunFolder, shard: Shard, shared: SharedPlan) -> _Finished:
             f"{folder.root}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
+    levels = record.get("levels")
+    if (None if levels is None else [float(v) for v in levels]) != (shared.levels and list(shared.levels)):
+        raise OtherSettingsError(
+            f"{folder.root}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
+            "the file as it was, or repeat the command of the shard with --overwrite"
+        )
     try:
         failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
     except (LookupError, TypeError, AttributeError) as error:

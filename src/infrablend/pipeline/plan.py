@@ -275,8 +275,9 @@ def make_plan(
         if chosen is None or (id(image), k) in chosen
     ]
     trimmed = Dataset(
-        dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra
-    )
+        dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra,
+        dataset.markers,
+    )  # fmt: skip
     key = {
         "version": __version__,
         "recipe": json.loads(recipe.model_dump_json(exclude={"output": {"formats"}})),

@@ -17,7 +17,7 @@ from infrablend import __version__
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
-from infrablend.core.finished import EXCLUDING
+from infrablend.core.finished import EXCLUDING, require_unchanged
 from infrablend.core.log_file import LogFileHandler, part_from_links
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.manifest import Manifest
@@ -34,9 +34,9 @@ from infrablend.errors import (
     RenderError,
 )
 from infrablend.formats.images import output_suffix
-from infrablend.pipeline.excluded import place_frames, read_choice, write_choice
+from infrablend.pipeline.excluded import CHOICE, choice_digest, place_frames, read_choice, require_choice, write_choice
 from infrablend.pipeline.executors import make_executor
-from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.folder import FILES, RunFolder
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.label_files import FinishedFrames, LabelSummary, write_formats
@@ -158,7 +158,7 @@ def run_plan(
     started = time.monotonic()
     folder = RunFolder(out, "run" if plan.shard is None else "shard")
     with contextlib.ExitStack() as stack:
-        stack.enter_context(folder.output.claimed())  # locks out other runs
+        require_claim = stack.enter_context(folder.output.claimed())  # locks out other runs
         previous = folder.prepare(existing)
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
@@ -175,6 +175,8 @@ def run_plan(
         manifest = folder.manifest()
         if previous is None:
             manifest.reset()
+        if previous is not None:
+            require_choice(previous, folder)
         kept_out = {} if previous is None else read_choice(folder)
         if choose is not None:
             kept_out = dict(choose(kept_out))
@@ -205,7 +207,15 @@ def run_plan(
         executor = make_executor(worker, execution, workers_log) if source is None else source.executor
         status, stopped = "complete", "interrupted" if choose is None else EXCLUDING
         try:
-            _make_frames(executor, todo, plan, state, 1 if execution.in_process or source else workers, on_progress)
+            _make_frames(
+                executor,
+                todo,
+                plan,
+                state,
+                1 if execution.in_process or source else workers,
+                on_progress,
+                require_claim,
+            )
         except Interrupted:
             status = stopped
         except (MissingDependencyError, RenderError):  # the renderer could not start
@@ -217,6 +227,7 @@ def run_plan(
         records = FinishedFrames.none(folder)
         try:
             if status == "complete":
+                require_unchanged(plan.dataset.root, plan.dataset.markers)
                 checked = CheckedFiles() if source is None else source.checked
                 records = _finished_frames(plan, folder, state, checked)
                 if plan.shard is None:
@@ -248,13 +259,17 @@ def run_plan(
                 if plan.shard is None:
                     record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
                     write_report(folder, record, records.records, kept_out)
+                if kept_out:
+                    record[CHOICE] = choice_digest(kept_out)
                 notes = _file_notes(plan, folder, manifest, records.frames)
+                record[FILES] = sum((folder.root / name).is_file() for name in folder.listed(manifest))
         except KeyboardInterrupt as error:
             folder.write_run({**header, "status": stopped})
             raise Interrupted(
                 f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept. "
                 "Repeat the command with --resume to write the labels."
             ) from error
+        require_claim()
         folder.write_run(record)
         if status == "complete":
             manifest.forget_missing()  # e.g. labels of frames that are excluded now
@@ -289,11 +304,18 @@ def _make_frames(
     state: _State,
     workers: int,
     on_progress: OnProgress | None,
+    require_claim: Callable[[], None],
 ) -> None:
     """Render the frames of `todo`; a failed frame is counted and does not stop the others."""
     of_key = {f.frame_id: f for f in todo}
     pace = Pace(workers)
-    for finished, result in enumerate(executor.run(Task(f.frame_id, f) for f in todo), start=1):
+
+    def tasks() -> Iterator[Task]:
+        for frame in todo:
+            require_claim()  # frames must not be written into another run
+            yield Task(frame.frame_id, frame)
+
+    for finished, result in enumerate(executor.run(tasks()), start=1):
         _record_result(result, of_key[result.key], state)
         if on_progress is not None:
             pace.add(result)

@@ -10,9 +10,10 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, is_finished
 from infrablend.core.manifest import REPLACED, Manifest
-from infrablend.core.run_layout import IMAGES, RUN_FILE, SCENES
-from infrablend.errors import Problem, Severity
-from infrablend.pipeline.folder import RunFolder, is_edited
+from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES
+from infrablend.errors import OutputError, Problem, Severity
+from infrablend.pipeline.excluded import require_choice
+from infrablend.pipeline.folder import FILES, RunFolder, is_edited
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.card import CARD_FILE
 
@@ -53,8 +54,21 @@ def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
     todo = "repeat the command of the run with --resume: it restores the file and keeps a changed one in log/replaced"
     if is_edited(read_object(root / RUN_FILE) or {}):
         yield Problem(RUN_FILE, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
+    run = read_object(root / RUN_FILE) or {}
+    if isinstance(run.get(FILES), int) and (listed := len(folder.listed(manifest))) < run[FILES]:
+        found = f"lists {listed} files; {RUN_FILE} counts {run[FILES]}"
+        yield Problem("log/files.jsonl", GONE, found, "the list as the run wrote it", todo)
+    try:
+        require_choice(run, folder)
+    except OutputError as error:
+        yield Problem(EXCLUDED_FILE, CHANGED, error.message, "", "")
+    counted = (run.get("counts") or {}).get("frames") if isinstance(run.get("counts"), Mapping) else None
+    records = folder.records()
+    if isinstance(counted, int) and len(records) < counted:
+        found = f"{len(records)} records; {RUN_FILE} counts {counted} frames"
+        yield Problem(SCENES, GONE, found, "a record per frame", todo)
     framed = set()  # these files have records of their own
-    for path in folder.records():
+    for path in records:
         name = path.relative_to(root).as_posix()
         framed.add(name)
         try:

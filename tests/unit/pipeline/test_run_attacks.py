@@ -8,8 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core.finished import markers_of, require_unchanged
+from infrablend.core.manifest import Manifest
+from infrablend.errors import DatasetError
 from infrablend.formats import writing
 from infrablend.pipeline import choose
+from infrablend.pipeline import run as run_module
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.samples import SAMPLES
@@ -240,3 +244,184 @@ def test_dataset_that_is_written_again_meanwhile_is_an_error(
     assert "was written again while it was read" in ended.output
     assert "unfinished" in run("check", tmp_path / "out").output
     done(words[0], made, tmp_path / "out", *words[1:], "--overwrite")
+
+
+# -- choices of frames
+
+
+def test_a_choice_of_frames_renders_none_again(data: Path, made: Path) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    before = tree(made)
+    record = json.loads((made / "scenes" / f"{ids[0]}.json").read_text())
+    background = next(p for p in data.rglob("*.jpg") if p.stem == Path(record["background"]["path"]).stem)
+    whole = background.read_bytes()
+    for broken in (whole + b"x", whole[:300]):
+        background.write_bytes(broken)
+        ended = run("exclude", made, ids[-1])
+        assert ended.exit_code == 2, ended.output
+        assert "nothing was changed" in ended.output
+        after = tree(made)
+        assert {n: after[n] for n in before if not n.startswith("log/")} == {
+            n: c for n, c in before.items() if not n.startswith("log/")
+        }
+    background.write_bytes(whole)
+    done("exclude", made, ids[0])
+
+
+def test_a_frame_counts_more_than_a_background_of_its_name(data: Path, tmp_path: Path) -> None:
+    made = tmp_path / "originals"
+    done(*command(data, made, "--set", "output.originals=true"))
+    again = tmp_path / "again"
+    done(*command(made / "coco", again, "--set", "output.originals=true"))
+    ids = [p.relative_to(again / "scenes").with_suffix("").as_posix() for p in (again / "scenes").rglob("*.json")]
+    both = sorted(i for i in ids if f"{i}_c0" in ids and i.endswith("_c0"))
+    assert both, ids
+    chosen = both[0]
+    verdicts = {chosen: {"verdict": "reject"}, f"{chosen}_c0": {"verdict": "accept"}}
+    (again / "review.json").write_text(json.dumps({"frames": verdicts}))
+    report = json.loads(done("exclude", again, "--review", "--json").stdout)
+    assert list(report["excluded"]) == [chosen]
+    (again / "review.json").write_text(
+        json.dumps({"frames": {chosen.rpartition("_c")[0] + "-x": {"verdict": "reject"}}})
+    )
+    assert run("exclude", again, "--review").exit_code == 2
+
+
+def test_purging_leaves_copies_that_somebody_made(made: Path) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    done("exclude", made, ids[0])
+    mine = made / "excluded" / "scenes" / "mybackup" / f"{Path(ids[1]).name}.json"
+    mine.parent.mkdir()
+    shutil.copy(made / "scenes" / f"{ids[1]}.json", mine)
+    report = json.loads(done("exclude", made, "--purge", "--json").stdout)
+    assert report["purged_files"] == 2 and mine.is_file()
+
+
+def test_a_choice_that_was_removed_or_put_back_is_noticed(made: Path) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    done("exclude", made, ids[0])
+    first = (made / "excluded.json").read_bytes()
+    (made / "excluded.json").unlink()
+    assert run("check", made).exit_code == 1
+    ended = run("exclude", made, ids[1])
+    assert ended.exit_code == 2 and "is missing" in ended.output, ended.output
+    (made / "excluded.json").write_bytes(first)
+    done("exclude", made, ids[1])
+    (made / "excluded.json").write_bytes(first)
+    assert run("check", made).exit_code == 1
+
+
+# -- what is missing
+
+
+@pytest.mark.parametrize("gone", ["scenes", "log/files.jsonl"])
+def test_missing_records_and_lists_are_found(made: Path, gone: str) -> None:
+    path = made / gone
+    path = next(path.rglob("*.json")) if path.is_dir() else path
+    path.unlink()
+    ended = run("check", made)
+    assert ended.exit_code == 1, ended.output
+    assert "run.json counts" in ended.output or "lists 0 files" in ended.output
+
+
+def test_labels_are_not_left_out_without_the_list_of_their_files(made: Path) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    (made / "log/files.jsonl").unlink()
+    ended = run("exclude", made, ids[0])
+    assert ended.exit_code == 2 and "--resume" in ended.output, ended.output
+
+
+@pytest.mark.parametrize("name", ["yolo", "yolo/labels", "images"])
+def test_linked_folders_of_a_run_are_refused(made: Path, tmp_path: Path, name: str) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    (made / name).rename(tmp_path / "elsewhere")
+    (made / name).symlink_to(tmp_path / "elsewhere")
+    before = tree(tmp_path / "elsewhere")
+    ended = run("exclude", made, ids[0])
+    assert ended.exit_code == 2 and "are links" in ended.output, ended.output
+    assert tree(tmp_path / "elsewhere") == before
+
+
+# -- folders that change meanwhile
+
+
+def test_a_killed_overwrite_leaves_an_unfinished_folder(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for words in (
+        ["convert", data, tmp_path / "c", "--to", "voc"],
+        ["split", data, tmp_path / "s", "--to", "yolo", "--by", "gap"],
+    ):
+        out = Path(str(words[2]))
+        done(*words)
+        whole = tree(out)
+
+        def stop(self: Manifest, keep: object = ()) -> list[str]:
+            next(self.root / n for n in self.paths if "/" in n).unlink()
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Manifest, "remove_own", stop)
+            run(*words, "--overwrite")
+        ended = run("convert", out, tmp_path / "d", "--to", "coco")
+        assert ended.exit_code == 2 and "unfinished" in ended.output, ended.output
+        done(*words, "--overwrite")
+        assert tree(out).keys() == whole.keys()
+
+
+def test_a_source_that_is_written_again_with_the_same_bytes_is_noticed(data: Path, tmp_path: Path) -> None:
+    source = tmp_path / "c"
+    done("convert", data, source, "--to", "yolo")
+    markers = markers_of(source)
+    require_unchanged(source, markers)
+    done("convert", data, source, "--to", "yolo", "--overwrite")
+    with pytest.raises(DatasetError, match="written again while it was read"):
+        require_unchanged(source, markers)
+
+
+def test_a_run_notices_backgrounds_that_are_written_again(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = run_module._make_frames
+
+    def rewriting(*arguments: object) -> None:
+        frames(*arguments)  # type: ignore[arg-type]
+        (made / "run.json").write_bytes((made / "run.json").read_bytes())
+
+    monkeypatch.setattr(run_module, "_make_frames", rewriting)
+    ended = run(*command(made / "coco", tmp_path / "second"))
+    assert ended.exit_code == 2 and "written again while it was read" in ended.output, ended.output
+    assert json.loads((tmp_path / "second/run.json").read_text())["status"] != "complete"
+
+
+def test_a_folder_that_is_made_again_meanwhile_is_left_alone(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path / "other"
+    done(*command(data, other, "--seed", 1))
+    frames = run_module._make_frames
+
+    def swapping(*arguments: object) -> None:
+        (tmp_path / "run").rename(tmp_path / "moved")
+        other.rename(tmp_path / "run")
+        frames(*arguments)  # type: ignore[arg-type]
+
+    before = tree(other)
+    monkeypatch.setattr(run_module, "_make_frames", swapping)
+    ended = run(*command(data, tmp_path / "run"))
+    assert ended.exit_code in (2, 3) and "made again" in ended.output, ended.output
+    after = tree(tmp_path / "run")
+    assert after["run.json"] == before["run.json"]
+
+
+def test_shards_with_other_grey_levels_are_not_merged(data: Path, tmp_path: Path) -> None:
+    shards = tmp_path / "shards"
+    for n in (1, 2):
+        words = command(data, shards, "--shard", f"{n}/2")
+        words[1] = "hit-uav-drone-physical"
+        assert run(*words).exit_code in (0, 1)
+        record = json.loads((shards / "shards.json").read_text())
+        assert record["levels"]
+        (shards / "shards.json").write_text(json.dumps({**record, "levels": [41.0, 167.0]}))
+    ended = run("merge", shards, tmp_path / "merged")
+    assert ended.exit_code == 2 and "grey levels" in ended.output, ended.output

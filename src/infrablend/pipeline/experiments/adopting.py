@@ -20,6 +20,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.job import StageJob
 from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
+from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.training.presets import Preset
@@ -82,7 +83,7 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
 
 def _check_run(job: StageJob, folder: Path) -> None:
     """Check that a run of the generator is the one the stage asks for."""
-    record = _read_record(folder / RUN_FILE, "a folder written by `infrablend generate`")
+    record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
     recipe = load_recipe(spec.recipe, spec.settings)
     recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
