@@ -41,12 +41,14 @@ LOG_FILES = ("run.log", "workers.log")
 MANIFEST = "files.jsonl"
 
 
+RUN = "run"
+"""Field of a run record with the identity that the records of its frames name."""
 FILES = "files"
 """Field of a run record with the number of files in its manifest, without those of frames."""
 DIGEST = "sha256"
 """Field of a run record with the digest of the fields that decide what the run is."""
 
-_DECIDING = ("categories", "formats", "key", "levels", "recipe", "request", "seed", "shard")
+_DECIDING = ("categories", "formats", "key", "levels", "recipe", "request", "run", "seed", "shard")
 
 
 def _digest_of(record: Mapping[str, Any]) -> str:

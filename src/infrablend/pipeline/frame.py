@@ -163,6 +163,7 @@ class FrameComposer:
             },
             warnings=tuple(p.to_json() for p in background.problems),
             covered=covered_facts(merged),
+            run=self._settings.run,
         )
         done = FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
         return ComposedFrame(record, image_bytes, done)

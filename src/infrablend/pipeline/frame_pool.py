@@ -48,6 +48,7 @@ def settings_for(
         levels=levels,
         ignored=plan.ignored,
         extensions=extensions,
+        run=plan.run,
     )
 
 

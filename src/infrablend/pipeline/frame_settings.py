@@ -42,6 +42,7 @@ class FrameSettings:
         levels: Darkest and brightest level that the dataset uses; for `appearance.mode: physical` and the sensor.
         ignored: The source's own names of the categories that mark ignore regions.
         extensions: The caller's own sampler, backgrounds and look.
+        run: Identity of the run, for the records of its frames.
     """
 
     out: Path | None
@@ -54,6 +55,7 @@ class FrameSettings:
     levels: tuple[float, float] | None = None
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
+    run: str = ""
 
 
 @dataclass(frozen=True)

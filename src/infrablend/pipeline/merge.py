@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.folder import RunFolder
+from infrablend.pipeline.folder import RUN, RunFolder
 from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record
@@ -83,11 +83,12 @@ def merge_shards(
             f"{recorded.data}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
             "or give their folder with --data."
         )
+    plan = replace(plan, run=str(shards[0].record.get(RUN, plan.run)))
     places = _places(plan, shards)
     checked = CheckedFiles()
     _require_intact(places, shards, checked)
     if len(shards) < shared.count:
-        plan = recorded.select(tuple(places)).plan(data)
+        plan = replace(recorded.select(tuple(places)).plan(data), run=plan.run)
     execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
     frames = FrameSource(
@@ -176,7 +177,7 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
     """
     broken: dict[Shard, list[str]] = {}
     for frame_id, one in places.items():
-        if frame_id not in one.failures and not _is_intact(one.folder, frame_id, checked):
+        if frame_id not in one.failures and not _is_intact(one, frame_id, checked):
             broken.setdefault(one.shard, []).append(frame_id)
     if broken:
         problems = [
@@ -193,11 +194,14 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
         raise OutputError(f"{len(broken)} shards are truncated; nothing was written", problems)
 
 
-def _is_intact(folder: RunFolder, frame_id: str, checked: CheckedFiles) -> bool:
+def _is_intact(shard: _Finished, frame_id: str, checked: CheckedFiles) -> bool:
+    folder = shard.folder
     try:
         record = load_record(folder.record(frame_id))
         image = folder.image(record.image)
     except (RecordError, ValueError):
+        return False
+    if not record.is_of(shard.record.get(RUN)):
         return False
     return record.frame_id == frame_id and checked.has_digest(image, folder.root, record.image_sha256)
 

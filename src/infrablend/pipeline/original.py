@@ -36,5 +36,6 @@ def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSetti
         inserted=(),
         removed=tuple(r.to_json() for r in merged.removed),
         warnings=tuple(p.to_json() for p in background.problems),
+        run=settings.run,
     )
     return ComposedFrame(record, image_bytes, FrameDone(0, 0, {}))

@@ -105,6 +105,8 @@ class RunPlan:
         request: How the backgrounds were read and frames were chosen, for the run record.
         levels: Range of grey levels of the dataset, if it has been measured already.
         shard: Shard that `frames` belongs to; None for a whole run.
+        run: Identity of the run, in the records of its frames: a digest of recipe and seed. Shards and parts of a run
+            have that of the whole.
     """
 
     recipe: Recipe
@@ -121,6 +123,7 @@ class RunPlan:
     request: Mapping[str, Any] = field(default_factory=dict)
     levels: tuple[float, float] | None = None
     shard: Shard | None = None
+    run: str = ""
 
     @property
     def needs_levels(self) -> bool:
@@ -300,7 +303,13 @@ def make_plan(
         key,
         ignored,
         dataset.images[:: max(1, len(dataset.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
+        run=_identity(key),
     )
+
+
+def _identity(key: Mapping[str, Any]) -> str:
+    deciding = {**key["recipe"], "description": None}
+    return hashlib.sha256(json.dumps([deciding, key["seed"]], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _configurations(originals: bool, count: int) -> list[int | None]:

@@ -40,6 +40,8 @@ class FrameRecord:
         warnings: Problems that did not stop the frame.
         covered: Visible remains of kept labels that inserted objects partly cover, by index: `visibility`, and `mask`
             where known.
+        run: Identity of the run (`RunPlan.run`), so that frames of another one are noticed; empty in records of earlier
+            versions.
     """
 
     frame_id: str
@@ -54,11 +56,13 @@ class FrameRecord:
     facts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[Mapping[str, Any], ...] = ()
     covered: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    run: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "version": VERSION,
+            **({"run": self.run} if self.run else {}),
             "frame_id": self.frame_id,
             "image": self.image,
             "image_sha256": self.image_sha256,
@@ -72,6 +76,10 @@ class FrameRecord:
             "facts": dict(self.facts),
             "warnings": [dict(w) for w in self.warnings],
         }
+
+    def is_of(self, run: str | None) -> bool:
+        """Return whether the record may be of a run with this identity; records of earlier versions name none."""
+        return self.run == "" or self.run == run
 
     def originals(self, background: Sequence[Instance]) -> tuple[Instance, ...]:
         """Return the kept labels of the background, restricted to their visible parts."""
@@ -112,6 +120,7 @@ class FrameRecord:
             facts=data["facts"],
             warnings=tuple(data["warnings"]),
             covered={int(n): c for n, c in data.get("covered", {}).items()},
+            run=str(data.get("run", "")),
         )
 
 

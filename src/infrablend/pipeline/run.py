@@ -36,7 +36,7 @@ from infrablend.errors import (
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.excluded import CHOICE, choice_digest, place_frames, read_choice, require_choice, write_choice
 from infrablend.pipeline.executors import make_executor
-from infrablend.pipeline.folder import FILES, RunFolder
+from infrablend.pipeline.folder import FILES, RUN, RunFolder
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.label_files import FinishedFrames, LabelSummary, write_formats
@@ -162,6 +162,8 @@ def run_plan(
         previous = folder.prepare(existing)
         if previous is not None:
             _require_same_run(previous, plan, out, device, renderer)
+            # Records of its frames name the run as the version that began it did.
+            plan = replace(plan, run=str(previous.get(RUN, plan.run)))
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
         header = {**_header(plan, workers, device, renderer), **_command(previous, choose is not None)}
         if execution.executor != "local":
@@ -390,7 +392,7 @@ def _frame_files(plan: RunPlan, frame: PlannedFrame) -> tuple[str, str]:
 def _record_of(plan: RunPlan, folder: RunFolder, frame: PlannedFrame) -> FrameRecord | None:
     """Return the record of a frame; None if there is none, or it is damaged, edited or of something else."""
     record = read_record(folder.record(frame.frame_id))
-    if record is None or record.frame_id != frame.frame_id:
+    if record is None or record.frame_id != frame.frame_id or not record.is_of(plan.run):
         return None
     fits = f"{IMAGES}/{record.image}" == _frame_files(plan, frame)[0]
     return record if fits and all(n < len(frame.background.instances) for n in record.kept) else None
@@ -518,6 +520,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
         "recipe": plan.key["recipe"],
         "formats": list(plan.recipe.output.formats),
         "seed": plan.seed,
+        RUN: plan.run,
         "key": dict(plan.key),
         "data": {
             "root": str(real_path(plan.dataset.root)),

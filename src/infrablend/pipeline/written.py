@@ -13,7 +13,7 @@ from infrablend.core.manifest import REPLACED, Manifest
 from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES
 from infrablend.errors import OutputError, Problem, Severity
 from infrablend.pipeline.excluded import require_choice
-from infrablend.pipeline.folder import FILES, RunFolder, is_edited
+from infrablend.pipeline.folder import FILES, RUN, RunFolder, is_edited
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.card import CARD_FILE
 
@@ -78,6 +78,8 @@ def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
             continue
         image = f"{IMAGES}/{record.image}"
         framed.add(image)
+        if not record.is_of(run.get(RUN)):
+            yield Problem(name, CHANGED, "a frame of another run", "the record as the run wrote it", todo)
         if not (root / image).is_file():
             yield _gone(image, todo)
         elif digests and manifest.digest(image) != record.image_sha256:

@@ -425,3 +425,33 @@ def test_shards_with_other_grey_levels_are_not_merged(data: Path, tmp_path: Path
         (shards / "shards.json").write_text(json.dumps({**record, "levels": [41.0, 167.0]}))
     ended = run("merge", shards, tmp_path / "merged")
     assert ended.exit_code == 2 and "grey levels" in ended.output, ended.output
+
+
+def test_frames_of_another_run_are_noticed(data: Path, made: Path, tmp_path: Path) -> None:
+    before = tree(made)
+    done(*command(data, tmp_path / "other", "--seed", 1))
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    for name in (f"scenes/{ids[0]}.json", f"images/{ids[0]}.jpg"):
+        (made / name).unlink()
+        shutil.copy(tmp_path / "other" / name, made / name)
+    ended = run("check", made)
+    assert ended.exit_code == 1 and "a frame of another run" in ended.output, ended.output
+    done(*command(data, made, "--resume"))
+    after = tree(made)
+    assert {n: after[n] for n in before if n.startswith(("scenes/", "images/", "coco/", "yolo/"))} == {
+        n: c for n, c in before.items() if n.startswith(("scenes/", "images/", "coco/", "yolo/"))
+    }
+
+
+def test_frames_of_another_run_are_not_merged(data: Path, tmp_path: Path) -> None:
+    for seed, out in ((0, tmp_path / "a"), (1, tmp_path / "b")):
+        for n in (1, 2):
+            done(*command(data, out, "--shard", f"{n}/2", "--seed", seed))
+    record = next((tmp_path / "a").rglob("scenes/*/*.json"))
+    name = record.relative_to(tmp_path / "a")
+    picture = Path(str(name).replace("scenes", "images")).with_suffix(".jpg")
+    for part in (name, picture):
+        (tmp_path / "a" / part).unlink()
+        shutil.copy(tmp_path / "b" / part, tmp_path / "a" / part)
+    ended = run("merge", tmp_path / "a", tmp_path / "merged")
+    assert ended.exit_code == 2 and "missing or damaged" in ended.output, ended.output
