@@ -287,7 +287,8 @@ def formats_page() -> str:
     ]
     for field, (words, loss) in FIELDS.items():
         cells = (
-            "lost" if field in w.lacks else "table" if field == "telemetry" and w.table else "held" for w in WRITERS
+            "lost" if field in w.lacks else "table" if field in ("telemetry", "sequence") and w.table else "held"
+            for w in WRITERS
         )
         lines.append(f"| {words} (`{loss}`) | " + " | ".join(cells) + " |")
     lines += [

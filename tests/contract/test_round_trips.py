@@ -151,6 +151,25 @@ def test_roll_and_field_of_view_are_kept_or_counted(writer: Writer, tmp_path: Pa
     assert held_both != bool(losses.get("telemetry_dropped"))
 
 
+@every_writer
+@pytest.mark.parametrize("origin", ["take-off", "laser"])
+def test_the_origin_of_a_height_is_kept_or_counted(writer: Writer, origin: str, tmp_path: Path) -> None:
+    """Without it, a height that the aircraft measured would be multiplied by the factor for published tables."""
+    facts = {"pitch_deg": 60.0, "altitude_m": 50.0, "time_of_day": "night", "extra": {"altitude_from": origin}}
+    again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
+    found = again.images[0].extra.get("altitude_from")
+    assert (found == origin) != bool(losses.get("telemetry_dropped"))
+    if writer.table:
+        assert found == origin
+
+
+@pytest.mark.parametrize("writer", [w for w in WRITERS if w.table], ids=lambda w: w.name)
+def test_dates_that_a_table_cannot_hold_are_counted(writer: Writer, tmp_path: Path) -> None:
+    facts = {"pitch_deg": 60.0, "sequence": "one", "captured": "some day"}
+    again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
+    assert (again.images[0].sequence, again.images[0].captured, losses["sequence_dropped"]) == ("one", None, 1)
+
+
 REAL = {
     "hit-uav": (("hit-uav",), 290, 2460),
     "wisard": (("wisard",), 35, 97),

@@ -102,7 +102,7 @@ class Format:
         return f"{self.name}.md"
 
 
-_ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry"}
+_ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry", "sequence"}
 _YOLO_TAKES = frozenset({"dont_care", "without_mask"})
 _YOLO_TABLE = "images/{split}/{name}"
 
@@ -150,7 +150,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "cvat", "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
-                lacks=frozenset({"boxes", "occlusion", "sequence", "temperature"}), takes=frozenset({"pictures"}),
+                lacks=frozenset({"boxes", "occlusion", "temperature"}), takes=frozenset({"pictures"}),
                 table=_YOLO_TABLE,
             ),
         ),
@@ -160,7 +160,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "label-studio", "label-studio", "Label Studio: tasks with rotated rectangles and brush masks",
-                lacks=frozenset({"boxes", "occlusion", "sequence", "temperature"}), takes=frozenset({"pictures"}),
+                lacks=frozenset({"boxes", "occlusion", "temperature"}), takes=frozenset({"pictures"}),
                 table=_YOLO_TABLE,
             ),
         ),
@@ -211,8 +211,7 @@ FORMATS: tuple[Format, ...] = (
                 "dota", "dota", "DOTA text files: four corners in pixels",
                 lacks=frozenset(
                     {
-                        "boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "sequence", "inserted",
-                        "temperature",
+                        "boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "inserted", "temperature",
                     }
                 ),
                 takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
@@ -265,7 +264,7 @@ FORMATS: tuple[Format, ...] = (
         (
             Writer(
                 "voc", "voc", "Pascal VOC: one XML file per picture",
-                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "sequence", "temperature"}),
+                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "temperature"}),
                 takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
             ),
         ),

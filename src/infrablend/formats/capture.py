@@ -61,6 +61,11 @@ class Capture:
     altitude_from: str | None = None
     roll_deg: float | None = None
 
+    @property
+    def extra(self) -> dict[str, Any]:
+        """The further fields of a record (`ImageRecord.extra`): where its height comes from, if that is known."""
+        return {} if self.altitude_from is None else {"altitude_from": self.altitude_from}
+
     def over(self, other: Capture) -> Capture:
         """Return these values, completed by `other`'s."""
         mine = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -280,7 +285,7 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
         return Capture(), ("table-value", f"time_of_day {row['time_of_day']!r}", "day, night or nothing")
     of_day: TimeOfDay | None = "day" if time == "day" else "night" if time == "night" else None
     captured = str(row.get("captured") or "").strip()
-    if captured and not _is_time(captured):
+    if captured and not is_time(captured):
         return Capture(), ("table-value", f"captured {captured!r}", "a date or time such as 2024-05-01T06:30:00+02:00")
     sequence = str(row.get("sequence") or "").strip()
     known = values["pitch_deg"], values["altitude_m"], of_day
@@ -291,7 +296,7 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
     return Capture(*known, sequence or None, captured or None, values["hfov_deg"], origin or None, roll), None
 
 
-def _is_time(text: str) -> bool:
+def is_time(text: str) -> bool:
     """Return whether a text is a date or time in ISO 8601."""
     try:
         datetime.datetime.fromisoformat(text)

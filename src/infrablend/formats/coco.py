@@ -481,12 +481,12 @@ def _image(
         roll_deg=to_float_within(r.get("roll_deg"), -180, 180),
     )
     capture = captures.of(name, where, own, _text(r.get("sequence")))
-    extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+    extra = capture.extra | ({"source_id": r["source_id"]} if "source_id" in r else {})
     extra |= {k: v for k in FLIGHT_FIELDS if isinstance(v := r.get(k), str)}
     return ImageRecord(
         "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-        number, extra, name, _text(r.get("sequence")), _text(r.get("date_captured")), hfov_deg=capture.hfov_deg,
-        roll_deg=capture.roll_deg,
+        number, extra, name, _text(r.get("sequence")) or capture.sequence,
+        _text(r.get("date_captured")) or capture.captured, hfov_deg=capture.hfov_deg, roll_deg=capture.roll_deg,
     )  # fmt: skip
 
 

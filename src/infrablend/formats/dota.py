@@ -250,7 +250,8 @@ def _read_split(
         capture = _capture(name, key, table, problems)
         record = ImageRecord(
             "", path, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-            None, extra, name, hfov_deg=capture.hfov_deg, roll_deg=capture.roll_deg,
+            None, {**capture.extra, **extra}, name, capture.sequence, capture.captured, hfov_deg=capture.hfov_deg,
+            roll_deg=capture.roll_deg,
         )  # fmt: skip
         records.append((key, record))
     for stem in sorted(set(files) - set(taken)):

@@ -37,6 +37,7 @@ from infrablend.formats.base import (
     sort_images,
 )
 from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.capture import Capture
 from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
@@ -138,6 +139,7 @@ def _table(
     top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
     top |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
     top |= _known(hfov_deg=image.hfov_deg, roll_deg=image.roll_deg)
+    top |= _known(altitude_from=image.extra.get("altitude_from"))
     return top | _known(sequence=image.sequence, captured=image.captured, source_id=image.source_id)
 
 
@@ -247,11 +249,12 @@ def _read_table(
             found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
             problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
     pitch, altitude = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
+    extra = Capture(altitude_from=_text(top.get("altitude_from"))).extra
     time: TimeOfDay | None = top["time_of_day"] if top.get("time_of_day") in ("day", "night") else None
     return ImageRecord(
         "", picture, split, size_wh, pitch[0] if pitch else None, altitude[0] if altitude else None, time,
-        tuple(instances), _id(top.get("source_id")), {}, name, _text(top.get("sequence")), _text(top.get("captured")),
-        hfov_deg=to_float_within(top.get("hfov_deg"), 0.1, 170),
+        tuple(instances), _id(top.get("source_id")), extra, name, _text(top.get("sequence")),
+        _text(top.get("captured")), hfov_deg=to_float_within(top.get("hfov_deg"), 0.1, 170),
         roll_deg=to_float_within(top.get("roll_deg"), -180, 180),
     )  # fmt: skip
 

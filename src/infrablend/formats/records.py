@@ -64,7 +64,9 @@ def make_dataset(
                 pitch_deg=known.pitch_deg,
                 altitude_m=known.altitude_m,
                 time_of_day=known.time_of_day,
+                sequence=record.sequence or known.sequence,
                 captured=record.captured or known.captured,
+                extra={**known.extra, **record.extra},
                 hfov_deg=known.hfov_deg,
                 roll_deg=known.roll_deg,
             )

@@ -482,7 +482,7 @@ def _record(
     named = captures.of(p.unique_name, where)
     return ImageRecord(
         id_, p.path, p.split, size_wh, named.pitch_deg, named.altitude_m, named.time_of_day, instances,
-        extra={} if named.altitude_from is None else {"altitude_from": named.altitude_from},
+        extra=named.extra,
         file_name=p.name, sequence=named.sequence, captured=named.captured, hfov_deg=named.hfov_deg,
         roll_deg=named.roll_deg,
     )  # fmt: skip
