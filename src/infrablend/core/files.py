@@ -104,6 +104,9 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         for observer in _observers:
             observer.before_write(path)
         path.parent.mkdir(parents=True, exist_ok=True)
+        # What a killed process left; or a link or pipe, which writing would follow or wait for.
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
         yield temporary
         if durable:
             flush(temporary)
