@@ -23,6 +23,7 @@ from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance, TimeOfDay
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.core.margin import find_margin, on_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View
 from infrablend.core.skyline import Skyline, find_skyline, noise_of
@@ -130,6 +131,11 @@ class Site:
         """(n, 4) boxes of text in the picture."""
         return find_burnt_in(self.pixels.astype(np.float32), self.grey_unit)
 
+    @cached_property
+    def margin(self) -> NDArray[np.bool_] | None:
+        """(h, w) mask of margins where the camera saw nothing; None without any."""
+        return find_margin(self.pixels, self.grey_unit)
+
 
 def real_camera(
     recipe: MetricRecipe, like: CameraSpec, site: Site, rng: np.random.Generator
@@ -221,6 +227,8 @@ def place_metric(
                 near = group.max_overlap if company and group is not None else MAX_OVERLAP
                 if overlaps(box, site.text_boxes, 0.0):
                     reason = "on_text"
+                elif on_margin(site.margin, box):
+                    reason = "on_margin"
                 elif rules.clear_of_ignored and overlaps(box, ignored):
                     reason = "on_ignored"
                 elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):

@@ -15,6 +15,7 @@ from infrablend.config.recipe import Object, PaperObject, PaperRecipe, Placement
 from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
+from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import inside_fraction, project_triangles
 
@@ -87,6 +88,7 @@ def place_as_paper(
     ignored: frozenset[str],
     rng: np.random.Generator,
     tally: DrawStatistics,
+    margin: NDArray[np.bool_] | None = None,
 ) -> tuple[CameraSpec, list[Pose | None]]:
     """Draw the camera and a pose per object, None where no place was found.
 
@@ -101,6 +103,7 @@ def place_as_paper(
         ignored: Names of categories that mark ignore regions.
         rng: Random stream of placement only.
         tally: Counts to add to.
+        margin: (h, w) mask of the background's margins, where nothing is placed; None without any.
     """
     rules = recipe.placement
     avoid = boxes_of([i for i in labels if i.category in ignored]) if rules.clear_of_ignored else np.zeros((0, 4))
@@ -142,6 +145,8 @@ def place_as_paper(
             reason, box = examine(camera, world, item, rules)
             if reason is None and overlaps(box, avoid):
                 reason = "on_ignored"
+            elif reason is None and on_margin(margin, box):
+                reason = "on_margin"
             if reason is None:
                 accepted = True
                 break

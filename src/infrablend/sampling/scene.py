@@ -132,8 +132,8 @@ def sample_scene(
         camera, view = real_camera(recipe, like, site, stream(seed, frame.frame_id, "camera"))
         poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally)
     else:
-        labels, ignored = (site.labels, site.ignored) if site else ((), frozenset())
-        camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally)
+        labels, ignored, margin = (site.labels, site.ignored, site.margin) if site else ((), frozenset(), None)
+        camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally, margin)
     drawn = poses
     poses, by_hand = place_by_hand(frame.frame_id, recipe, wanted, drawn, camera, view)
     if found := sum(drawn[k] is None for k in by_hand):

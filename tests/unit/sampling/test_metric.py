@@ -12,7 +12,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, NOMINAL_FACTOR, REFERENCES, calibrate
 from infrablend.sampling.metric import Site, is_even, relief_of
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import FrameKey, rebuild_scene, sample_scene
 
 WH = (640, 512)
 
@@ -232,3 +232,19 @@ def test_draws_without_companions_are_unchanged():
     never = load_recipe("hit-uav-person", ["objects.0.count=3", "objects.0.group={share: 0}"])
     assert [o.position_m for o in draw(plain).objects] != []
     assert len(draw(never).objects) == 3
+
+
+@pytest.mark.parametrize("name", ["hit-uav-person", "hit-uav-drone-physical", "hit-uav-drone"])
+def test_nothing_is_placed_where_the_camera_saw_nothing(name, monkeypatch):
+    ground = np.random.default_rng(0).integers(115, 125, (512, 640)).astype(np.uint8)
+    black = np.zeros(ground.shape, np.bool_)
+    black[:, :320] = True
+    recipe = load_recipe(name, ["objects.0.count=3"])
+    drawn = [draw(recipe, np.where(black, 0, ground).astype(np.uint8), number=n) for n in range(6)]
+    assert sum(s.draws["rejected"].get("on_margin", 0) for s in drawn) >= 3
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    boxes = [o.box_xyxy for s in drawn for o in rebuild_scene(s, models).objects]
+    assert boxes and all(box[0] > 310 for box in boxes)  # labelled parts beyond 320; discs of propellers are not
+    free = draw(recipe, ground)
+    monkeypatch.setattr("infrablend.sampling.metric.find_margin", lambda *_: None)
+    assert draw(recipe, ground) == free  # the search draws nothing and rejects nothing
