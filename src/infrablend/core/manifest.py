@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
+from infrablend.core.file_names import MAX_NAME_BYTES
 from infrablend.core.files import observed_by, open_regular, output_error, part_path, sha256_of, write_text
 from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError, Problem
@@ -26,6 +28,9 @@ JOURNAL = ".files.jsonl"
 """Usual name of the file of a manifest."""
 
 _LONGEST_LINE_BYTES = 1 << 16  # a path of 4,096 bytes, each written as an escape, and its digest
+
+_MAX_PATH_BYTES = 4096  # of Linux; shorter elsewhere, where such paths are errors of the command that writes them
+_DIGEST = re.compile("[0-9a-f]{64}")
 
 Content = tuple[int, str]
 """Size in bytes and SHA-256 of a file."""
@@ -78,10 +83,10 @@ class Manifest:
         return sorted(self._written)
 
     def read(self) -> Manifest:
-        """Add what the file of the manifest contains; a line that was cut off by a kill is left out."""
+        """Add what the file of the manifest contains; lines that were cut off by a kill, or damaged, are left out."""
         with contextlib.suppress(OSError), open_regular(self._file) as stream:
             while line := stream.readline(_LONGEST_LINE_BYTES):
-                with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
+                with contextlib.suppress(ValueError, TypeError, LookupError, RecursionError):
                     self._add(json.loads(line.decode("utf-8", "replace")))
         return self
 
@@ -112,12 +117,14 @@ class Manifest:
         return [self.root / name for name in sorted(self._written) if not (self.root / name).is_file()]
 
     def _add(self, entry: Mapping[str, Any]) -> None:
+        """Add an entry, unless it is one that is never written."""
         path = entry["path"]
-        if not isinstance(path, str) or not _is_inside(path):
+        if not isinstance(path, str) or not _is_inside(path) or not _can_exist(self.root / path):
             return
-        contents = self._contents.setdefault(path, set())
-        if "sha256" in entry:
-            contents.add((int(entry["size"]), str(entry["sha256"])))
+        if "sha256" not in entry:
+            self._contents.setdefault(path, set())
+        elif _is_content(size := entry["size"], digest := entry["sha256"]):
+            self._contents.setdefault(path, set()).add((size, digest))
 
     def add_present(self, name: str, sha256: str | None = None) -> bool:
         """Add a file that is there, if it has this SHA-256 or none is given; return whether it was added."""
@@ -403,6 +410,19 @@ def files_below(root: Path, folders: Iterable[str]) -> list[str]:
 def _is_inside(path: str) -> bool:
     parts = PurePosixPath(path).parts
     return bool(parts) and not path.startswith("/") and ".." not in parts and "\0" not in path
+
+
+def _can_exist(path: Path) -> bool:
+    """Return whether a file system can hold a file of this path, and the temporary one that it is written as."""
+    try:
+        names = [os.fsencode(name) for name in (*path.parts, part_path(path).name)]
+    except UnicodeEncodeError:  # half of a surrogate pair
+        return False
+    return max(map(len, names)) <= MAX_NAME_BYTES and len(os.fsencode(path)) < _MAX_PATH_BYTES
+
+
+def _is_content(size: object, digest: object) -> bool:
+    return type(size) is int and size >= 0 and isinstance(digest, str) and _DIGEST.fullmatch(digest) is not None
 
 
 def _end_line(file: Path) -> None:

@@ -1,0 +1,95 @@
+"""Records with values that InfraBlend never writes end in an error that names them, never in a traceback."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+
+from tests.command_line import done, run
+from tests.flat_renderer import render_flat
+from tests.samples import SAMPLES
+
+FORMATS = "yolo,coco"
+
+
+@pytest.fixture(autouse=True)
+def flat(monkeypatch: pytest.MonkeyPatch) -> None:
+    render_flat(monkeypatch)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return SAMPLES["coco"](tmp_path / "data")
+
+
+@pytest.fixture
+def made(data: Path, tmp_path: Path) -> Path:
+    done(*generate(data, tmp_path / "run"))
+    return tmp_path / "run"
+
+
+def generate(data: Path, out: Path, *more: object) -> list[object]:
+    return ["generate", "hit-uav-drone", "--data", data, "--out", out, "--to", FORMATS, *more]
+
+
+def named(ended: Result, *words: str) -> None:
+    """Check that a command ended in an error with a name."""
+    assert ended.exit_code in (1, 2, 3), ended.output
+    assert "Traceback" not in ended.output
+    for word in words:
+        assert word in ended.output
+
+
+def change(file: Path, edit: Callable[[dict[str, Any]], None]) -> None:
+    record = json.loads(file.read_text())
+    edit(record)
+    file.write_text(json.dumps(record))
+
+
+# -- manifests
+
+DIGEST = "0" * 64
+NEVER_WRITTEN = {
+    "half of a pair": {"path": "yolo/\ud800x.txt", "size": 1, "sha256": DIGEST},
+    "half of a pair, begun": {"path": "yolo/\ud800x.txt"},
+    "long name": {"path": f"yolo/{'x' * 300}", "size": 1, "sha256": DIGEST},
+    "long path": {"path": "yolo/" + "x/" * 2500 + "x", "size": 1, "sha256": DIGEST},
+    "endless": {"path": "yolo/x.txt", "size": 1e999, "sha256": DIGEST},
+    "below zero": {"path": "yolo/x.txt", "size": -1, "sha256": DIGEST},
+    "no digest": {"path": "yolo/x.txt", "size": 1, "sha256": 5},
+}
+
+
+@pytest.mark.parametrize("entry", NEVER_WRITTEN.values(), ids=NEVER_WRITTEN)
+def test_entries_of_a_run_that_are_never_written_are_left_out(made: Path, data: Path, entry: dict[str, Any]) -> None:
+    manifest = made / "log" / "files.jsonl"
+    lines, listed = manifest.read_text().splitlines(), json.loads((made / "run.json").read_text())["files"]
+    label = next(n for n, line in enumerate(lines) if '"yolo/' in line and "sha256" in line)
+    line = json.dumps(entry).replace("Infinity", "1e400")
+    manifest.write_text("\n".join([*lines[:label], line, *lines[label + 1 :], ""]))
+    named(run("check", made), "log/files.jsonl", f"lists {listed - 1} files")
+    frame = next((made / "scenes").rglob("*.json")).relative_to(made / "scenes").with_suffix("").as_posix()
+    for words in (["exclude", made, frame], ["include", made, frame], generate(data, made, "--resume")):
+        done(*words)
+    done("check", made)
+    manifest.write_text(manifest.read_text() + line + "\n")
+    done(*generate(data, made, "--overwrite"))
+    done("check", made)
+
+
+@pytest.mark.parametrize("name", ["\ud800.txt", "x" * 300, "x/" * 2500 + "x"])
+def test_names_in_the_record_of_a_conversion_that_are_never_written_are_left_out(
+    data: Path, tmp_path: Path, name: str
+) -> None:
+    out = tmp_path / "out"
+    done("convert", data, out, "--to", "yolo")
+    change(out / "convert.json", lambda r: r["written"].update({name: [1, DIGEST]}))
+    done("check", out)
+    change(out / "convert.json", lambda r: r["written"].update({name: [float("1e300"), DIGEST]}))
+    done("convert", data, out, "--to", "yolo", "--overwrite")
+    assert name not in json.loads((out / "convert.json").read_text())["written"]
