@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import itertools
+import os
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,10 +22,10 @@ from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
-from infrablend.core.files import write_bytes, write_json
+from infrablend.core.files import read_regular, write_bytes, write_json
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.report.profile_plots import draw_profile
@@ -101,6 +102,7 @@ def profile_dataset(
     """
     require_whole("count", count, 1)
     require_apart(dataset.root, out)
+    _require_own_profile(out)
     reference = None if against is None else find_profile(against)
     total = len(dataset.images)
     images = [dataset.images[i * total // min(count, total)] for i in range(min(count, total))]
@@ -276,3 +278,23 @@ def _table(
         ("codec_quality", [quality(p) for _, p in chains]),
     ]
     return tuple(columns), tuple((what, tuple(cells)) for what, cells in rows)
+
+
+def _require_own_profile(out: Path) -> None:
+    """Check that what `profile_dataset` replaces in a folder is an earlier profile and its plot.
+
+    Raises:
+        OutputError: It is not.
+    """
+    path, plot = out / PROFILE_FILE, out / PLOT_FILE
+    try:
+        own = path.is_file() and bool(SensorProfile.model_validate_json(read_regular(path)))
+    except (OSError, ValueError):
+        own = False
+    foreign = [p for p in (path, plot) if os.path.lexists(p) and not own]
+    if foreign:
+        todo = "move it away, or give another folder with --out"
+        raise OutputError(
+            f"{out}: files in the place of the profile were not written by InfraBlend",
+            [Problem(str(p), "file-foreign", "another file", "an earlier profile", todo) for p in foreign],
+        )

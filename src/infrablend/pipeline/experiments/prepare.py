@@ -13,6 +13,7 @@ from infrablend.pipeline.experiments.graph import StageGraph, build_graph, unkno
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.sources import assign_folders
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage, find_finished
+from infrablend.report.results.write import require_own_pages
 
 
 @dataclass(frozen=True)
@@ -86,11 +87,12 @@ def prepare_experiment(request: ExperimentRequest) -> PreparedExperiment:
     Raises:
         RecipeError: The experiment's file or a recipe is wrong.
         DatasetError: The datasets do not fit.
-        OutputError: The work or results folder is inside a dataset.
+        OutputError: The work or results folder is inside a dataset, or a file in the place of the page is not ours.
     """
     experiment = load_experiment(request.experiment)
     for _, folder in request.folders:
         require_apart(folder, request.work)
         require_apart(folder, request.results_folder)
+    require_own_pages(request.results_folder, experiment.name, request.scale)
     given = assign_folders(experiment, request.folders)
     return PreparedExperiment(experiment, build_graph(experiment, given, request), request)

@@ -10,6 +10,9 @@ from infrablend.core.files import load_json
 from infrablend.report.figures import markdown_table
 from infrablend.report.results.text import figure, paper_and_ours, run_state
 
+INTRO = (
+    "Each page is written by `infrablend experiment`, never by hand, and that includes negative and unfinished results."
+)
 _HOW_TO = Path("how_to/experiments.md")
 _REALISM = "realism.md"
 
@@ -22,10 +25,7 @@ def index_text(out: Path) -> str:
             rows.append(_row(load_json(path), path.stem))
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not one of ours
-    intro = (
-        "Each page is written by `infrablend experiment`, never by hand, and that includes negative and unfinished "
-        "results."
-    )
+    intro = INTRO
     if (out.parent / _HOW_TO).is_file():  # InfraBlend's own documentation
         intro += f" How to run the experiments: [experiments](../{_HOW_TO.as_posix()})."
     if (out / _REALISM).is_file():

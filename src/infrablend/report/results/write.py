@@ -3,18 +3,47 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, write_bytes, write_json, write_text
-from infrablend.report.results.index import index_text
+from infrablend.core.files import load_json, read_regular, write_bytes, write_json, write_text
+from infrablend.errors import OutputError, Problem
+from infrablend.report.results.index import INTRO, index_text
 from infrablend.report.results.page import page_text
 from infrablend.report.results.plots import draw_plots
 from infrablend.report.results.text import INDEX_FILE, page_name
 
 # Figures of the charts that the JSON does not keep.
 _NOT_KEPT = ("curves", "confusion")
+
+
+def require_own_pages(out: Path, experiment: str, scale: str) -> None:
+    """Check that the files of an experiment's page in a folder, if there are any, are pages of InfraBlend.
+
+    Raises:
+        OutputError: Somebody else wrote one.
+    """
+    stem = page_name(experiment, scale)
+    record, page, index = out / f"{stem}.json", out / f"{stem}.md", out / INDEX_FILE
+    own = _facts_of(record).keys() >= {"experiment", "scale", "status"}
+    foreign = [record] if os.path.lexists(record) and not own else []
+    foreign += [page] if os.path.lexists(page) and not own else []
+    foreign += [index] if os.path.lexists(index) and not _is_index(index) else []
+    if foreign:
+        todo = "move it away, or give another folder with --results"
+        raise OutputError(
+            f"{out}: files in the place of the results were not written by InfraBlend",
+            [Problem(str(p), "file-foreign", "another file", "a page that InfraBlend wrote", todo) for p in foreign],
+        )
+
+
+def _is_index(path: Path) -> bool:
+    try:
+        return INTRO in read_regular(path).decode("utf-8", "replace")
+    except OSError:
+        return False
 
 
 def write_page(facts: Mapping[str, Any], out: Path) -> Path:
@@ -44,8 +73,12 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
 
 
 def _is_complete(path: Path) -> bool:
+    return _facts_of(path).get("status") == "complete"
+
+
+def _facts_of(path: Path) -> Mapping[str, Any]:
     try:
         facts = load_json(path)
     except (OSError, ValueError):
-        return False
-    return isinstance(facts, dict) and facts.get("status") == "complete"
+        return {}
+    return facts if isinstance(facts, dict) else {}
