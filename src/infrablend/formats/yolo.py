@@ -428,6 +428,9 @@ def build_records(
         problems: List to which problems are added.
         task: Meaning of lines of nine numbers: corners of an oriented box (`obb`) or of a polygon (`seg`). None decides
             for oriented boxes if all lines have five or nine numbers.
+
+    Raises:
+        DatasetError: There are labels, but the list of class names is empty.
     """
     parsed: dict[str, LabelLines] = {}
     for p in pictures:
@@ -440,6 +443,10 @@ def build_records(
         else:
             parsed[p.unique_name] = parse_labels(text, where)
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
+    if names is not None and not names and used:
+        found, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
+        problem = Problem(root.name, "names", found, expected, "name them in data.yaml or classes.txt")
+        raise DatasetError(f"{root}: no class names", [problem])
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
         found = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"
@@ -575,13 +582,14 @@ def _kind(value: object) -> str:
 
 
 def class_names(value: object, where: str) -> dict[int, str]:
-    """Return the category name per class number from a list or a mapping.
+    """Return the category name per class number from a list or a mapping, which is empty without labels.
 
     Raises:
         DatasetError: It is neither.
     """
     names = _numbered(value)
-    if not names or len(set(names.values())) != len(names):
+    empty = isinstance(value, dict | list) and not value
+    if (not names and not empty) or len(set(names.values())) != len(names):
         problem = Problem(where, "names", f"names: {value!r}"[:120], "a list, or numbers with one name each")
         raise DatasetError(f"{where}: no class names", [problem])
     return dict(sorted(names.items()))

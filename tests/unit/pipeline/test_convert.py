@@ -17,6 +17,7 @@ from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.formats import detection, writing
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
+from tests.flights import flight
 from tests.samples import SAMPLES, picture
 
 
@@ -108,6 +109,20 @@ def test_telemetry_that_names_do_not_hold_goes_into_a_table(tmp_path: Path) -> N
         )
     report = api.convert(data, tmp_path / "xml", "hit-uav-xml")
     assert report.losses["telemetry_dropped"] == 1
+
+
+def test_an_unlabelled_flight_comes_back_from_yolo(tmp_path: Path) -> None:
+    flight(tmp_path / "card", 3)
+    api.convert(tmp_path / "card", tmp_path / "yolo", "yolo")
+    again = api.read_dataset(tmp_path / "yolo")
+    assert (again.format, len(again.images), again.categories) == ("yolo", 3, ())
+    assert {i.extra["altitude_from"] for i in again.images} == {"take-off"}
+    assert [p for p in again.problems if p.severity == "error"] == []
+    label = next((tmp_path / "yolo" / "labels").rglob("*.txt"))
+    label.write_text("0 0.5 0.5 0.1 0.1\n")
+    with pytest.raises(DatasetError, match="no class names") as error:
+        api.read_dataset(tmp_path / "yolo")
+    assert "labels of 1 class" in error.value.problems[0].found
 
 
 def test_pictures_whose_names_clash_are_renamed_and_counted(tmp_path: Path) -> None:
