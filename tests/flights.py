@@ -59,12 +59,19 @@ def plain_jpeg(path: Path, size_wh: tuple[int, int] = SIZE_WH, exif: dict[int, A
 
 def with_exif_size(path: Path, size_wh: tuple[int, int]) -> Path:
     """Write a picture size into the EXIF fields of a JPEG file, as if a program had cropped or scaled it since."""
+    return with_exif(path, detail={0xA002: size_wh[0], 0xA003: size_wh[1]})
+
+
+def with_exif(path: Path, main: dict[int, Any] | None = None, detail: dict[int, Any] | None = None) -> Path:
+    """Write further EXIF tags into a JPEG file."""
     header = read_header(path)
     old = header.read(header.find(APP1, _EXIF))
     assert old.startswith(_EXIF)
     tags = Image.Exif()
     tags.load(old)
-    tags.get_ifd(0x8769).update({0xA002: size_wh[0], 0xA003: size_wh[1]})
+    for tag, value in (main or {}).items():
+        tags[tag] = value
+    tags.get_ifd(0x8769).update(detail or {})
     new = _EXIF + tags.tobytes().removeprefix(_EXIF)
     data = path.read_bytes()
     assert data.count(segment_bytes(APP1, old)) == 1

@@ -21,11 +21,12 @@ from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
 from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.count_scale import CountScale
     from infrablend.pipeline.extraction.choice import FrameChoice
     from infrablend.pipeline.extraction.plan import FlightFacts
     from infrablend.pipeline.extraction.report import FramesReport
     from infrablend.pipeline.profile import ProfileReport
-    from infrablend.pipeline.temperatures import CountScale, TemperaturesReport
+    from infrablend.pipeline.temperatures import TemperaturesReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -152,11 +153,11 @@ def extract_temperatures(
 
     FLIR's become apparent temperatures in centikelvin. DJI's stay counts; `scale` says what these mean, if known.
     """
-    from infrablend.pipeline import temperatures
+    from infrablend.pipeline import count_scale, temperatures
 
     dataset = read_dataset(data, reading)
     return temperatures.extract_temperatures(
-        dataset, Path(out), scale or temperatures.NO_SCALE, overwrite=overwrite, on_progress=on_progress
+        dataset, Path(out), scale or count_scale.NO_SCALE, overwrite=overwrite, on_progress=on_progress
     )
 
 

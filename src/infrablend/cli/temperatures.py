@@ -28,11 +28,16 @@ def temperatures(
         float | None, typer.Option(help="Kelvin per count, for DJI's counts: kelvin = slope * count + offset.")
     ] = None,
     offset: Annotated[
-        float | None, typer.Option(help="Kelvin of count 0, for DJI's counts; from degrees Celsius, add 273.15.")
+        float | None,
+        typer.Option(help="Kelvin of count 0, for DJI's counts; may be negative. Of degrees Celsius, add 273.15."),
     ] = None,
     spot: Annotated[
         list[str] | None,
-        typer.Option(metavar="FILE:X,Y=DEGREES", help="Known temperature, degrees Celsius; give at least two."),
+        typer.Option(
+            metavar="FILE:X,Y=DEGREES",
+            help="Known temperature, degrees Celsius, at column X and row Y of the radiometric layer; the median of "
+            "the 3 x 3 px around it is used. Give at least two.",
+        ),
     ] = None,
     converted: Annotated[
         Path | None, typer.Option(metavar="DIR", help="TIFF files that another program converted, same names.")
@@ -50,7 +55,7 @@ def temperatures(
     from infrablend.cli.progress import shown_progress
     from infrablend.cli.results import print_json, print_problems, print_result, table
     from infrablend.core.finished import TEMPERATURES_FILE
-    from infrablend.pipeline.temperatures import CountScale, Spot
+    from infrablend.pipeline.count_scale import CountScale, Spot
 
     unit = None if converted_unit is None else converted_unit.value
     scale = CountScale(slope, offset, [Spot.of_text(t) for t in spot or ()], converted, unit)
@@ -67,6 +72,8 @@ def temperatures(
         if report.range_k is not None:
             low, high = (k - 273.15 for k in report.range_k)
             rows["apparent temperatures"] = f"{low:.1f} to {high:.1f} degrees Celsius"
+        for s in report.spots:
+            rows[f"{s.spot.file}:{s.spot.xy[0]},{s.spot.xy[1]}={s.spot.celsius:g}"] = s.describe()
         print_result(f"{table(rows)}\n\n{out}")
     if not report.ok:
         raise typer.Exit(PARTIAL)

@@ -19,6 +19,7 @@ from typing import Any
 
 from infrablend.core.dataset import Dataset, ImageRecord, TimeOfDay
 from infrablend.core.files import open_regular
+from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.values import is_place
@@ -64,7 +65,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     looked_at = {i.id: f for i in sample if isinstance(f := _read(i), CameraFacts)}
     damaged = [i for i in sample if i.id not in looked_at]
     if not any(f.from_a_drone_camera for f in looked_at.values()) and not any(map(_names_a_drone_camera, damaged)):
-        return dataset
+        return _with_missing(dataset)
     faults: list[Problem] = []
     facts: dict[str, CameraFacts] = {}
     for image in jpegs:
@@ -93,6 +94,13 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     }
     notes = {**dataset.notes, "pitch": _pitch_note(kept, facts), "flight": note}
     return replace(dataset, images=tuple(images), problems=(*dataset.problems, *problems), notes=notes)
+
+
+def _with_missing(dataset: Dataset) -> Dataset:
+    """Return a dataset without flight data of its own; that of an own flight is asked for what is missing, too."""
+    if not any((dataset.root / name).is_file() for name in (FRAMES_FILE, TEMPERATURES_FILE)):
+        return dataset
+    return replace(dataset, problems=(*dataset.problems, *_missing(dataset, dataset.images)))
 
 
 def _key(image: ImageRecord) -> str:

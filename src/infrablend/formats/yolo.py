@@ -445,8 +445,8 @@ def build_records(
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     if names is not None and not names and used:
         found, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
-        problem = Problem(root.name, "names", found, expected, "name them in data.yaml or classes.txt")
-        raise DatasetError(f"{root}: no class names", [problem])
+        todo = "name them in data.yaml or classes.txt"
+        raise DatasetError(f"{root}: no class names", [Problem(root.name, "names", found, expected, todo)])
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
         found = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"

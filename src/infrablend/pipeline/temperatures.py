@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -22,54 +22,23 @@ from infrablend.core.temperature import TemperatureScale, describe_plausible, im
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_chunks
 from infrablend.formats.images import png_bytes
+from infrablend.formats.losses import LOSSES
 from infrablend.formats.rjpeg.facts import read_facts
 from infrablend.formats.rjpeg.lens import zoomed
 from infrablend.formats.rjpeg.temperatures import (
-    CONVERTED_UNITS,
     RawTemperatures,
-    fit_scale,
     read_converted,
     read_temperatures,
 )
+from infrablend.pipeline.count_scale import NO_SCALE, CountScale, SpotCount, count_at, spot_warnings, stated_scale
 from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
-_SPOT = re.compile(r"(.+):(\d+),(\d+)=([-+]?\d+(?:\.\d+)?)", re.ASCII)
-# Half the side of the square around a spot whose median count is taken, px.
-_SPOT_REACH = 1
 _FULL = 65_535
-_MOST_SPOT_C = 3_000.0
+# Remarks on pictures that are taken as they are shown.
+_OF_PLAIN_PICTURES = ("image-radiometric", "image-counts")
 _COUNTS_ALONE = "counts without a scale"
-
-
-@dataclass(frozen=True)
-class Spot:
-    """A temperature that the user knows at one place of a picture.
-
-    Attributes:
-        file: Name of the picture.
-        xy: Column and row in the radiometric layer.
-        celsius: Apparent temperature there.
-    """
-
-    file: str
-    xy: tuple[int, int]
-    celsius: float
-
-    @classmethod
-    def of_text(cls, text: str) -> Spot:
-        """Return the spot in a text such as `DJI_0001_T.JPG:320,256=21.5`.
-
-        Raises:
-            ArgumentError: The text is no spot.
-        """
-        match = _SPOT.fullmatch(text.strip())
-        if match is None:
-            raise ArgumentError(f"spot {text!r}: expected FILE:X,Y=DEGREES, e.g. DJI_0001_T.JPG:320,256=21.5")
-        if not -ZERO_C_K < float(match[4]) < _MOST_SPOT_C:
-            raise ArgumentError(f"spot {text!r}: expected a temperature from {-ZERO_C_K:g} to {_MOST_SPOT_C:g}")
-        return cls(match[1], (int(match[2]), int(match[3])), float(match[4]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,51 +71,34 @@ class _Layer:
         return cls(_CENTIKELVIN.counts(np.nan_to_num(kelvin, nan=0.0)), _CENTIKELVIN, source, unfit)
 
 
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """A picture, the name of its output, and its layer; the faults where there is none."""
+
+    image: ImageRecord
+    name: str
+    raw: RawTemperatures | None = None
+    layer: _Layer | None = None
+    faults: tuple[Problem, ...] = ()
+
+
 @dataclass(frozen=True)
 class _Written:
-    """What is known of a layer that was written: its record, its range and median in kelvin, and its unfit pixels."""
+    """What is known of a layer that was written.
+
+    Attributes:
+        record: Its record.
+        range_k: Its range, kelvin; None without a scale.
+        implausible_k: Its median, kelvin, if that is one of no scene.
+        unfit: Number of pixels without a temperature, or with one that 16 bits do not hold.
+        labels_lost: Number of labels of the picture that do not fit the layer.
+    """
 
     record: ImageRecord
     range_k: tuple[float, float] | None
     implausible_k: float | None
     unfit: int
-
-
-@dataclass(frozen=True)
-class CountScale:
-    """Where the scale of counts comes from that have none of their own; at most one of the three.
-
-    Attributes:
-        slope_k: Kelvin per count.
-        offset_k: Kelvin of count 0.
-        spots: Known temperatures, at least two; the scale is fitted to them.
-        converted: Folder with a TIFF per picture, of the same stem, that another program wrote.
-        unit: Unit of the converted files, see `CONVERTED_UNITS`.
-
-    Raises:
-        ArgumentError: The values do not fit together.
-    """
-
-    slope_k: float | None = None
-    offset_k: float | None = None
-    spots: Sequence[Spot] = ()
-    converted: Path | None = None
-    unit: str | None = None
-
-    def __post_init__(self) -> None:
-        if (self.slope_k is None) != (self.offset_k is None):
-            raise ArgumentError("slope and offset: found one of them, expected both, or neither")
-        if self.slope_k is not None and self.slope_k < 0:
-            raise ArgumentError(f"slope {self.slope_k:g}: found a negative one; DJI's counts rise with temperature")
-        if sum((self.slope_k is not None, bool(self.spots), self.converted is not None)) > 1:
-            raise ArgumentError("slope and offset, spots, converted: found several, expected one source of the scale")
-        if (self.converted is None) != (self.unit is None):
-            raise ArgumentError("converted and unit: found one of them, expected both, or neither")
-        if self.unit is not None and self.unit not in CONVERTED_UNITS:
-            raise ArgumentError(f"unit {self.unit!r}: expected one of {', '.join(CONVERTED_UNITS)}")
-
-
-NO_SCALE = CountScale()
+    labels_lost: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +110,7 @@ class TemperaturesReport:
         pictures: Number of pictures written.
         scales: Number of pictures per scale and its source.
         range_k: Lowest and highest apparent temperature, kelvin; None if no scale is known.
+        spots: Counts that were used for known temperatures, if any.
         problems: Pictures without a layer, damaged ones, and what is not known.
     """
 
@@ -165,6 +118,7 @@ class TemperaturesReport:
     pictures: int
     scales: Mapping[str, int]
     range_k: tuple[float, float] | None
+    spots: tuple[SpotCount, ...] = ()
     problems: tuple[Problem, ...] = field(default=())
 
     @property
@@ -177,6 +131,7 @@ class TemperaturesReport:
         return {
             "ok": self.ok, "pictures": self.pictures, "scales": dict(self.scales),
             "range_k": None if self.range_k is None else list(self.range_k),
+            "spots": [s.to_json() for s in self.spots],
             "problems": [p.to_json() for p in self.problems],
         }  # fmt: skip
 
@@ -202,76 +157,92 @@ def extract_temperatures(
     folder = DatasetFolder(out, "extraction of temperatures", TEMPERATURES_FILE)
     folder.require_usable(overwrite)
     require_apart(dataset.root, out)
-    stated = _stated_scale(dataset, scale)
+    if scale.converted is not None and not scale.converted.is_dir():
+        raise ArgumentError(
+            f"--converted {scale.converted}: found no such folder, expected one with a TIFF per picture"
+        )
+    spots = tuple(count_at(dataset, s) for s in scale.spots)
+    stated = stated_scale(scale, spots)
     problems: list[Problem] = []
     layers: list[_Written] = []
-    stems = Counter(i.path.stem for i in dataset.images)
-    names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
+    flir = 0
+    found = _layers(dataset, scale, stated)
+    # The folder is made once there is something to write: a command that is refused leaves nothing behind.
+    ahead = _up_to_the_first_layer(dataset, found)
     tell = paced(on_progress)
     with folder.writing({"source": str(dataset.root)}, overwrite):
-        for k, (image, name) in enumerate(zip(dataset.images, names, strict=True)):
-            try:
-                raw = read_temperatures(image.path)
-                layer = _layer(raw, image, scale, stated, unique=stems[image.path.stem] == 1)
-                layers.append(_write(raw, layer, image, f"{name}.png", out))
-            except DatasetError as error:
-                problems += error.problems
+        for k, one in enumerate(chain(ahead, found)):
+            problems += one.faults
+            if one.raw is not None and one.layer is not None:
+                flir += one.raw.maker == "FLIR" and one.raw.apparent_k is not None
+                layers.append(_write(one.raw, one.layer, one.image, f"{one.name}.png", out))
             if tell is not None:
                 tell(k + 1, len(dataset.images))
         images = [w.record for w in layers]
-        if not images:
-            raise DatasetError(f"{dataset.root}: no temperatures in {len(dataset.images)} picture(s)", problems)
-        for split, chunks in coco_chunks(images, (), Counter()).items():
+        losses: Counter[str] = Counter()
+        for split, chunks in coco_chunks(images, dataset.categories, losses).items():
             write_chunks(out / "annotations" / f"instances_{split}", chunks)
         scales = Counter(_scale_text(i) for i in images)
-        problems += _remarks(dataset, layers) + folder.problems()
+        problems += _of_reading(dataset, problems) + _remarks(dataset, layers) + spot_warnings(spots, stated)
+        problems += (
+            _unused_scale(dataset, scale, flir, len(layers)) + _loss_warnings(dataset, losses) + folder.problems()
+        )
         ranges = [w.range_k for w in layers if w.range_k is not None]
         span = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
-        report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, tuple(problems))
+        report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, spots, tuple(problems))
         folder.finish({"source": str(dataset.root)}, report.to_json())
     return report
 
 
-def _stated_scale(dataset: Dataset, given: CountScale) -> TemperatureScale | None:
-    try:
-        if given.slope_k is not None:
-            return TemperatureScale(given.slope_k, given.offset_k or 0.0)
-        return fit_scale([_count_at(dataset, s) for s in given.spots]) if given.spots else None
-    except ValueError as error:
-        raise ArgumentError(f"scale: {error}") from error
+def _layers(dataset: Dataset, given: CountScale, stated: TemperatureScale | None) -> Iterator[_Read]:
+    """Yield the layer of each picture, or what is wrong with it, one at a time."""
+    stems = Counter(i.path.stem for i in dataset.images)
+    names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
+    for image, name in zip(dataset.images, names, strict=True):
+        try:
+            raw = read_temperatures(image.path)
+            layer = _layer(raw, image, given, stated, unique=stems[image.path.stem] == 1)
+        except DatasetError as error:
+            yield _Read(image, name, faults=tuple(error.problems))
+        else:
+            yield _Read(image, name, raw, layer)
 
 
-def _count_at(dataset: Dataset, spot: Spot) -> tuple[float, float]:
-    """Return the count around a spot and its temperature in kelvin."""
-    found = [i for i in dataset.images if spot.file in (i.name, i.path.name)]
-    if len(found) != 1:
-        raise ArgumentError(f"spot {spot.file}: found {len(found)} pictures of this name, expected one")
-    counts = read_temperatures(found[0].path).counts
-    (x, y), (h, w) = spot.xy, counts.shape
-    if x >= w or y >= h:
-        raise ArgumentError(f"spot {spot.file}:{x},{y}: outside the radiometric layer of {w}x{h} px")
-    near = counts[max(0, y - _SPOT_REACH) : y + _SPOT_REACH + 1, max(0, x - _SPOT_REACH) : x + _SPOT_REACH + 1]
-    return float(np.median(near)), spot.celsius + ZERO_C_K
+def _up_to_the_first_layer(dataset: Dataset, found: Iterator[_Read]) -> list[_Read]:
+    """Return what was read up to the first layer.
+
+    Raises:
+        DatasetError: No picture has one.
+    """
+    ahead = []
+    for one in found:
+        ahead.append(one)
+        if one.layer is not None:
+            return ahead
+    faults = [p for one in ahead for p in one.faults]
+    raise DatasetError(f"{dataset.root}: no temperatures in {len(ahead)} picture(s)", faults)
 
 
 def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, out: Path) -> _Written:
     """Write one layer; return what is known of it."""
     path = write_bytes(out / "images" / image.split / name, png_bytes(layer.levels))
     h, w = layer.levels.shape
+    facts = read_facts(image.path)
     hfov = image.hfov_deg
-    if hfov is not None and image.path.suffix.lower() in (".jpg", ".jpeg"):
-        facts = read_facts(image.path)
+    if hfov is not None and facts.value("hfov_deg") == hfov:
         # The layer shows what digital zoom cuts off the picture. A field of view from a table is taken literally.
-        hfov = zoomed(hfov, 1 / facts.zoom) if facts.value("hfov_deg") == hfov else hfov
+        hfov = zoomed(hfov, 1 / facts.zoom)
+    fits = facts.size_wh == (w, h) and facts.zoom == 1 and not facts.turned
     record = replace(
-        image, path=path, file_name=name, size_wh=(w, h), instances=(), hfov_deg=hfov,
+        image, path=path, file_name=name, size_wh=(w, h), instances=image.instances if fits else (), hfov_deg=hfov,
         radiometry=raw.facts(layer.scale, layer.source),
     )  # fmt: skip
+    lost = 0 if fits else len(image.instances)
     if layer.scale is None or not layer.kelvin.size:
-        return _Written(record, None, None, layer.unfit)
+        return _Written(record, None, None, layer.unfit, lost)
     kelvin = layer.kelvin
     span = float(kelvin.min()), float(kelvin.max())
-    return _Written(record, span, implausible_median(kelvin), layer.unfit)
+    return _Written(record, span, implausible_median(kelvin), layer.unfit, lost)
 
 
 def _layer(
@@ -318,9 +289,32 @@ def _scale_text(image: ImageRecord) -> str:
     return _COUNTS_ALONE if known is None or known.scale is None else f"{known.scale.describe()} ({known.source})"
 
 
+def _of_reading(dataset: Dataset, told: Sequence[Problem]) -> list[Problem]:
+    """Return the problems of reading the pictures, but for those of pictures that the extraction reports itself."""
+    known = {(p.where, p.code) for p in told}
+    return [p for p in dataset.problems if p.code not in _OF_PLAIN_PICTURES and (p.where, p.code) not in known]
+
+
+def _unused_scale(dataset: Dataset, given: CountScale, flir: int, all_: int) -> list[Problem]:
+    """Return a warning if a scale was given and FLIR's files have their own, which is used."""
+    option = "--slope and --offset" if given.slope_k is not None else "--spot" if given.spots else ""
+    option = option or ("--converted" if given.converted is not None else "")
+    if not option or not flir:
+        return []
+    found = f"{option} not used for {flir} of {all_} picture(s): FLIR's files hold the constants of their conversion"
+    todo = "leave it out" if flir == all_ else ""
+    return [Problem(dataset.root.name, "scale-unused", found, "a scale for DJI's counts", todo, "warning")]
+
+
+def _loss_warnings(dataset: Dataset, losses: Mapping[str, int]) -> list[Problem]:
+    return [
+        Problem(dataset.root.name, "labels-changed", f"{n} {LOSSES[kind]}", severity="warning")
+        for kind, n in sorted(losses.items()) if n
+    ]  # fmt: skip
+
+
 def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
-    # What is missing is asked for when the layers are used.
-    problems = [p for p in dataset.problems if p.code.startswith("flight-") and p.code != "flight-missing"]
+    problems = []
     where = dataset.root.name
     alone = [w for w in layers if _scale_text(w.record) == _COUNTS_ALONE]
     if alone:
@@ -341,10 +335,13 @@ def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
         found = f"{sum(w.unfit for w in unfit)} pixel(s) of {len(unfit)} picture(s) without a temperature below 655 K"
         expected = "temperatures that fit into 16 bits in centikelvin; others are 0 or 65535"
         problems.append(Problem(where, "temperature-clipped", found, expected, severity="warning"))
-    labels = sum(len(i.instances) for i in dataset.images)
-    if labels:
-        found = f"{labels} label(s) of the pictures not carried over: the layer's size and zoom are its own"
-        problems.append(Problem(where, "labels-dropped", found, "pictures without labels", severity="warning"))
+    lost = [w for w in layers if w.labels_lost]
+    if lost:
+        found = f"{sum(w.labels_lost for w in lost)} label(s) of {len(lost)} picture(s) left out: the layer is not the "
+        found += "labelled picture, which has another size or is zoomed or turned"
+        expected = "labels of pictures that show what the layer shows"
+        todo = "label the 16-bit pictures, or take the plain pictures as data"
+        problems.append(Problem(where, "labels-dropped", found, expected, todo))
     return problems
 
 

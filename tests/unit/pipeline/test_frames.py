@@ -301,7 +301,13 @@ def test_negative_heights_and_cameras_that_look_back_are_left_empty(tmp_path: Pa
     assert [r["altitude_m"] for r in rows(out)] == ["", "", "0.000", "1.000", "2.000"]
     assert [r["pitch_deg"] for r in rows(out)] == ["", "", "90.000", "80.000", "70.000"]
     assert "below the take-off point" in text and "looks back under the aircraft" in text
-    assert not json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)["problems"]
+    problems = json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)["problems"]
+    missing = [
+        "camera pitch missing in 2 of 5",
+        "height above the ground missing in 2 of 5",
+        "field of view missing in 5 of 5",
+    ]
+    assert [p["found"].split(" pictures")[0] for p in problems] == missing
 
 
 def test_a_varying_rate_is_matched_by_time(tmp_path: Path) -> None:

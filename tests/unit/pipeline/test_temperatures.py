@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.formats.rjpeg.temperatures import read_temperatures
-from tests.flights import counts, flight, plain_jpeg
+from tests.flights import counts, flight, plain_jpeg, with_exif, with_xmp
 
 
 def run(*arguments: object) -> str:
@@ -73,9 +73,12 @@ def test_another_programs_temperatures_are_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--slope", "0.1"), "expected both"),
+        (("--slope", "0.1"), "--slope and --offset: found one of them, expected both"),
+        (("--converted", "x"), "--converted and --converted-unit: found one of them"),
+        (("--converted", "nowhere", "--converted-unit", "celsius"), "--converted nowhere: found no such folder"),
+        (("--converted", ".", "--converted-unit", "celsius"), "no temperatures in 1 picture(s)"),
         (("--spot", "x"), "expected FILE:X,Y=DEGREES"),
-        (("--spot", "DJI_0001_T.JPG:5,5=20"), "expected two counts"),
+        (("--spot", "DJI_0001_T.JPG:5,5=20"), "--spot: 1 temperature(s) at 1 count(s); expected two counts"),
         (("--spot", "nobody.JPG:5,5=20", "--spot", "DJI_0001_T.JPG:9,9=20"), "found 0 pictures"),
         (("--spot", "DJI_0001_T.JPG:900,5=20"), "outside the radiometric layer"),
         (("--slope", "0.1", "--offset", "0", "--spot", "DJI_0001_T.JPG:5,5=20"), "expected one source"),
@@ -98,3 +101,59 @@ def test_pictures_without_a_layer_are_counted_and_the_rest_is_written(tmp_path: 
     assert [p["code"] for p in report["problems"] if p["severity"] == "error"] == ["raw-missing"]
     (left_out,) = [p["found"] for p in report["problems"] if p["code"] == "flight-left-out"]
     assert left_out.startswith("1 picture(s) left out: of another camera (Apple iPhone)")
+
+
+def labelled(folder: Path, name: str) -> None:
+    (folder / "classes.txt").write_text("deer\n")
+    (folder / name).with_suffix(".txt").write_text("0 0.5 0.5 0.2 0.1\n")
+
+
+def test_labels_are_carried_over_where_the_layer_shows_the_same(tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 2)
+    labelled(source, "DJI_0002_T.JPG")
+    run(source, "--out", tmp_path / "out")
+    (given,) = [i.instances[0] for i in api.read_dataset(source).images if i.instances]
+    (image,) = [i for i in api.read_dataset(tmp_path / "out").images if i.instances]
+    assert (image.name, image.instances[0].category) == ("DJI_0002_T.png", "deer")
+    assert image.instances[0].box_xyxy.tolist() == given.box_xyxy.tolist()
+
+
+@pytest.mark.parametrize("how", ["zoom", "turned"])
+def test_labels_of_zoomed_and_turned_pictures_are_an_error(how: str, tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 2)
+    labelled(source, "DJI_0002_T.JPG")
+    with_exif(source / "DJI_0002_T.JPG", **({"detail": {0xA404: 2.0}} if how == "zoom" else {"main": {0x0112: 3}}))
+    result = CliRunner().invoke(build_app(), ["temperatures", str(source), "--out", str(tmp_path / "out"), "--json"])
+    report = json.loads(result.stdout)
+    assert (result.exit_code, report["pictures"]) == (1, 2)
+    (lost,) = [p for p in report["problems"] if p["severity"] == "error"]
+    assert lost["code"] == "labels-dropped" and lost["found"].startswith("1 label(s) of 1 picture(s) left out")
+    assert not any(i.instances for i in api.read_dataset(tmp_path / "out").images)
+
+
+def test_what_reading_the_pictures_found_is_reported(tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 2, pitch_deg=None, altitude_m=None)
+    with_xmp(source / "DJI_0001_T.JPG", b'<!DOCTYPE x [<!ENTITY e "a">]><x>&e;</x>')
+    text = " ".join(run(source, "--out", tmp_path / "out").split())
+    assert "XMP with a document type" in text
+    assert "camera pitch missing in 2 of 2 pictures" in text and "height above the ground missing in 2 of 2" in text
+    assert "read as plain pictures" not in text
+    missing = [p.found for p in api.read_dataset(tmp_path / "out").problems if p.code == "flight-missing"]
+    assert [m.split(" missing")[0] for m in missing] == ["camera pitch", "height above the ground"]
+
+
+def test_a_scale_that_is_not_needed_is_a_warning(tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 2, "flir")
+    text = " ".join(run(source, "--out", tmp_path / "out", "--slope", "0.1", "--offset", "0").split())
+    assert "--slope and --offset not used for 2 of 2 picture(s)" in text
+
+
+def test_spots_name_their_counts_and_warn_of_edges(tmp_path: Path) -> None:
+    source = flight(tmp_path / "in", 1)
+    level = counts(0).astype(float)
+    y, x = np.unravel_index(np.argmin(level[1:-1, 1:-1]), (126, 158))
+    spots = [f"DJI_0001_T.JPG:{x + 1},{y + 1}=-10", "DJI_0001_T.JPG:40,50=900"]
+    text = " ".join(run(source, "--out", tmp_path / "out", "--spot", spots[0], "--spot", spots[1]).split())
+    square = level[49:52, 39:42]
+    assert f"count {np.median(square):g}, median of 3 x 3 px with {square.min():.0f} to {square.max():.0f}" in text
+    assert "K apart" in text and "a uniform surface" in text

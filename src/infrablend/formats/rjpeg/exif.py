@@ -19,6 +19,7 @@ _MAKE, _MODEL, _MODIFY_DATE = 0x010F, 0x0110, 0x0132
 _ORIGINAL_DATE, _CREATE_DATE = 0x9003, 0x9004
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
 _WIDTH, _HEIGHT = 0xA002, 0xA003
+_ORIENTATION = 0x0112
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Exif:
         longitude_deg: Longitude, east positive.
         size_wh: Width and height of the picture in pixels as the camera wrote it.
         problems: Faults, as warnings.
+        turned: Whether the picture is to be turned or mirrored to be shown.
     """
 
     make: str = ""
@@ -48,6 +50,7 @@ class Exif:
     longitude_deg: float | None = None
     size_wh: tuple[float, float] | None = None
     problems: tuple[Problem, ...] = ()
+    turned: bool = False
 
 
 def read_exif(header: JpegHeader) -> Exif:
@@ -82,6 +85,7 @@ def read_exif(header: JpegHeader) -> Exif:
         None
         if (width := _positive(detail.get(_WIDTH))) is None or (height := _positive(detail.get(_HEIGHT))) is None
         else (width, height),
+        turned=main.get(_ORIENTATION, 1) != 1,
     )
 
 

@@ -76,6 +76,7 @@ class CameraFacts:
         clocks: Times of capture without time zone by their tag.
         problems: Faults of the file, as warnings.
         zoom: Digital zoom of the picture; the radiometric layer has none.
+        turned: Whether EXIF says that the picture is to be turned; nothing says so of the radiometric layer.
     """
 
     path: Path
@@ -88,6 +89,7 @@ class CameraFacts:
     clocks: Mapping[str, datetime]
     problems: tuple[Problem, ...]
     zoom: float = 1.0
+    turned: bool = False
 
     @property
     def from_a_drone_camera(self) -> bool:
@@ -145,6 +147,7 @@ def read_facts(path: Path) -> CameraFacts:
         clocks,
         tuple(problems),
         max(1.0, exif.zoom or 1.0),
+        exif.turned,
     )
 
 
