@@ -326,7 +326,15 @@ def test_numbers_that_json_cannot_hold_in_predictions_are_left_out(tmp_path):
 
 # -- names of pictures that formats cannot hold
 
-ODD_PICTURES = ("plain.png", "ends in a blank .png", " begins.png", "T:12.png", "ends\u3000.png", "two  blanks 1.png")
+ODD_PICTURES = (
+    "plain.png",
+    "ends in a blank .png",
+    " begins.png",
+    "T:12.png",
+    "ends\u3000.png",
+    "two  blanks 1.png",
+    "back\\\\slash.png",
+)
 
 
 @pytest.mark.parametrize("to", written_names())

@@ -60,12 +60,13 @@ def escape_unfit(text: str, keep: str = "") -> str:
 def fit_name(name: str) -> str:
     """Return a relative path with `_` for what label files cannot hold, or readers take for something else.
 
-    These are control characters, blanks at either end of a stem, which lists of stems lose, and what leads out of a
-    folder on some system (`T:12.png` is a file on the drive T: there).
+    These are control characters, blanks at either end of a stem, which lists of stems lose, backslashes, which some
+    readers take for separators, and what leads out of a folder on some system (`T:12.png` is a file on the drive T:
+    there).
     """
-    fit = UNFIT.sub("_", name)
+    fit = UNFIT.sub("_", name).replace("\\", "_")
     if leaves(fit):
-        fit = fit.replace(":", "_").replace("\\", "_")
+        fit = fit.replace(":", "_")
     return "/".join(_fit_part(part) for part in fit.split("/"))
 
 

@@ -108,14 +108,17 @@ def place_frames(
 
 
 def _move(root: Path, manifest: Manifest, source: str, target: str) -> None:
-    if os.path.lexists(root / target):
-        if _digest(root / target) == _digest(root / source):
-            (root / source).unlink()
-            return
-        manifest.move_aside(target)
     try:
+        if os.path.lexists(root / target):
+            digest = _digest(root / source)
+            if digest is not None and digest == _digest(root / target):
+                (root / source).unlink()
+                return
+            manifest.move_aside(target)
         (root / target).parent.mkdir(parents=True, exist_ok=True)
         (root / source).replace(root / target)
+    except OutputError:
+        raise
     except OSError as error:
         raise output_error(root / target, error) from error
 

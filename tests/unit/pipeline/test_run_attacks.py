@@ -455,3 +455,23 @@ def test_frames_of_another_run_are_not_merged(data: Path, tmp_path: Path) -> Non
         shutil.copy(tmp_path / "b" / part, tmp_path / "a" / part)
     ended = run("merge", tmp_path / "a", tmp_path / "merged")
     assert ended.exit_code == 2 and "missing or damaged" in ended.output, ended.output
+
+
+@pytest.mark.parametrize("what", ["links", "folders"])
+def test_what_is_in_both_places_of_an_excluded_picture_is_kept(made: Path, tmp_path: Path, what: str) -> None:
+    ids = [p.relative_to(made / "scenes").with_suffix("").as_posix() for p in sorted((made / "scenes").rglob("*.json"))]
+    done("exclude", made, ids[0])
+    for number, place in enumerate((made / f"images/{ids[0]}.jpg", made / f"excluded/images/{ids[0]}.jpg")):
+        place.unlink(missing_ok=True)
+        mine = tmp_path / f"mine{number}"
+        mine.mkdir() if what == "folders" else mine.write_text("mine")
+        if what == "folders":
+            place.mkdir(parents=True)
+            (place / "note").write_text(f"mine {number}")
+        else:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.symlink_to(mine)
+    ended = run("exclude", made, ids[1])
+    assert ended.exit_code in (0, 1, 2, 3), ended.output
+    kept = [p for p in made.rglob("*") if (p.is_symlink() if what == "links" else p.name == "note")]
+    assert len(kept) == 2, (ended.output, sorted(made.rglob("*.jpg*")))
