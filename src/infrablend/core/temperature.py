@@ -26,26 +26,36 @@ _SAMPLE = 100_000
 PLAUSIBLE_K = (173.15, 473.15)
 """Apparent temperatures, kelvin, between which the median of a picture lies, from a clear winter sky to a furnace."""
 
+GROUND_K = (230.0, 340.0)
+"""The same for pictures of the ground, from polar night to desert sand at noon."""
 
-def implausible_median(kelvin: NDArray[Any]) -> float | None:
+
+def implausible_median(kelvin: NDArray[Any], ground: bool) -> float | None:
     """Return the median of a picture's apparent temperatures, kelvin, if no camera sees such a scene; else None.
 
-    A unit taken for another one moves it far outside: 0.04 K per count instead of 0.01 makes 1,150 K of 288 K.
+    A unit taken for another one moves it outside: 0.04 K per count instead of 0.01 makes 1,150 K of 288 K, and raw
+    counts of DJI taken for 0.01 K make 170 to 200 K of ground.
+
+    Args:
+        kelvin: Apparent temperatures.
+        ground: Whether the picture shows the ground, not the sky alone.
     """
+    lowest, highest = GROUND_K if ground else PLAUSIBLE_K
     sample = kelvin.ravel()[:: max(1, kelvin.size // _SAMPLE)]
     finite = sample[np.isfinite(sample)]
     median = float(np.median(finite)) if finite.size else math.nan
-    return None if PLAUSIBLE_K[0] <= median <= PLAUSIBLE_K[1] else median
+    return None if lowest <= median <= highest else median
 
 
-def implausible_counts(counts: NDArray[Any], scale: TemperatureScale) -> float | None:
+def implausible_counts(counts: NDArray[Any], scale: TemperatureScale, ground: bool) -> float | None:
     """Return the implausible median, kelvin, of a picture in counts; None if it is plausible."""
-    return implausible_median(scale.kelvin(counts.ravel()[:: max(1, counts.size // _SAMPLE)]))
+    return implausible_median(scale.kelvin(counts.ravel()[:: max(1, counts.size // _SAMPLE)]), ground)
 
 
-def describe_plausible() -> str:
+def describe_plausible(ground: bool) -> str:
     """Return the range of plausible medians in words."""
-    return f"a median between {PLAUSIBLE_K[0] - 273.15:.0f} and {PLAUSIBLE_K[1] - 273.15:.0f} degrees Celsius"
+    low, high = (k - 273.15 for k in (GROUND_K if ground else PLAUSIBLE_K))
+    return f"a median between {low:.0f} and {high:.0f} degrees Celsius{' in pictures of the ground' * ground}"
 
 
 @dataclass(frozen=True)

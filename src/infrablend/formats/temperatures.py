@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import load_background
@@ -24,6 +25,18 @@ OPTIONS: Mapping[str, str] = {
 
 IMPLAUSIBLE = "temperature-implausible"
 """Code of the problem of temperatures that no scene has."""
+
+CHECK_SCALE = (
+    "check the unit, the slope and the offset: counts of another unit look like this. If the pictures show the sky "
+    "alone, state their pitch (0 or less) in metadata.csv or the recipe"
+)
+"""What to do about temperatures that no scene has."""
+
+EXTRACT_AGAIN = (
+    "run infrablend temperatures again with --slope and --offset, --spot, or --converted; "
+    "unit=counts accepts them as they are"
+)
+"""What to do about counts that `infrablend temperatures` wrote without a scale: they are in no common unit."""
 
 DEEP_SUFFIXES = (".png", ".tif", ".tiff")
 _LOOKED_AT = 4
@@ -59,8 +72,17 @@ def _refuse(name: str, found: str, expected: str) -> DatasetError:
 def with_scale(dataset: Dataset, scale: TemperatureScale | None) -> Dataset:
     """Return the dataset with a stated scale on each picture of a type that can have 16 bits.
 
-    It goes above what the files state; without a scale, the pictures are only counts.
+    It goes above what the files state, with a warning; without a scale, the pictures are only counts.
     """
+    own = [i.radiometry.scale for i in dataset.images if i.radiometry is not None and i.radiometry.scale is not None]
+    other = [s for s in own if s != scale]
+    remarks = dataset.problems
+    if other:
+        texts = sorted({s.describe() for s in other})
+        found = f"the scale of {len(other)} picture(s) in their own files ({'; '.join(texts[:3])}) is replaced by "
+        found += "none" if scale is None else f"the stated one ({scale.describe()})"
+        todo = "state no unit, slope or offset, unless the files are wrong"
+        remarks = (*remarks, Problem(dataset.root.name, "scale-replaced", found, "one scale", todo, "warning"))
 
     def stated(image: ImageRecord) -> ImageRecord:
         if image.path.suffix.lower() not in DEEP_SUFFIXES:
@@ -68,7 +90,7 @@ def with_scale(dataset: Dataset, scale: TemperatureScale | None) -> Dataset:
         known = image.radiometry or Radiometry(None)
         return replace(image, radiometry=replace(known, scale=scale, source="stated"))
 
-    return replace(dataset, images=tuple(stated(i) for i in dataset.images))
+    return replace(dataset, images=tuple(stated(i) for i in dataset.images), problems=remarks)
 
 
 def deep_mode(image: ImageRecord) -> str:
@@ -94,11 +116,13 @@ def is_deep(image: ImageRecord) -> bool:
 
 def scale_warnings(dataset: Dataset) -> list[Problem]:
     """Return warnings if 16-bit pictures have no temperature scale or one that makes no sense; a few are opened."""
-    implausible = _implausible(dataset)
+    implausible = implausible_scales(dataset, shows_ground)
     if not any(is_deep(i) for i in _some([i for i in dataset.images if i.radiometry is None])):
         return implausible
     found = "16-bit pictures without a temperature scale: their levels are only counts"
-    todo = "state it if it is known, with --read unit=centikelvin or data.unit in the recipe; unit=counts accepts them"
+    todo = "state it if it is known, with --read unit=... or data.unit in the recipe; unit=counts accepts them"
+    if was_extracted(dataset):
+        todo = EXTRACT_AGAIN
     return [
         *implausible,
         Problem(dataset.root.name, "image-counts", found, "a scale, for temperatures", todo, "warning"),
@@ -109,9 +133,24 @@ def _some(images: Sequence[ImageRecord]) -> Sequence[ImageRecord]:
     return images[:: max(1, len(images) // _LOOKED_AT)][:_LOOKED_AT]
 
 
-def _implausible(dataset: Dataset) -> list[Problem]:
-    """Return a warning if the medians of all pictures that are looked at are those of no scene."""
-    medians = []
+def was_extracted(dataset: Dataset) -> bool:
+    """Return whether `infrablend temperatures` wrote the dataset."""
+    return (dataset.root / TEMPERATURES_FILE).is_file()
+
+
+def shows_ground(image: ImageRecord) -> bool:
+    """Return False for pictures of cameras that look level or up, as far as is known: they may show the sky alone."""
+    return image.pitch_deg is None or image.pitch_deg > 0
+
+
+def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) -> list[Problem]:
+    """Return a warning if the medians of all pictures that are looked at are those of no scene.
+
+    Args:
+        dataset: Pictures; a few with a scale are opened.
+        ground: Whether a picture shows the ground, not the sky alone.
+    """
+    medians, of_ground = [], False
     for image in _some([i for i in dataset.images if i.radiometry is not None and i.radiometry.scale is not None]):
         try:
             pixels = load_background(image.path).pixels
@@ -119,13 +158,13 @@ def _implausible(dataset: Dataset) -> list[Problem]:
             continue
         if pixels.dtype == np.uint16:
             assert image.radiometry is not None and image.radiometry.scale is not None
-            medians.append(implausible_counts(pixels, image.radiometry.scale))
+            medians.append(implausible_counts(pixels, image.radiometry.scale, ground(image)))
+            of_ground |= ground(image)
     wrong = [m for m in medians if m is not None]
     if not wrong or len(wrong) < len(medians):
         return []
     found = f"temperatures of no scene: medians of {min(wrong):,.1f} to {max(wrong):,.1f} K in {len(wrong)} picture(s)"
-    todo = "check the unit, the slope and the offset: counts of another unit look like this"
-    return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(), todo, "warning")]
+    return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(of_ground), CHECK_SCALE, "warning")]
 
 
 def describe_scales(dataset: Dataset) -> dict[str, int]:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.config.recipe import FixedPitch, RandomPitch, Recipe
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background
-from infrablend.formats.temperatures import IMPLAUSIBLE
+from infrablend.formats.temperatures import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4
@@ -49,8 +50,13 @@ def require_thermal_levels(background: Background) -> None:
         raise DatasetError(f"{background.path}: no contrast", [problem])
 
 
-def require_temperatures(background: Background, scale: TemperatureScale | None) -> None:
+def require_temperatures(background: Background, scale: TemperatureScale | None, ground: bool) -> None:
     """Refuse a picture without temperatures of a scene in 16 bits, which radiometric matching requires.
+
+    Args:
+        background: The picture.
+        scale: Its scale; None for counts alone.
+        ground: Whether it shows the ground, not the sky alone.
 
     Raises:
         DatasetError: The picture has 8 bits, or no scene has the temperatures that its scale gives.
@@ -64,16 +70,26 @@ def require_temperatures(background: Background, scale: TemperatureScale | None)
             "use the radiometric files of the camera, or leave matching.mode out",
         )
         raise DatasetError(f"{background.path}: no temperatures", [problem])
-    median = None if scale is None else implausible_counts(background.pixels, scale)
+    median = None if scale is None else implausible_counts(background.pixels, scale, ground)
     if median is not None:
         problem = Problem(
             background.path.name,
             IMPLAUSIBLE,
             f"temperatures of no scene: a median of {median:,.1f} K",
-            describe_plausible(),
-            "check the unit, the slope and the offset; leave the picture out if it is empty or saturated",
+            describe_plausible(ground),
+            f"{CHECK_SCALE}; leave the picture out if it is empty or saturated",
         )
         raise DatasetError(f"{background.path}: implausible temperatures", [problem])
+
+
+def is_ground(source: ImageRecord, recipe: Recipe) -> bool:
+    """Return whether a picture shows the ground, by its pitch or the recipe's, and not perhaps the sky alone."""
+    pitch = recipe.camera.pitch
+    if isinstance(pitch, FixedPitch):
+        return pitch.fixed_deg > 0
+    if isinstance(pitch, RandomPitch):
+        return bool(pitch.random_deg[0] > 0)
+    return pitch == "metadata" and shows_ground(source)
 
 
 def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.pipeline.backgrounds import background_facts, require_temperatures, require_thermal_levels
+from infrablend.pipeline.backgrounds import background_facts, is_ground, require_temperatures, require_thermal_levels
 from infrablend.pipeline.composed import ComposedFrame
 from infrablend.pipeline.extensions import LookRequest, SceneRequest
 from infrablend.pipeline.folder import RunFolder
@@ -97,7 +97,8 @@ class FrameComposer:
             require_thermal_levels(background)
         elif isinstance(recipe.matching, RadiometricMatching):
             radiometry = frame.as_read.radiometry
-            require_temperatures(background, None if radiometry is None else radiometry.scale)
+            scale = None if radiometry is None else radiometry.scale
+            require_temperatures(background, scale, is_ground(source, recipe))
 
         # Scene: the objects, their places and temperatures.
         levels, rules = self._settings.levels, recipe.occlusion

@@ -23,8 +23,9 @@ from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
-from infrablend.formats.temperatures import IMPLAUSIBLE
+from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, implausible_scales, was_extracted
 from infrablend.formats.writing import WriteSettings, unwritable
+from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.shard import Shard
@@ -216,10 +217,14 @@ def make_plan(
         chosen = find_frames(selection.frames, dataset.images, names)
         of_chosen = {image for image, _ in chosen}
         images = [image for image in images if id(image) in of_chosen]
-    implausible = [replace(p, severity="error") for p in dataset.problems if p.code == IMPLAUSIBLE]
-    if implausible and isinstance(recipe.matching, RadiometricMatching):
-        raise DatasetError(f"{dataset.root}: temperatures that no scene has", implausible)
-    problems = [*recipe_warnings, *dataset.problems, *turned]
+    remarks = dataset.problems
+    if isinstance(recipe.matching, RadiometricMatching) and any(p.code == IMPLAUSIBLE for p in remarks):
+        # The recipe may know better than the files that the pictures show the sky.
+        if implausible := implausible_scales(dataset, lambda image: is_ground(image, recipe)):
+            refused = [replace(p, severity="error") for p in implausible]
+            raise DatasetError(f"{dataset.root}: temperatures that no scene has", refused)
+        remarks = tuple(p for p in remarks if p.code != IMPLAUSIBLE)
+    problems = [*recipe_warnings, *remarks, *turned]
     usable = []
     stands = all(model.stands for model in models.values())
     for image in images:
@@ -400,7 +405,9 @@ def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Prob
         "no-temperature-scale",
         f"no temperature scale, which {needed} needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
-        "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
+        EXTRACT_AGAIN
+        if was_extracted(dataset)
+        else "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
     )
 
 

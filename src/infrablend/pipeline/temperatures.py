@@ -30,6 +30,7 @@ from infrablend.formats.rjpeg.temperatures import (
     read_converted,
     read_temperatures,
 )
+from infrablend.formats.temperatures import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 from infrablend.pipeline.count_scale import NO_SCALE, CountScale, SpotCount, count_at, spot_warnings, stated_scale
 from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.thermal.radiometry import ZERO_C_K
@@ -242,7 +243,7 @@ def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, o
         return _Written(record, None, None, layer.unfit, lost)
     kelvin = layer.kelvin
     span = float(kelvin.min()), float(kelvin.max())
-    return _Written(record, span, implausible_median(kelvin), layer.unfit, lost)
+    return _Written(record, span, implausible_median(kelvin, shows_ground(image)), layer.unfit, lost)
 
 
 def _layer(
@@ -328,8 +329,7 @@ def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
     hot = [w.implausible_k for w in layers if w.implausible_k is not None]
     if hot:
         found = f"{len(hot)} of {len(layers)} picture(s) with a median of {_span(hot)} degrees Celsius"
-        todo = "check the unit, the slope and the offset"
-        problems.append(Problem(where, "temperature-implausible", found, describe_plausible(), todo, "warning"))
+        problems.append(Problem(where, IMPLAUSIBLE, found, describe_plausible(True), CHECK_SCALE, "warning"))
     unfit = [w for w in layers if w.unfit]
     if unfit:
         found = f"{sum(w.unfit for w in unfit)} pixel(s) of {len(unfit)} picture(s) without a temperature below 655 K"

@@ -40,6 +40,9 @@ def test_dji_layers_stay_counts_unless_a_scale_is_given(tmp_path: Path) -> None:
     assert "counts without a scale" in text and "DJI does not publish" in text
     image = api.read_dataset(tmp_path / "a").images[0]
     assert image.radiometry is None and (np.array(Image.open(image.path)) == counts(0)).all()
+    remark = next(p for p in api.read_dataset(tmp_path / "a").problems if p.code == "image-counts")
+    assert "Run infrablend temperatures again with --slope and --offset" in str(remark)
+    assert "centikelvin" not in str(remark)
     run(source, "--out", tmp_path / "b", "--slope", "0.02", "--offset", "-20")
     scale = api.read_dataset(tmp_path / "b").images[0].radiometry
     assert scale is not None and scale.scale is not None and scale.scale.slope_k == 0.02

@@ -67,6 +67,34 @@ def test_a_mistaken_unit_is_refused_before_anything_is_made(
         assert "temperatures of no scene" in run(command, source, *read)
 
 
+def test_raw_counts_taken_for_centikelvin_are_refused_unless_the_sky_is_that_cold(tmp_path: Path) -> None:
+    # 185 K, -88 degrees Celsius: what counts of DJI become.
+    source = data(tmp_path / "in", centikelvin(0, 18_500), centikelvin(1, 18_500))
+    stated = ["--set", "data.unit=centikelvin"]
+    options = ["--set", "matching.mode=radiometric", "--set", "labels.mode=new", *stated]
+    text = run("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
+    assert "between -43 and 67 degrees Celsius in pictures of the ground" in text
+    assert "state their pitch (0 or less) in metadata.csv" in text
+    assert "temperatures of no scene" in run("inspect", source, "--read", "unit=centikelvin")
+    up = [*options, "--set", "camera.pitch={fixed_deg: -20}", "--plan"]
+    assert "of no scene" not in run("generate", "drone-sky", "--data", source, "--out", tmp_path / "out", *up)
+    table = source / "metadata.csv"
+    table.write_text(table.read_text().replace(",60,", ",-20,"))
+    assert "of no scene" not in run("inspect", source, "--read", "unit=centikelvin")
+    assert "of no scene" in run("inspect", source, "--read", "unit=decikelvin")
+
+
+def test_a_stated_scale_that_replaces_the_files_own_is_reported(tmp_path: Path) -> None:
+    source = data(tmp_path / "in", centikelvin(0))
+    own = tmp_path / "own"
+    run("convert", source, own, "--to", "coco", "--read", "unit=centikelvin")
+    other = [w for v in ("unit=counts", "slope=0.02", "offset=-290") for w in ("--read", v)]
+    text = run("inspect", own, *other)
+    assert "1 picture(s) in their own files (centikelvin) is replaced by the stated one (0.02 K per count" in text
+    assert "replaced by none" in run("inspect", own, "--read", "unit=counts")
+    assert "replaced" not in run("inspect", own, "--read", "unit=centikelvin") + run("inspect", own)
+
+
 @pytest.mark.parametrize("level", [0, 65_535])
 def test_an_empty_picture_fails_alone(level: int, tmp_path: Path) -> None:
     source = data(tmp_path / "in", centikelvin(0), np.full(SHAPE, level, np.uint16))

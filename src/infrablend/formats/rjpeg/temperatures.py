@@ -133,7 +133,9 @@ def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[
     slope, offset = CONVERTED_UNITS[unit]
     kelvin = values * slope + offset
     kelvin[~(kelvin > 0)] = np.nan  # programs mark missing values with large negative numbers
-    median = implausible_median(kelvin)
+    median = implausible_median(kelvin, ground=False)
     if median is not None:
-        raise refuse("scale-malformed", f"a median of {median:.1f} K in the unit {unit}", describe_plausible())
+        raise refuse(
+            "scale-malformed", f"a median of {median:.1f} K in the unit {unit}", describe_plausible(ground=False)
+        )
     return np.asarray(kelvin)
