@@ -10,6 +10,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 MAX_NAME_BYTES = 255
 """Longest file name of the usual file systems."""
+MAX_PATH_BYTES = 4096
+"""Length from which on paths are too long on Linux; elsewhere they are shorter."""
 
 UNFIT = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 """Characters that label files cannot hold: XML has none of the control characters, text files split lines at others."""
@@ -91,6 +93,15 @@ def leaves(name: str) -> bool:
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
     climbs = ".." in posix.parts or ".." in windows.parts
     return climbs or "\0" in name or posix.is_absolute() or bool(windows.drive or windows.root)
+
+
+def can_exist(path: str | Path) -> bool:
+    """Return whether a file system can hold a file of this path, which may be from a damaged record."""
+    try:
+        whole = os.fsencode(path)
+    except UnicodeEncodeError:  # half of a surrogate pair
+        return False
+    return len(whole) < MAX_PATH_BYTES and b"\0" not in whole and max(map(len, whole.split(b"/"))) <= MAX_NAME_BYTES
 
 
 def real_path(path: Path) -> Path:

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from infrablend.core.file_names import MAX_NAME_BYTES
+from infrablend.core.file_names import can_exist
 from infrablend.core.files import observed_by, open_regular, output_error, part_path, sha256_of, write_text
 from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError, Problem
@@ -29,7 +29,6 @@ JOURNAL = ".files.jsonl"
 
 _LONGEST_LINE_BYTES = 1 << 16  # a path of 4,096 bytes, each written as an escape, and its digest
 
-_MAX_PATH_BYTES = 4096  # of Linux; shorter elsewhere, where such paths are errors of the command that writes them
 _DIGEST = re.compile("[0-9a-f]{64}")
 
 Content = tuple[int, str]
@@ -119,7 +118,9 @@ class Manifest:
     def _add(self, entry: Mapping[str, Any]) -> None:
         """Add an entry, unless it is one that is never written."""
         path = entry["path"]
-        if not isinstance(path, str) or not _is_inside(path) or not _can_exist(self.root / path):
+        if not isinstance(path, str) or not _is_inside(path):
+            return
+        if not can_exist(self.root / path) or not can_exist(part_path(self.root / path)):
             return
         if "sha256" not in entry:
             self._contents.setdefault(path, set())
@@ -410,15 +411,6 @@ def files_below(root: Path, folders: Iterable[str]) -> list[str]:
 def _is_inside(path: str) -> bool:
     parts = PurePosixPath(path).parts
     return bool(parts) and not path.startswith("/") and ".." not in parts and "\0" not in path
-
-
-def _can_exist(path: Path) -> bool:
-    """Return whether a file system can hold a file of this path, and the temporary one that it is written as."""
-    try:
-        names = [os.fsencode(name) for name in (*path.parts, part_path(path).name)]
-    except UnicodeEncodeError:  # half of a surrogate pair
-        return False
-    return max(map(len, names)) <= MAX_NAME_BYTES and len(os.fsencode(path)) < _MAX_PATH_BYTES
 
 
 def _is_content(size: object, digest: object) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from infrablend.core.file_names import real_path
+from infrablend.core.file_names import can_exist, real_path
 from infrablend.core.files import read_object
 from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
 from infrablend.core.format_table import NATIVE, written_names
@@ -28,7 +28,7 @@ def require_outside_datasets(run: Path, out: Path, data: Path | None = None) -> 
     """
     recorded = (read_object(run / RUN_FILE) or {}).get("data")
     root = recorded.get("root") if isinstance(recorded, dict) else None
-    for folder in (data, Path(root) if isinstance(root, str) and "\0" not in root else None):
+    for folder in (data, Path(root) if isinstance(root, str) and can_exist(root) else None):
         if folder is not None:
             require_apart(folder, out)
     place = real_path(out)

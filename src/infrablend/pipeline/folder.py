@@ -32,6 +32,7 @@ from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.excluded import excluded_files, read_choice
 from infrablend.pipeline.record import RecordError, load_record
 from infrablend.pipeline.review import REVIEW_FILE
+from infrablend.pipeline.run_fields import damage
 
 log = logging.getLogger(__name__)
 
@@ -92,6 +93,11 @@ class RunFolder(RunLayout):
             raise OutputError(
                 f"{self.run_file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} or machine.renderer); "
                 "expected the record as written. Restore it, or make the run again with --overwrite."
+            )
+        if (found := damage(data)) is not None:
+            raise OutputError(
+                f"{self.run_file}: damaged ({found}); expected the record of a run as `infrablend generate` writes it. "
+                "Restore it, or make the run again with --overwrite."
             )
         return data
 

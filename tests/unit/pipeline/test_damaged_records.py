@@ -93,3 +93,47 @@ def test_names_in_the_record_of_a_conversion_that_are_never_written_are_left_out
     change(out / "convert.json", lambda r: r["written"].update({name: [float("1e300"), DIGEST]}))
     done("convert", data, out, "--to", "yolo", "--overwrite")
     assert name not in json.loads((out / "convert.json").read_text())["written"]
+
+
+# -- the record of a run
+
+DAMAGES: dict[str, dict[str, Any]] = {
+    "data": {"data": None},
+    "data, text": {"data": "x"},
+    "data.root": {"data": {"root": "\ud800"}},
+    "data.root, long": {"data": {"root": f"/{'x' * 300}"}},
+    "request": {"request": 5},
+    "request.selection": {"request": {"selection": []}},
+    "request.reading.options": {"request": {"reading": {"options": {"a": 5}}}},
+    "machine": {"machine": []},
+    "key": {"key": None},
+    "counts.labels": {"counts": {"labels": {"Car": "2"}}},
+    "timing.seconds": {"timing": {"seconds": "long"}},
+    "problems.0": {"problems": [5]},
+    "formats.0": {"formats": [None]},
+    "packages": {"packages": ""},
+}
+
+
+@pytest.mark.parametrize(("name", "values"), DAMAGES.items(), ids=DAMAGES)
+def test_fields_of_a_run_record_of_another_type_are_named(
+    made: Path, data: Path, name: str, values: dict[str, Any]
+) -> None:
+    def edit(record: dict[str, Any]) -> None:
+        record.update(values)
+        del record["sha256"]  # as in records of earlier versions
+
+    change(made / "run.json", edit)
+    frame = next((made / "scenes").rglob("*.json")).relative_to(made / "scenes").with_suffix("").as_posix()
+    for words in (
+        ["report", made],
+        ["exclude", made, frame],
+        ["rerender", made, frame],
+        generate(data, made, "--resume"),
+    ):
+        named(run(*words), "run.json: damaged (" + name.partition(",")[0], "--overwrite")
+    assert run("preview", made).exit_code in (0, 2)
+    assert run("preview", made, "--ground").exit_code == 2
+    assert run("check", made).exit_code in (0, 1, 2)
+    done(*generate(data, made, "--overwrite"))
+    done("check", made)
