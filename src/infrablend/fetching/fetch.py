@@ -27,6 +27,7 @@ from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
 from infrablend.fetching.download import RetryPolicy, download, require_url
 from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
 from infrablend.formats.annotation_files import read_json
+from infrablend.formats.detection import detect
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
 SOURCE_FILE = "SOURCE.json"
@@ -100,6 +101,10 @@ class _Order:
     def own_file(self) -> bool:
         """Whether the user gave the file or its address; it may then differ from the known one."""
         return self.url is not None or self.archive is not None
+
+    def file_name(self, a: Archive) -> str:
+        """Return the name of a part's file: the user's own, or that of the published one."""
+        return a.file if self.archive is None else self.archive.name
 
 
 def require_source(name: str) -> Source:
@@ -217,6 +222,8 @@ def fetch(
             order.work.rmdir()
             if new:
                 out.rmdir()
+    if todo and order.own_file and (remark := _not_read_as(source, out)) is not None:
+        done[-1][1].append(remark)
     if done:  # after the last change, because a folder may be removed at any moment
         placed = [place for *_, places in done for place in places]
         require_still_there([out / SOURCE_FILE, *placed], "delete the folder and repeat the command")
@@ -300,7 +307,10 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
         try:
             problems = _check_file(order, a, file, digest := _digest(file))
             unpacked = unpack(
-                file, stage, order.limits, lambda n, of: order.on_progress(FetchProgress("unpack", a.file, n, of))
+                file,
+                stage,
+                order.limits,
+                lambda n, of: order.on_progress(FetchProgress("unpack", order.file_name(a), n, of)),
             )
             content = without_wrapper(stage)
             problems += _check_content(order, a, content, unpacked.commit)
@@ -412,7 +422,9 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
     problems = []
     for reserved in (DOWNLOAD_FOLDER, SOURCE_FILE):
         if not a.into and (content / reserved).exists():
-            raise DatasetError(f"{a.file}: contains {reserved}, a name that `fetch` needs; unpack it by hand")
+            raise DatasetError(
+                f"{order.file_name(a)}: contains {reserved}, a name that `fetch` needs; unpack it by hand"
+            )
     if commit is not None and a.commit is not None and commit != a.commit:
         problems.append(Problem(a.file, "commit", f"made from commit {commit}", a.commit))
     for pattern, wanted in a.counts.items():
@@ -431,9 +443,24 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
             found_text = f"{len(value)} items in {key!r}" if is_list(value) else f"no list {key!r}"
             if not is_list(value) or len(value) != wanted:
                 problems.append(Problem(name, "content-json", found_text, str(wanted)))
+    if order.own_file and not a.into and (remark := _not_read_as(order.source, content)) is not None:
+        todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
+        fault = Problem(order.file_name(a), remark.code, remark.found, remark.expected, todo)
+        raise DatasetError(f"{order.file_name(a)}: not {order.source.name}", [fault])
     if problems and a.checked and not order.own_file:
-        raise DatasetError(f"{a.file}: does not contain the known files of {order.source.name}", problems)
+        raise DatasetError(f"{order.file_name(a)}: does not contain the known files of {order.source.name}", problems)
     return [_as_warning(p) for p in problems]
+
+
+def _not_read_as(source: Source, root: Path) -> Problem | None:
+    """Return a warning if a folder is not read as the dataset; None if it is."""
+    found = detect(root)
+    match = next((m for m in found.matches if m.format == source.name), None)
+    if match is None or match.ok:
+        return None
+    text = match.reason + (f"; it is read as {found.format}" if found.format else "")
+    todo = "check that the archive is of this dataset: SOURCE.json names its licence"
+    return Problem(root.name, "not-this-format", text, f"the files of {source.name}", todo, "warning")
 
 
 def _as_warning(p: Problem) -> Problem:

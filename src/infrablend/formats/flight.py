@@ -22,6 +22,7 @@ from infrablend.core.files import open_regular
 from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
+from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place
 from infrablend.thermal.sun import sun_position, time_of
 
@@ -35,8 +36,6 @@ _TWIN_SIZE = 4
 # Clocks that differ by this much in at least three pictures are reported; a larger gap means other flights.
 _CLOCKS_S = (60.0, 25 * 3600.0)
 _LEAST_PAIRS = 3
-# A longer break between two pictures starts another flight.
-_BREAK_S = 600.0
 # A local clock is within this of the sun's time: time zones and daylight saving.
 _CLOCK_OFF_H = (-2, -1, 0, 1, 2)
 _DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
@@ -75,7 +74,12 @@ def add_flight_data(dataset: Dataset) -> Dataset:
             faults += found.problems
         else:
             faults.append(found)
+    facts, zones_apart = with_agreed_zones(facts)
     problems = _alike_together(faults)
+    for gap, names in zones_apart:
+        text = f"{gap} ({len(names)} picture(s): {_some(names)})"
+        todo = "correct the clock (exiftool -AllDates-=0:10) if day, night or flights matter"
+        problems.append(_warning(dataset, "flight-clocks", text, "one time zone in a flight", todo))
     left_out = _left_out(dataset.images, facts)
     kept = [i for i in dataset.images if _key(i) not in left_out]
     if not kept:
@@ -259,7 +263,7 @@ def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
     for times in groups.values():
         start, last = None, None
         for when, k in sorted(times):
-            if last is None or (when - last).total_seconds() > _BREAK_S:
+            if last is None or (when - last).total_seconds() > BREAK_S:
                 start = when
             last = when
             assert start is not None

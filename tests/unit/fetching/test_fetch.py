@@ -36,6 +36,7 @@ from infrablend.fetching.fetch import FetchProgress
 from infrablend.fetching.unpack import Limits, unpack, without_wrapper
 from infrablend.formats import sources
 from infrablend.formats.sources import CC_BY_4, HIT_UAV, Archive, Source
+from tests.samples import SAMPLES
 
 BODY = random.Random(4).randbytes(300_000)
 
@@ -1037,3 +1038,32 @@ def test_hit_uav_as_it_is_known(server, tmp_path):
     file.write_bytes(archive_of(entries, "HIT-UAV-Infrared-Thermal-Dataset-x/", known.commit))
     (problem,) = api.fetch("hit-uav", tmp_path / "less", api.FetchRequest(archive=file)).problems
     assert (problem.where, problem.found, problem.expected) == ("normal_json/train/*.jpg", "2028 file(s)", "2029")
+
+
+def packed(folder, file):
+    with zipfile.ZipFile(file, "w") as archive:
+        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+            archive.write(path, path.relative_to(folder))
+    return file
+
+
+def test_an_archive_of_another_dataset_is_refused(tmp_path):
+    other = packed(SAMPLES["yolo:detect"](tmp_path / "yolo"), tmp_path / "mine.zip")
+    shown = []
+    with pytest.raises(DatasetError, match=r"mine.zip: not wit-uas") as error:
+        fetch("wit-uas", tmp_path / "out", archive=other, on_progress=shown.append)
+    (problem,) = error.value.problems
+    assert "it is read as yolo" in problem.found and "licence" in problem.todo
+    assert not (tmp_path / "out").exists() and {p.file for p in shown} == {"mine.zip"}
+
+
+def test_a_part_of_another_dataset_is_a_warning(tmp_path):
+    other = packed(SAMPLES["yolo:detect"](tmp_path / "yolo"), tmp_path / "mine.zip")
+    (problem,) = fetch("monet", tmp_path / "out", parts=["val"], archive=other).problems
+    assert (problem.code, problem.severity) == ("not-this-format", "warning") and "monet" in problem.expected
+
+
+def test_the_own_archive_of_a_dataset_is_accepted(tmp_path):
+    own = packed(SAMPLES["wit-uas"](tmp_path / "wit"), tmp_path / "mine.zip")
+    assert fetch("wit-uas", tmp_path / "out", archive=own).problems == ()
+    assert api.read_dataset(tmp_path / "out").format == "wit-uas"

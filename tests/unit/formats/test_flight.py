@@ -236,3 +236,34 @@ def test_headers_of_many_pictures_are_read_quickly(tmp_path: Path) -> None:
     start = time.process_time()
     flight_data.add_flight_data(api.read_dataset(tmp_path))
     assert time.process_time() - start < 4.0
+
+
+@pytest.mark.parametrize(("ahead", "text"), [(10, "1:10 h"), (120, "3:00 h")])
+def test_clocks_that_jump_within_a_flight_are_one_message(ahead: int, text: str, tmp_path: Path) -> None:
+    for k in range(5):
+        utc = START - timedelta(hours=1) + timedelta(seconds=10 * k)
+        local = utc + timedelta(hours=1, minutes=ahead if k > 2 else 0)
+        shot(tmp_path / f"DJI_{k + 1:04}_T.JPG", number=k, captured=local, utc=utc)
+    dataset = api.read_dataset(tmp_path)
+    (problem,) = [p for p in dataset.problems if p.code == "flight-clocks"]
+    assert f"EXIF DateTimeOriginal is {text} ahead of UTCAtExposure, but 1:00 h in the rest" in problem.found
+    assert "2 picture(s): DJI_0004_T.JPG, DJI_0005_T.JPG" in problem.found
+    assert [i.captured for i in dataset.images] == [f"2026-01-12T06:30:{10 * k:02}+01:00" for k in range(5)]
+    assert len({i.sequence for i in dataset.images}) == 1
+
+
+def test_a_clock_that_is_no_time_zone_off_gives_none(tmp_path: Path) -> None:
+    flight(tmp_path / "a", 3, utc=START - timedelta(hours=1, minutes=5))
+    dataset = api.read_dataset(tmp_path / "a")
+    (problem,) = [p for p in dataset.problems if p.code == "flight-clocks"]
+    assert "which is no time zone; EXIF is used (3 picture(s)" in problem.found
+    assert {i.captured for i in dataset.images} == {f"2026-01-12T06:30:{s}" for s in ("00", "10", "20")}
+
+
+def test_two_flights_may_have_two_time_zones(tmp_path: Path) -> None:
+    for k, zone in enumerate((1, 1, 2, 2)):
+        utc = START + timedelta(hours=k // 2, seconds=10 * k)
+        shot(tmp_path / f"DJI_{k + 1:04}_T.JPG", number=k, captured=utc + timedelta(hours=zone), utc=utc)
+    dataset = api.read_dataset(tmp_path)
+    assert not [p for p in dataset.problems if p.code == "flight-clocks"]
+    assert [str(i.captured)[-6:] for i in dataset.images] == ["+01:00"] * 2 + ["+02:00"] * 2

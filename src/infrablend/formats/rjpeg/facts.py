@@ -23,6 +23,9 @@ FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "capture
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
 
 DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/1.0/", "http://pix4d.com/camera/1.0"
+UTC_AT_EXPOSURE, UTC_TAG = (DJI, "UTCAtExposure"), "XMP drone-dji:UTCAtExposure"
+EXIF_TIME = "EXIF DateTimeOriginal"
+_QUARTER, _MOST_OFF = timedelta(minutes=15), timedelta(minutes=1)
 _XMP_DATES = (("http://ns.adobe.com/xap/1.0/", "CreateDate"), ("http://ns.adobe.com/xap/1.0/", "ModifyDate"))
 # Below this pitch a laser that points along the camera's axis hits the ground too far away to give a height.
 _LEAST_LASER_PITCH_DEG = 15.0
@@ -77,6 +80,7 @@ class CameraFacts:
         problems: Faults of the file, as warnings.
         zoom: Digital zoom of the picture; the radiometric layer has none.
         turned: Whether EXIF says that the picture is to be turned; nothing says so of the radiometric layer.
+        utc: Time of capture in UTC, without time zone; None if not stated.
     """
 
     path: Path
@@ -90,6 +94,7 @@ class CameraFacts:
     problems: tuple[Problem, ...]
     zoom: float = 1.0
     turned: bool = False
+    utc: datetime | None = None
 
     @property
     def from_a_drone_camera(self) -> bool:
@@ -148,6 +153,7 @@ def read_facts(path: Path) -> CameraFacts:
         tuple(problems),
         max(1.0, exif.zoom or 1.0),
         exif.turned,
+        _as_time(xmp.values.get(UTC_AT_EXPOSURE, "")),
     )
 
 
@@ -307,27 +313,28 @@ def _clocks(exif: Exif, xmp: Xmp) -> dict[str, datetime]:
     texts = {**exif.dates, **{f"XMP xmp:{k[1]}": xmp.values.get(k, "") for k in _XMP_DATES}}
     clocks: dict[str, datetime] = {}
     for tag, text in texts.items():
-        match = _EXIF_DATE.match(text)
-        if match is None:
-            continue
-        try:
-            clocks[tag] = datetime(*(int(g) for g in match.groups()))  # type: ignore[arg-type]
-        except ValueError:
-            continue
+        if (when := _as_time(text)) is not None:
+            clocks[tag] = when
     return clocks
 
 
-def _zone(local: datetime, utc_text: str) -> timezone | None:
-    """Return the time zone of a local time, from the same time in UTC; None if that is unknown or absurd."""
-    match = _EXIF_DATE.match(utc_text)
-    if match is None:
-        return None
+def _as_time(text: str) -> datetime | None:
+    """Return the time in a text as EXIF has it; None for anything else."""
+    match = _EXIF_DATE.match(text)
     try:
-        utc = datetime(*(int(g) for g in match.groups()))  # type: ignore[arg-type]
+        return datetime(*(int(g) for g in match.groups())) if match else None  # type: ignore[arg-type]
     except ValueError:
         return None
-    quarters = round((local - utc) / timedelta(minutes=15))
-    return timezone(timedelta(minutes=15 * quarters)) if abs(quarters) <= 14 * 4 else None
+
+
+def zone_of(local: datetime, utc: datetime) -> timezone | None:
+    """Return the time zone of a local time, from the same time in UTC; None if no zone is that far from UTC.
+
+    Zones differ from UTC by quarters of an hour; the two times may have been taken some seconds apart.
+    """
+    quarters = round((local - utc) / _QUARTER)
+    off = abs(local - utc - quarters * _QUARTER)
+    return timezone(quarters * _QUARTER) if abs(quarters) <= 14 * 4 and off <= _MOST_OFF else None
 
 
 def _flir_zone(local: datetime, stamp: datetime) -> timezone | None:
@@ -340,11 +347,12 @@ def _flir_zone(local: datetime, stamp: datetime) -> timezone | None:
 def _add_time_and_place(
     facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, clocks: Mapping[str, datetime]
 ) -> None:
-    original = clocks.get("EXIF DateTimeOriginal")
+    original = clocks.get(EXIF_TIME)
     if original is not None:
-        zone, source = _zone(original, xmp.values.get((DJI, "UTCAtExposure"), "")), "EXIF DateTimeOriginal"
+        utc, source = _as_time(xmp.values.get(UTC_AT_EXPOSURE, "")), EXIF_TIME
+        zone = None if utc is None else zone_of(original, utc)
         if zone is not None:
-            source += ", XMP drone-dji:UTCAtExposure"
+            source += f", {UTC_TAG}"
         elif record is not None and record.captured is not None:
             zone = _flir_zone(original, datetime.fromisoformat(record.captured))
             source += "" if zone is None else ", FLIR DateTimeOriginal"
