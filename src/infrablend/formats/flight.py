@@ -46,6 +46,8 @@ _ASKED = {
     "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
     "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
 }
+FOR_ALL = " for all pictures, also those that have one"
+"""What a field of the recipe does that replaces a value which only some pictures lack."""
 _RECORD_FIELDS = ("pitch_deg", "roll_deg", "altitude_m", "hfov_deg", "captured")
 GIVEN = "table, annotation or file name"
 
@@ -100,9 +102,14 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     return replace(dataset, images=tuple(images), problems=(*dataset.problems, *problems), notes=notes)
 
 
+def was_extracted(dataset: Dataset) -> bool:
+    """Return whether `infrablend frames` or `infrablend temperatures` wrote the dataset from a camera's files."""
+    return any((dataset.root / name).is_file() for name in (FRAMES_FILE, TEMPERATURES_FILE))
+
+
 def _with_missing(dataset: Dataset) -> Dataset:
     """Return a dataset without flight data of its own; that of an own flight is asked for what is missing, too."""
-    if not any((dataset.root / name).is_file() for name in (FRAMES_FILE, TEMPERATURES_FILE)):
+    if not was_extracted(dataset):
         return dataset
     return replace(dataset, problems=(*dataset.problems, *_missing(dataset, dataset.images)))
 
@@ -290,7 +297,8 @@ def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
         lacking = [i.name for i in images if getattr(i, name) is None]
         if lacking:
             found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
-            todo = f"give {setting} or a column {name} in metadata.csv"
+            todo = f"give a column {name} in metadata.csv, or {setting}"
+            todo += FOR_ALL if len(lacking) < len(images) else ""
             problems.append(_warning(dataset, "flight-missing", found, "it in EXIF or XMP, or from you", todo))
     return problems
 

@@ -17,12 +17,14 @@ from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.agc import FixedAgc
-from infrablend.config.recipe import MetricSections, RadiometricMatching, Recipe
+from infrablend.config.recipe import MetricCamera, MetricSections, RadiometricMatching, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats import flight
+from infrablend.formats.flight import FOR_ALL
 from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, implausible_scales, was_extracted
 from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.backgrounds import is_ground
@@ -38,6 +40,10 @@ TYPICAL_FRAME_CPU_S = 0.26
 READ_PICTURE_S = 0.01
 WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
+LENS_REPLACED = "lens-replaced"
+"""Code of the warning about a lens of the recipe that replaces others in the files."""
+# A stated field of view that differs by a larger share from the files' is reported.
+_LENS_TOLERANCE = 0.15
 # Bytes per frame of labels, records and per-format files; images are hard links.
 TYPICAL_LABELS_BYTES = 12_000
 
@@ -227,6 +233,7 @@ def make_plan(
     problems = [*recipe_warnings, *remarks, *turned]
     usable = []
     stands = all(model.stands for model in models.values())
+    others = _Telemetry.of(dataset)
     for image in images:
         if not is_text(image.path.name) or not is_text(image.id):
             problems.append(
@@ -248,7 +255,9 @@ def make_plan(
                     "use its labels only (infrablend convert), or use another dataset",
                 )
             )
-        elif unknown := _telemetry_missing(recipe, image) or (_above_horizon(recipe, image) if stands else None):
+        elif unknown := _telemetry_missing(recipe, image, others) or (
+            _above_horizon(recipe, image) if stands else None
+        ):
             problems.append(unknown)
         elif (isinstance(recipe.matching, RadiometricMatching) or isinstance(recipe.output.agc, FixedAgc)) and (
             image.radiometry is None or not image.radiometry.scale
@@ -266,6 +275,7 @@ def make_plan(
         found = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
+    problems += _other_lens(recipe, usable)
     _require_ids(recipe, usable)
     categories = list(dataset.categories)
     new = []
@@ -362,13 +372,13 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
 
 
-def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
+def _telemetry_missing(recipe: Recipe, image: ImageRecord, others: _Telemetry) -> Problem | None:
     """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
     pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
     height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
-    # A picture from a card names its camera, and a frame of a video where its height comes from. The recipe's lens is
-    # another camera's: it would give a wrong scale.
-    own = "camera" in image.extra or "altitude_from" in image.extra
+    # A picture from a card names its camera, and a table where its height comes from. The recipe's lens is another
+    # camera's: it would give a wrong scale.
+    own = others.extracted or "camera" in image.extra or "altitude_from" in image.extra
     metric = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata"
     lens = metric and own and image.hfov_deg is None
     if not pitch and not height and not lens:
@@ -378,13 +388,54 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord) -> Problem | None:
     wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
     fields += ["camera.focal_length_mm"] * lens
+    some = any(
+        known for missing, known in ((pitch, others.pitch), (height, others.height), (lens, others.lens)) if missing
+    )
     return Problem(
         image.name,
         "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
         " and ".join(found),
         f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
-        f"give a table (docs/how_to/own_images.md), or set {' and '.join(fields)}",
+        f"give a table (metadata.csv, docs/how_to/own_images.md), or set {' and '.join(fields)}{FOR_ALL * some}",
     )
+
+
+@dataclass(frozen=True)
+class _Telemetry:
+    """What is known about the cameras of a dataset.
+
+    Attributes:
+        extracted: Whether the pictures come out of a video or a radiometric camera's files.
+        pitch: Whether any picture has a pitch.
+        height: Whether any has a height.
+        lens: Whether any has a field of view.
+    """
+
+    extracted: bool
+    pitch: bool
+    height: bool
+    lens: bool
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> _Telemetry:
+        names = ("pitch_deg", "altitude_m", "hfov_deg")
+        known = (any(getattr(i, name) is not None for i in dataset.images) for name in names)
+        return cls(flight.was_extracted(dataset), *known)
+
+
+def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if the recipe's lens replaces fields of view in the files that differ from it."""
+    c = recipe.camera
+    if not isinstance(c, MetricCamera) or c.field_of_view != "recipe":
+        return []
+    stated = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
+    other = [i.hfov_deg for i in images if i.hfov_deg is not None and abs(stated / i.hfov_deg - 1) > _LENS_TOLERANCE]
+    if not other:
+        return []
+    span = f"{min(other):.1f}" if max(other) - min(other) < 0.1 else f"{min(other):.1f} to {max(other):.1f}"
+    found = f"{stated:.1f} degrees across for all pictures, but the files of {len(other)} picture(s) state {span}"
+    todo = "set camera.field_of_view to metadata, or state no lens, unless the files are wrong"
+    return [Problem("camera.focal_length_mm", LENS_REPLACED, found, "the lens of the camera", todo, "warning")]
 
 
 def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:

@@ -75,7 +75,7 @@ def test_what_is_missing_is_asked_for_once_per_field(tmp_path: Path) -> None:
     found = [str(p) for p in api.read_dataset(tmp_path).problems if p.code == "flight-missing"]
     assert len(found) == 3
     assert "camera pitch missing in 2 of 5 pictures: DJI_0004_T.JPG, DJI_0005_T.JPG" in found[0]
-    assert "--set camera.altitude='{fixed_m: 80}' or a column altitude_m" in found[1]
+    assert "a column altitude_m in metadata.csv, or --set camera.altitude='{fixed_m: 80}' for all pictures" in found[1]
     assert "camera.focal_length_mm" in found[2] and "hfov_deg" in found[2]
 
 

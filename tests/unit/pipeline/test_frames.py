@@ -15,7 +15,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
+from infrablend.errors import DatasetError
 from infrablend.formats import detection
+from infrablend.pipeline.generate import prepare_run
+from infrablend.pipeline.request import RunRequest
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
 
 APP = build_app()
@@ -223,6 +226,19 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
         and "camera.pitch" in text
         and "camera.altitude" in text
     )
+
+
+def test_frames_without_a_log_are_not_seen_through_the_recipes_lens(tmp_path: Path) -> None:
+    settings = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}"]
+    video = write_video(tmp_path / "a.mp4")
+    done(video, "--every", "3s", "--out", tmp_path / "blind", "--no-log")
+    with pytest.raises(DatasetError) as caught:
+        prepare_run(RunRequest("hit-uav-people", tmp_path / "blind", settings=settings))
+    assert {p.code for p in caught.value.problems if p.severity == "error"} == {"no-field-of-view"}
+    lens = [*settings, "camera.focal_length_mm=40"]
+    assert prepare_run(RunRequest("hit-uav-people", tmp_path / "blind", settings=lens)).frames
+    done(video, "--every", "3s", "--out", tmp_path / "seen", "--no-log", "--hfov", "40")
+    assert prepare_run(RunRequest("hit-uav-people", tmp_path / "seen", settings=settings)).frames
 
 
 def airdata(path: Path, day: str = "2024-05-01", video: range = range(100, 150), rows: int = 300) -> Path:

@@ -13,7 +13,9 @@ from infrablend import api
 from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.lens import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
+from infrablend.pipeline.generate import prepare_run
 from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.pipeline.request import RunRequest
 from tests.flights import SIZE_WH, flight, shot
 
 FLAT = api.Execution(renderer="flat", in_process=True)
@@ -64,6 +66,35 @@ def test_frames_of_a_video_without_a_field_of_view_are_named(tmp_path: Path) -> 
         api.plan("hit-uav-people", tmp_path)
     assert [p.code for p in caught.value.problems] == ["no-field-of-view"]
     assert api.plan("hit-uav-people", tmp_path, settings=["camera.focal_length_mm=60"]).facts["frames"] == 1
+
+
+def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:
+    data = flight(tmp_path, 3, focal_length_35mm=40.0)
+    true_deg = fov_of_35mm(40, SIZE_WH)
+
+    def remarks(hfov_deg: float) -> list[str]:
+        settings = [f"camera.focal_length_mm={18 / np.tan(np.radians(hfov_deg) / 2)}"]
+        plan = prepare_run(RunRequest("hit-uav-people", data, settings=settings))
+        return [str(p) for p in plan.problems if p.code == "lens-replaced"]
+
+    assert remarks(true_deg * 1.1) == []
+    (remark,) = remarks(true_deg * 1.3)
+    assert f"the files of 3 picture(s) state {true_deg:.1f}" in remark
+    assert not [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "lens-replaced"]
+
+
+def test_a_fact_that_some_pictures_lack_is_asked_for_in_the_table_first(tmp_path: Path) -> None:
+    data = flight(tmp_path, 3)
+    shot(data / "DJI_0002_T.JPG", number=1, pitch_deg=None)
+    (missing,) = [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "no-pitch"]
+    (asked,) = [p for p in api.read_dataset(data).problems if p.code == "flight-missing"]
+    for text in (str(missing), str(asked)):
+        assert text.index("metadata.csv") < text.index("camera.pitch")
+        assert text.endswith("for all pictures, also those that have one")
+    for number in (0, 2):
+        shot(data / f"DJI_000{number + 1}_T.JPG", number=number, pitch_deg=None)
+    (asked,) = [p for p in api.read_dataset(data).problems if p.code == "flight-missing"]
+    assert "metadata.csv" in str(asked) and "for all pictures" not in str(asked)
 
 
 def test_the_camera_is_rolled_with_the_gimbal(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.errors import Problem
+from infrablend.formats.flight import FOR_ALL
 from infrablend.formats.flight_log import FIELDS, Coverage, Sampled
 from infrablend.pipeline.extraction.plan import ClipPlan
 from infrablend.pipeline.extraction.telemetry import WrittenFrame, is_usable, value_text
@@ -168,5 +169,6 @@ def missing_values(clips: Sequence[Clip]) -> list[Problem]:
         )
         settings = " ".join(f"--set {_NEEDED[name][1]}" for name in lacking)
         todo = f"give {' and '.join(options)}, or set it in the recipe: {settings}"
+        todo += FOR_ALL if any(other.known.get(name) for other in clips for name in lacking) else ""
         problems.append(Problem(clip.video.name, "telemetry-missing", source, names, todo, "warning"))
     return problems
