@@ -37,8 +37,6 @@ BUG = 70
 INTERRUPTED = 130
 
 SHOWN_PROBLEMS = 20
-_NOT_USED = "is not used: "
-
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS}
 
 logger = logging.getLogger(__name__)
@@ -70,20 +68,18 @@ def printable(text: str) -> str:
 
 
 def fields_together(problems: Iterable[Problem]) -> list[Problem]:
-    """Return the problems; those of recipe fields that are not used for the same reason become one, and come last."""
+    """Return the problems; those of recipe fields that a setting of a mode made meaningless become one, the last.
+
+    Nobody asked for these fields: a field of another mode that the user sets is an error.
+    """
     from infrablend.config.modes import DROPPED
 
-    others, fields = [], dict[str, list[str]]()
-    for p in problems:
-        reason = p.found.partition(_NOT_USED)[2] if p.code == DROPPED else ""
-        if reason:
-            fields.setdefault(reason, []).append(p.where)
-        else:
-            others.append(p)
-    for reason, names in fields.items():
-        why = reason if len(names) == 1 else reason.replace("this field has", "these fields have")
-        others.append(Problem(", ".join(sorted(names)), DROPPED, f"not used: {why}", severity="warning"))
-    return others
+    found = list(problems)
+    others, fields = [p for p in found if p.code != DROPPED], [p for p in found if p.code == DROPPED]
+    if len(fields) > 1:
+        text = f"{len(fields)} fields of the recipe have no meaning in this mode"
+        fields = [Problem("recipe", DROPPED, text, severity="warning")]
+    return others + fields
 
 
 def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[str]:

@@ -142,7 +142,8 @@ def generate(
         if as_json:
             print_json(planned)
         else:
-            print_result(table(facts(planned)))
+            dropped = planned["dropped_fields"]  # by name in --json
+            print_result(table(facts({**planned, "dropped_fields": len(dropped) if dropped else None})))
         return
     with shown_progress(session, "generating") as on_progress:
         if part is not None:
