@@ -131,6 +131,8 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
         run.rename(tmp_path / "elsewhere")
         page.keyboard.press("ArrowRight")
         page.get_by_text("its frames are gone").first.wait_for()
+        page.goto(f"{address.partition('/?')[0]}/results")
+        page.get_by_role("alert").get_by_text("expected the run that was opened").wait_for()
 
 
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:

@@ -115,6 +115,18 @@ class Manifest:
         """Return the files that this process wrote and that are no longer there, sorted."""
         return [self.root / name for name in sorted(self._written) if not (self.root / name).is_file()]
 
+    def lost(self) -> list[str]:
+        """Return the paths whose files are gone, no files, or of another size than recorded, sorted."""
+        return [name for name in self.paths if not self._has_size(name)]
+
+    def _has_size(self, name: str) -> bool:
+        try:
+            status = (self.root / name).lstat()
+        except OSError:
+            return False
+        sizes = {size for size, _ in self._contents[name]}
+        return stat.S_ISREG(status.st_mode) and (not sizes or status.st_size in sizes)
+
     def _add(self, entry: Mapping[str, Any]) -> None:
         """Add an entry, unless it is one that is never written."""
         path = entry["path"]

@@ -31,6 +31,7 @@ from infrablend.pipeline.training.folder import (
     output_folder,
     remove_working_files,
     report_moved,
+    require_own_weights,
     require_same,
 )
 from infrablend.pipeline.training.plan import plan_of
@@ -105,6 +106,7 @@ def train_dataset(
         if record is not None:
             require_same(out, record, asked)
             if record["status"] == "complete" and (out / WEIGHTS).is_file():
+                require_own_weights(out, manifest)
                 remove_working_files(out, manifest)  # of a call that was killed between its record and this
                 return TrainReport(out, out / WEIGHTS, record)
         if record is None or record.get("prepared") is None:

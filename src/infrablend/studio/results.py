@@ -84,13 +84,27 @@ class FoundResults:
 
 
 def result_folders(run: Path, further: Sequence[Path] = ()) -> list[Path]:
-    """Return the folders of reports: those directly inside the run, and further ones that the user named."""
-    inside = [path for path in sorted(run.iterdir()) if path.is_dir() and not path.is_symlink()]
+    """Return the folders of reports: those directly inside the run, and further ones that the user named.
+
+    Raises:
+        DatasetError: The run was removed.
+    """
+    try:
+        inside = [path for path in sorted(run.iterdir()) if path.is_dir() and not path.is_symlink()]
+    except OSError as error:
+        raise DatasetError(
+            f"{run}: cannot be read ({error.strerror}); expected the run that was opened. If it was removed or is "
+            "being written again, open it again when it is finished"
+        ) from error
     return [path for path in inside if _kinds(path)] + list(further)
 
 
 def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:
-    """Return the reports inside a run, and in further folders."""
+    """Return the reports inside a run, and in further folders.
+
+    Raises:
+        DatasetError: The run was removed.
+    """
     reports, unreadable = [], []
     for folder in result_folders(run, further):
         kinds = _kinds(folder)

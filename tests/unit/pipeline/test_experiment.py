@@ -449,6 +449,29 @@ def test_data_of_a_finished_training_are_not_regenerated(bench: Bench, data: Pat
     assert {s["stage"]: s["status"] for s in report.facts["stages"]}["generate:fixed"] == "not needed"
 
 
+@pytest.mark.parametrize("harm", ["removed", "cut", "unlisted"])
+def test_data_of_which_files_are_gone_are_made_again(
+    bench: Bench, data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, harm: str
+) -> None:
+    work = tmp_path / "work"
+    run("pitch-alignment", data, work)
+    (stage,) = [p for p in (work / "generate").iterdir() if _name(p) == "fixed"]
+    labels, listed = stage / "out" / "coco" / "train.json", stage / "out" / "log" / "files.jsonl"
+    whole = labels.read_bytes()
+    if harm == "removed":
+        labels.unlink()
+    elif harm == "cut":
+        labels.write_bytes(whole[:-1])
+    else:
+        listed.unlink()
+    shutil.rmtree(work / "train")
+    with caplog.at_level("WARNING"):
+        report = run("pitch-alignment", data, work)
+    assert report.status == "complete" and "generate:fixed" in report.made
+    assert "generate:fixed: 1 files of" in caplog.text
+    assert labels.read_bytes() == whole and listed.is_file()
+
+
 # Keys.
 
 

@@ -60,6 +60,11 @@ def test_an_experiment_without_detectors_has_no_table(tmp_path: Path) -> None:
     assert (report.title, report.tables, report.lines[0]) == ("Experiment: datasets", (), "Datasets")
 
 
+def test_a_run_that_was_removed_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"run: cannot be read .*opened"):
+        find_results(tmp_path / "run")
+
+
 def test_only_pictures_of_the_reports_are_served(tmp_path: Path) -> None:
     folder = written(tmp_path / "evaluation", "evaluation.json", EVALUATION)
     picture(tmp_path / "secret.png", 1)

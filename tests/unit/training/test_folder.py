@@ -15,6 +15,7 @@ from infrablend.pipeline.training.folder import (
     RECORD,
     begin_training,
     remove_working_files,
+    require_own_weights,
     require_same,
 )
 from infrablend.training.files import CHECKPOINT, NEW_CHECKPOINT, WEIGHTS, open_manifest
@@ -77,6 +78,21 @@ def test_a_finished_training_keeps_weights_job_and_record(tmp_path):
     assert sorted(p.name for p in out.iterdir()) == sorted([JOB, "note.txt", RECORD, WEIGHTS, JOURNAL, REPLACED])
     assert (out / REPLACED / "ultralytics").is_symlink()
     assert (elsewhere / "kept.txt").is_file(), "deleted through a link"
+
+
+@pytest.mark.parametrize("how", ["edited", "linked", "unlisted"])
+def test_weights_that_the_training_did_not_write_are_refused(tmp_path, how):
+    out = a_training(tmp_path / "out")
+    require_own_weights(out, open_manifest(out))
+    if how == "unlisted":
+        (out / JOURNAL).write_text("")
+    elif how == "edited":
+        (out / WEIGHTS).write_text("[]")
+    else:
+        (out / WEIGHTS).rename(tmp_path / "other.pt")
+        (out / WEIGHTS).symlink_to(tmp_path / "other.pt")
+    with pytest.raises(OutputError, match=r"weights\.pt: (a link|changed).*--overwrite"):
+        require_own_weights(out, open_manifest(out))
 
 
 def test_a_finished_training_succeeds_if_its_working_files_cannot_be_deleted(tmp_path, monkeypatch, caplog):

@@ -7,6 +7,7 @@ two experiments is the same stage. A stage is finished when its record has the s
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +16,17 @@ from typing import Any
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import load_json
 from infrablend.pipeline.content import json_digest
+from infrablend.pipeline.experiments.intact import lost_files
 
 RECORD = "stage.json"
+OUT = "out"
 VERSIONS = {
     "source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "merge": 1, "paste": 1,
     "train": 2, "evaluate": 3, "compare": 1,
 }  # fmt: skip
 """Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -113,11 +118,19 @@ def read_stage_record(folder: Path) -> dict[str, Any] | None:
 
 
 def find_finished(work: Path, stage: Stage, key: str) -> FinishedStage | None:
-    """Return the stage if it is finished and its files still exist, else None."""
+    """Return the stage if it is finished and its files still exist with their sizes, else None."""
     folder = stage_folder(work, stage, key)
     record = read_stage_record(folder)
     if record is None or record.get("status") != "complete" or not isinstance(record.get("result"), dict):
         return None
     found = FinishedStage.of(stage, folder, record)
     there = [folder / p for p in found.result.get("there", [])]
-    return found if all(p.exists() and not leaves_folder(p, folder) for p in there) else None
+    if not all(p.exists() and not leaves_folder(p, folder) for p in there):
+        return None
+    # Nothing is known of a dataset that was adopted unchecked but what it was then.
+    lost = [] if found.result.get("adopted") == "unchecked" else lost_files(folder / OUT)
+    if lost:
+        log.warning("%s: %d files of %s were changed or removed, such as %s; it does not count as finished",
+                    stage.id, len(lost), folder / OUT, lost[0])  # fmt: skip
+        return None
+    return found

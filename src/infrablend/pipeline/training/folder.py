@@ -112,6 +112,21 @@ def earlier_training(out: Path, existing: Existing) -> tuple[dict[str, Any] | No
     return (None, True) if damaged else (record, False)
 
 
+def require_own_weights(out: Path, manifest: Manifest) -> None:
+    """Check that the weights of a finished training are those that it wrote.
+
+    Raises:
+        OutputError: They were changed, replaced or linked.
+    """
+    linked = (out / WEIGHTS).is_symlink()
+    if linked or (manifest.exists and not manifest.is_own(WEIGHTS)):  # earlier versions wrote no manifest
+        found = "a link" if linked else "changed after the training wrote it"
+        raise OutputError(
+            f"{out / WEIGHTS}: {found}; expected the weights as the training wrote them. Restore the file, or move it "
+            'away and train again with --overwrite (existing="overwrite" in Python)'
+        )
+
+
 def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Raise OtherSettingsError if a training to resume was started with other data or settings."""
     now, record = _flat(json.loads(json.dumps(asked))), _flat(record)

@@ -61,7 +61,9 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
 
         with layout.page_frame(session, request, "/results", "Results"):
             data = opened.record.get("data")
-            results.build(opened.layout.root, str(data["root"]) if isinstance(data, dict) else "DATA", further)
+            results.build(
+                opened.layout.root, str(data.get("root", "DATA")) if isinstance(data, dict) else "DATA", further
+            )
 
 
 def _add_tune_page(session: Session) -> None:
