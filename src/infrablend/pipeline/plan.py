@@ -42,6 +42,10 @@ WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
 LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
+LEFT_OUT = frozenset(
+    ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
+)
+"""Codes of the problems that leave a picture out of the run, one per picture."""
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Bytes per frame of labels, records and per-format files; images are hard links.

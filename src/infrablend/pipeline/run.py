@@ -42,7 +42,7 @@ from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.label_files import FinishedFrames, LabelSummary, write_formats
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.pace import Pace
-from infrablend.pipeline.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plan import LEFT_OUT, PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.run_key import differences
@@ -556,7 +556,7 @@ def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, A
     codes = Counter(p.code for p in plan.problems if p.severity == "error")
     # Also distinguished by `found`, because one annotation file may lack several images.
     left_out = {
-        (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in {"no-pitch"} | _IMAGE_CODES
+        (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in LEFT_OUT | _IMAGE_CODES
     }
     return {
         "frames_planned": len(plan.frames) + state.excluded,

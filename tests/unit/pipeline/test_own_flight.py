@@ -83,6 +83,19 @@ def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> 
     assert not [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "lens-replaced"]
 
 
+def test_every_picture_that_is_left_out_counts_as_skipped(tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 6)
+    for number, changes in enumerate(({"pitch_deg": -40.0}, {"pitch_deg": None}, {"altitude_m": -4.0}), start=1):
+        shot(data / f"DJI_000{number + 1}_T.JPG", number=number, **changes)
+    shot(data / "DJI_0005_T.JPG", number=4, focal_length_35mm=None)
+    execution = api.Execution(renderer="flat", in_process=True)
+    report = api.generate("hit-uav-people", data, tmp_path / "out", execution=execution)
+    reasons = {"above-horizon": 1, "no-altitude": 1, "no-field-of-view": 1, "no-pitch": 1}
+    assert report.counts["dataset_errors"] == reasons
+    assert report.counts["skipped_backgrounds"] == 4 and report.counts["frames"] == 2
+    assert not report.ok
+
+
 def test_a_fact_that_some_pictures_lack_is_asked_for_in_the_table_first(tmp_path: Path) -> None:
     data = flight(tmp_path, 3)
     shot(data / "DJI_0002_T.JPG", number=1, pitch_deg=None)
