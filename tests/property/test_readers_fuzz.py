@@ -142,7 +142,7 @@ def test_entities_in_xml_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as caught:
         detection.read(root)
     assert {p.code for p in caught.value.problems} <= {"annotation-not-xml", "more"}
-    assert "EntitiesForbidden" in str(caught.value) or "DTDForbidden" in str(caught.value)
+    assert "document type or entities" in str(caught.value)
 
 
 def test_link_to_a_file_outside_is_a_clear_error(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from defusedxml import ElementTree
+from defusedxml.common import DefusedXmlException
 
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import open_regular
@@ -174,6 +175,13 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
             _note(path)
             return top, None
         return None, problem
-    except Exception as error:  # parse errors, refused entities, wrong encodings
-        found = f"not safe XML ({type(error).__name__}: {error})"[:200].replace(str(path), path.name)
-    return None, Problem(where, "annotation-not-xml", found, "a VOC or roLabelImg file", "fetch it again")
+    except DefusedXmlException:
+        found = "XML with a document type or entities, which are refused: they can fill the memory or name other files"
+        todo = "remove `<!DOCTYPE ...>`"
+    except ElementTree.ParseError as error:
+        found, todo = f"damaged XML ({error})", "fetch it again"
+    except OSError as error:
+        found, todo = f"cannot be read ({error.strerror or 'unknown reason'})", "check the file and its permissions"
+    except Exception as error:  # unknown encodings, nesting without end
+        found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
+    return None, Problem(where, "annotation-not-xml", found, "an XML file with labels", todo)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -98,9 +98,24 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     if stated:
         dataset = temperatures.with_scale(dataset, scale)
     dataset = add_flight_data(dataset)
-    unread = unread_label_files(dataset) if dataset.format == folder.NAME else ()
+    unread = _unread(dataset) if dataset.format == folder.NAME else ()
     remarks = (*unread, *temperatures.scale_warnings(dataset))
     return replace(dataset, problems=(*dataset.problems, *remarks), markers=markers)
+
+
+def _unread(dataset: Dataset) -> Sequence[Problem]:
+    """Return what was not read of a plain folder's labels; one problem for those of whole datasets inside of it."""
+    unread = unread_label_files(dataset)
+    folders = sorted({p.where.partition("/")[0] for p in unread if "/" in p.where})
+    known = {name: detect(dataset.root / name).format for name in folders}
+    inside = {name: format for name, format in known.items() if format not in (None, folder.NAME)}
+    if not inside:
+        return unread
+    listed = ", ".join(f"{name} ({format})" for name, format in inside.items())
+    found = f"{len(inside)} dataset(s) inside, whose labels are not read: {listed}"
+    todo = f"give one of them, such as {dataset.root / next(iter(inside))}"
+    others = [p for p in unread if p.where.partition("/")[0] not in inside]
+    return [Problem(dataset.root.name, "dataset-inside", found, "the folder of one dataset", todo), *others]
 
 
 def _with_regular_pictures(dataset: Dataset) -> Dataset:

@@ -36,6 +36,7 @@ CATEGORIES = tuple(Category(k, n) for k, n in enumerate(("airplane", "bird", "dr
 _CLIP = re.compile(r"IR_(AIRPLANE|BIRD|DRONE|HELICOPTER)_(\d{3,4})", re.ASCII)
 _FOLDERS = (".", "Video_IR", "Data/Video_IR")
 _LABELS = "_LABELS.mat"
+_WANTED = "Video_IR/IR_<CLASS>_NNN.mp4 with an IR_<CLASS>_NNN_LABELS.mat beside it"
 _STEP = 30
 _MAX_LABEL_BYTES = 20_000_000
 # Labels that differ from the frames by one are usual; more are worth a line each.
@@ -60,7 +61,7 @@ def detect(root: Path) -> Match:
     clips = _clips(root)
     labelled = [n for n, p in clips.items() if p.with_name(n + _LABELS).is_file()]
     if not labelled:
-        return Match(NAME, False, "no IR_<CLASS>_NNN.mp4 with an IR_<CLASS>_NNN_LABELS.mat beside it")
+        return Match(NAME, False, f"no {_WANTED}")
     return Match(NAME, True, f"{len(labelled)} thermal clip(s) with labels, such as {labelled[0]}")
 
 
@@ -81,11 +82,17 @@ def read(
     """
     step = step_of(root, every) or _STEP
     wanted = check_splits(splits)
+    clips = _clips(root)
+    if not clips:
+        problem = Problem(
+            str(root), "video-missing", "no clip IR_*.mp4 in it or its Video_IR", _WANTED, "check the path"
+        )
+        raise DatasetError(f"{root}: no clips of the Halmstad dataset", [problem])
     decoder = _require_decoder()
     problems: list[Problem] = []
     counts: Counter[str] = Counter()
     records: list[ImageRecord] = []
-    for clip, path in _clips(root).items() if "train" in wanted else ():
+    for clip, path in clips.items() if "train" in wanted else ():
         counts["clips"] += 1
         records += _read_clip(root, clip, path, step, decoder, problems, counts)
     keys = ("clips", "undecoded", "frames", "objects", "read", "absent")

@@ -136,6 +136,9 @@ class Video:
 
     def _open(self) -> tuple[Any, Any]:
         path = self.path
+        if path.is_dir():
+            todo = f"give its videos, such as {path}/*.MP4"
+            raise _refuse(path, "video-missing", "a folder", "video files", todo)
         if not path.is_file():
             raise _refuse(path, "video-missing", "no such file", "a video file", "check the path")
         try:

@@ -203,3 +203,18 @@ def test_unknown_values_of_options_are_named_all_at_once(tmp_path: Path) -> None
 
 def test_only_rounding_is_moved_onto_the_edge() -> None:
     assert [snap(v, 10) for v in (-5e-7, 10 + 5e-7, -1e-5, 10.1, 4)] == [0, 10, -1e-5, 10.1, 4]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<annotation><object>", "damaged XML (no element found: line 1, column 20)"),
+        ('<!DOCTYPE a [<!ENTITY e "x">]><a>&e;</a>', "XML with a document type or entities, which are refused"),
+        ('<?xml version="1.0" encoding="nonsense"?><a/>', "XML that cannot be read (unknown encoding: nonsense)"),
+    ],
+)
+def test_xml_that_is_refused_is_explained_in_plain_words(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text(text)
+    problem = read_xml(tmp_path / "a.xml", "a.xml")[1]
+    assert problem is not None and problem.found.startswith(words)
+    assert "Error" not in problem.found and "Forbidden" not in problem.found

@@ -41,7 +41,8 @@ def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
 def test_visible_twins_and_other_files_are_left_out_and_counted(tmp_path: Path) -> None:
     flight(tmp_path, 3)
     for k in range(3):
-        plain_jpeg(tmp_path / f"DJI_{k + 1:04}_W.JPG", (640, 480), {0x010F: "DJI", 0x0110: "M3T"})
+        exif = {0x010F: "DJI", 0x0110: "M3T"} if k else {}
+        plain_jpeg(tmp_path / f"DJI_{k + 1:04}_W.JPG", (640, 480), exif)
     plain_jpeg(tmp_path / "IMG_77.jpg", exif={0x010F: "Apple", 0x0110: "iPhone 12"})
     plain_jpeg(tmp_path / "DJI_0009.JPG", (2000, 1500), {0x010F: "DJI", 0x0110: "XT2"})
     dataset = api.read_dataset(tmp_path)

@@ -18,6 +18,7 @@ from infrablend.formats import coco, detection, folder, yolo
 from infrablend.formats.capture import Capture, Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
 from infrablend.formats.reading import Reading
+from tests.samples import SAMPLES
 
 
 def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
@@ -405,3 +406,12 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
         detection.read(tmp_path / "absent")
     assert str(caught.value).count("absent") == 1
+
+
+def test_the_folder_of_two_datasets_names_them(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        SAMPLES["coco"](tmp_path / name)
+    dataset = detection.read(tmp_path)
+    (problem,) = [p for p in dataset.problems if p.severity == "error"]
+    assert dataset.format == "folder" and problem.found.endswith("whose labels are not read: one (coco), two (coco)")
+    assert problem.todo == f"give one of them, such as {tmp_path / 'one'}"

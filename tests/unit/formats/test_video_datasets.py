@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Dataset
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, UnknownFormatError
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, picture
@@ -134,3 +134,13 @@ def test_one_command_checks_and_one_converts(tmp_path: Path) -> None:
     assert [(i.sequence, len(i.instances)) for i in again.images] == [("IR_DRONE_001", n) for n in (1, 1, 0)]
     with Image.open(again.images[0].path) as picture_read:
         assert np.array(picture_read).max() == level(0)
+
+
+def test_halmstad_without_clips_names_where_they_are_expected(tmp_path: Path) -> None:
+    (tmp_path / "Video_IR").mkdir()
+    with pytest.raises(DatasetError, match="no clips") as error:
+        detection.read(tmp_path, Reading(format="halmstad"))
+    assert "Video_IR/IR_<CLASS>_NNN.mp4" in error.value.problems[0].expected
+    with pytest.raises(UnknownFormatError) as unknown:
+        detection.read(tmp_path)
+    assert any("Video_IR/IR_<CLASS>_NNN.mp4" in p.found for p in unknown.value.problems)

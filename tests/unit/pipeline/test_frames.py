@@ -375,7 +375,7 @@ def test_files_that_are_no_videos_are_refused(tmp_path: Path, kind: str) -> None
             sound.rate = 8000
             out.mux(stream.encode(sound))
     text = done(path, "--out", tmp_path / "out", code=2)
-    assert {"sound": "no video stream", "missing": "no such file", "folder": "no such file"}.get(
+    assert {"sound": "no video stream", "missing": "no such file", "folder": "a folder; expected video files"}.get(
         kind, "cannot be opened"
     ) in text
     assert not (tmp_path / "out").exists()
@@ -428,3 +428,11 @@ def test_videos_of_one_name_say_which_sequence_was_renamed(tmp_path: Path) -> No
     assert len({r["sequence"] for r in rows(tmp_path / "out")}) == 2
     named = done(first, second, "--every", "3s", "--out", tmp_path / "named", "--no-log", "--sequence", "a,b")
     assert "also named" not in named
+
+
+def test_all_bad_videos_are_reported_at_once(tmp_path: Path) -> None:
+    good, bad = write_video(tmp_path / "a.mp4"), tmp_path / "b.mp4"
+    bad.write_text("no video")
+    text = done(good, bad, tmp_path, tmp_path / "c.mp4", "--out", tmp_path / "out", code=2)
+    assert "3 of 4 videos cannot be read" in text and "cannot be opened" in text and "no such file" in text
+    assert "a folder; expected video files" in text and not (tmp_path / "out").exists()

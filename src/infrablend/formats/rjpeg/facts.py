@@ -139,7 +139,7 @@ def read_facts(path: Path) -> CameraFacts:
     visible = ""
     if source and not infrared:
         visible = f"ImageSource {source[:40]}"
-    elif name_says and not raw and not infrared and exif.make.upper() == "DJI":
+    elif name_says and not raw and not infrared and exif.make.upper() in ("", "DJI"):
         visible = f"file name ends in _{name_says[1]}"
     return CameraFacts(
         path,

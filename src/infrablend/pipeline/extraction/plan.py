@@ -78,8 +78,8 @@ def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts)
     names = distinct_names(wanted)
     common = read_log(flight.log) if flight.log is not None and flight.use_log else None
     plans = []
-    for path, name, given in zip(videos, names, wanted, strict=True):
-        video = Video(path)
+    opened = _open_all(videos)
+    for path, name, given, video in zip(videos, names, wanted, opened, strict=True):
         log, remarks = (common, ()) if common is not None or not flight.use_log else _own_subtitles(video)
         aligned = None if log is None else align(log, video.timeline, video.created, flight.clock)
         numbers = choice.numbers(video.timeline.times_s)
@@ -90,6 +90,26 @@ def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts)
             raise DatasetError(f"{path}: no frame to extract", [problem])
         plans.append(ClipPlan(video, name, numbers, aligned, (*_renamed(path, given, name), *remarks)))
     return plans
+
+
+def _open_all(paths: Sequence[Path]) -> list[Video]:
+    """Open all videos.
+
+    Raises:
+        DatasetError: Some of them cannot be read; with a problem for each.
+    """
+    opened, faults = [], []
+    for path in paths:
+        try:
+            opened.append(Video(path))
+        except DatasetError as error:
+            faults.append(error)
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        problems = [p for error in faults for p in error.problems]
+        raise DatasetError(f"{len(faults)} of {len(paths)} videos cannot be read", problems)
+    return opened
 
 
 def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
