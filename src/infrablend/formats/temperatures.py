@@ -164,7 +164,8 @@ def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) 
     if not wrong or len(wrong) < len(medians):
         return []
     found = f"temperatures of no scene: medians of {min(wrong):,.1f} to {max(wrong):,.1f} K in {len(wrong)} picture(s)"
-    return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(of_ground), CHECK_SCALE, "warning")]
+    todo = f"{EXTRACT_AGAIN}; or {CHECK_SCALE}" if was_extracted(dataset) else CHECK_SCALE
+    return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(of_ground), todo, "warning")]
 
 
 def describe_scales(dataset: Dataset) -> dict[str, int]:

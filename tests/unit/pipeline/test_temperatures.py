@@ -43,6 +43,9 @@ def test_dji_layers_stay_counts_unless_a_scale_is_given(tmp_path: Path) -> None:
     remark = next(p for p in api.read_dataset(tmp_path / "a").problems if p.code == "image-counts")
     assert "Run infrablend temperatures again with --slope and --offset" in str(remark)
     assert "centikelvin" not in str(remark)
+    cold = api.read_dataset(tmp_path / "a", api.Reading(options={"unit": "counts", "slope": "0.001"}))
+    (implausible,) = [p for p in cold.problems if p.code == "temperature-implausible"]
+    assert "Run infrablend temperatures again with --slope" in str(implausible)
     run(source, "--out", tmp_path / "b", "--slope", "0.02", "--offset", "-20")
     scale = api.read_dataset(tmp_path / "b").images[0].radiometry
     assert scale is not None and scale.scale is not None and scale.scale.slope_k == 0.02
