@@ -39,6 +39,7 @@ _CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 _FULL = 65_535
 # Remarks on pictures that are taken as they are shown.
 _OF_PLAIN_PICTURES = ("image-radiometric", "image-counts")
+_OF_FLIR = "FLIR's Planck constants"
 _COUNTS_ALONE = "counts without a scale"
 
 
@@ -175,7 +176,7 @@ def extract_temperatures(
         for k, one in enumerate(chain(ahead, found)):
             problems += one.faults
             if one.raw is not None and one.layer is not None:
-                flir += one.raw.maker == "FLIR" and one.raw.apparent_k is not None
+                flir += one.layer.source == _OF_FLIR
                 layers.append(_write(one.raw, one.layer, one.image, f"{one.name}.png", out))
             if tell is not None:
                 tell(k + 1, len(dataset.images))
@@ -252,7 +253,7 @@ def _layer(
     """Return the layer to write; `unique` says that no other picture has the name of this one."""
     kelvin = raw.apparent_k
     if kelvin is not None:
-        return _Layer.of_kelvin(kelvin, "FLIR's Planck constants")
+        return _Layer.of_kelvin(kelvin, _OF_FLIR)
     if given.converted is not None and given.unit is not None:
         h, w = raw.counts.shape
         path = _converted_file(image, given.converted, unique=unique)
