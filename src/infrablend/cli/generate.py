@@ -142,7 +142,7 @@ def generate(
         if as_json:
             print_json(planned)
         else:
-            dropped = planned["dropped_fields"]  # by name in --json
+            dropped = planned.get("dropped_fields")  # by name in --json
             print_result(table(facts({**planned, "dropped_fields": len(dropped) if dropped else None})))
         return
     with shown_progress(session, "generating") as on_progress:
