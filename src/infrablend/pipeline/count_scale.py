@@ -129,7 +129,8 @@ def stated_scale(given: CountScale, spots: Sequence[SpotCount]) -> TemperatureSc
         return fit_scale([(s.count, s.spot.celsius + ZERO_C_K) for s in spots]) if spots else None
     except ValueError as error:
         name = "--spot" if spots else "--slope and --offset"
-        raise ArgumentError(f"{name}: {error}") from error
+        used = ", ".join(f"count {s.count:g} for {s.spot.celsius:g} degrees" for s in spots)
+        raise ArgumentError(f"{name}: {error}" + (f"; found {used}" if used else "")) from error
 
 
 def count_at(dataset: Dataset, spot: Spot) -> SpotCount:

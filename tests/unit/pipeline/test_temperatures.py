@@ -85,6 +85,7 @@ def test_another_programs_temperatures_are_taken(tmp_path: Path) -> None:
         (("--converted", ".", "--converted-unit", "celsius"), "no temperatures in 1 picture(s)"),
         (("--spot", "x"), "expected FILE:X,Y=DEGREES"),
         (("--spot", "DJI_0001_T.JPG:5,5=20"), "--spot: 1 temperature(s) at 1 count(s); expected two counts"),
+        (("--spot", "DJI_0001_T.JPG:5,5=20"), f"found count {np.median(counts(0)[4:7, 4:7]):g} for 20 degrees"),
         (("--spot", "nobody.JPG:5,5=20", "--spot", "DJI_0001_T.JPG:9,9=20"), "found 0 pictures"),
         (("--spot", "DJI_0001_T.JPG:900,5=20"), "outside the radiometric layer"),
         (("--slope", "0.1", "--offset", "0", "--spot", "DJI_0001_T.JPG:5,5=20"), "expected one source"),
