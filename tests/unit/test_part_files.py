@@ -1,31 +1,77 @@
-"""What is in the way of a temporary file: links and pipes are not followed, leftovers are replaced."""
+"""What is in the way of a temporary file: links and pipes are not followed, only own leftovers are replaced."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from infrablend.core.files import part_path, write_bytes, write_chunks
+from infrablend.core.files import link_or_copy, owning, part_path, write_bytes, write_chunks
+from infrablend.core.log_file import part_from_links
+from infrablend.errors import OutputError
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize("way", ["link", "hard link", "pipe", "leftover"])
-@pytest.mark.parametrize("chunks", [False, True])
-def test_nothing_is_written_through_what_is_in_the_way(tmp_path: Path, way: str, chunks: bool) -> None:
-    mine, target = tmp_path / "mine", tmp_path / "out" / "labels.txt"
+@pytest.mark.parametrize("way", ["link", "link to nothing", "hard link", "pipe", "leftover"])
+@pytest.mark.parametrize("kind", ["bytes", "chunks", "link or copy"])
+def test_nothing_is_written_through_what_is_in_the_way(tmp_path: Path, way: str, kind: str) -> None:
+    mine, target, source = tmp_path / "mine", tmp_path / "out" / "labels.txt", tmp_path / "source"
     mine.write_bytes(b"mine")
+    source.write_bytes(b"new")
     target.parent.mkdir()
     part = part_path(target)
-    if way == "link":
-        part.symlink_to(mine)
+    if way.startswith("link"):
+        part.symlink_to(mine if way == "link" else tmp_path / "nothing")
     elif way == "hard link":
         os.link(mine, part)
     elif way == "pipe":
         os.mkfifo(part)
     else:
         part.write_bytes(b"of a killed process, and longer")
-    written = write_chunks(target, ["n", "ew"]) if chunks else write_bytes(target, b"new")
+    with owning(tmp_path / "out"):
+        if kind == "link or copy":
+            written = link_or_copy(source, target)
+        else:
+            written = write_chunks(target, ["n", "ew"]) if kind == "chunks" else write_bytes(target, b"new")
     assert written.read_bytes() == b"new" and target.is_file() and not target.is_symlink()
     assert mine.read_bytes() == b"mine" and not os.path.lexists(part)
+    assert not (tmp_path / "nothing").exists()
+
+
+@pytest.mark.parametrize("way", ["file", "folder"])
+def test_files_of_others_with_temporary_names_are_kept(tmp_path: Path, way: str) -> None:
+    target = tmp_path / "sheet.png"
+    part = part_path(target)
+    part.mkdir() if way == "folder" else part.write_bytes(b"mine")
+    part_path(target, 2).write_bytes(b"mine, too")
+    assert write_bytes(target, b"new").read_bytes() == b"new"
+    assert part.is_dir() if way == "folder" else part.read_bytes() == b"mine"
+    assert part_path(target, 2).read_bytes() == b"mine, too"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([part.name, part_path(target, 2).name, target.name])
+
+
+def test_file_made_by_others_meanwhile_is_kept(tmp_path: Path) -> None:
+    target = tmp_path / "labels.txt"
+
+    def chunks() -> Iterator[str]:
+        yield "new"
+
+    part_path(target).symlink_to(tmp_path / "victim")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("infrablend.core.files.free_part", lambda path, wanted: part_path(path))  # seen as free before
+        for write in (lambda: write_bytes(target, b"new"), lambda: write_chunks(target, chunks())):
+            with pytest.raises(OutputError, match="File exists"):
+                write()
+    assert part_path(target).is_symlink() and not (tmp_path / "victim").exists() and not target.exists()
+
+
+def test_log_with_several_names_is_not_copied_over_a_link(tmp_path: Path) -> None:
+    log, victim = tmp_path / "run.log", tmp_path / "victim"
+    log.write_text("lines")
+    os.link(log, tmp_path / "copy.log")
+    victim.write_text("mine")
+    part_path(log).symlink_to(victim)
+    part_from_links(log)
+    assert victim.read_text() == "mine" and log.read_text() == "lines" and log.stat().st_nlink == 1

@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, Protocol
 
-from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
+from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder, real_path
 from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
@@ -30,16 +30,60 @@ _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, 
 NAME_TOO_LONG = "name-too-long"
 
 
-def part_path(path: Path) -> Path:
+def part_path(path: Path, number: int = 1) -> Path:
     """Return the temporary path of a file while it is being written: hidden, in the same folder.
 
     The path keeps the suffix, which some writers require. It is always the same, so the next write replaces what a
     killed process left behind. Where the name would be too long for a file system, a digest replaces the stem.
+
+    Args:
+        path: The file.
+        number: Number of the path, where the usual one is taken by a file of somebody else.
     """
-    name = f".{path.stem}.part{path.suffix}"
+    end = f".part{'' if number == 1 else f'-{number}'}{path.suffix}"
+    name = f".{path.stem}{end}"
     if len(os.fsencode(name)) > MAX_NAME_BYTES:
-        name = f".{hashlib.sha256(os.fsencode(path.stem)).hexdigest()}.part{path.suffix}"
+        name = f".{hashlib.sha256(os.fsencode(path.stem)).hexdigest()}{end}"
     return path.with_name(name)
+
+
+_owned: list[Path] = []
+
+
+@contextlib.contextmanager
+def owning(folder: Path) -> Iterator[None]:
+    """Take files with temporary names in or below `folder`, within the block, for what a killed process left there."""
+    root = real_path(folder)
+    _owned.append(root)
+    try:
+        yield
+    finally:
+        _owned.remove(root)
+
+
+def free_part(path: Path, wanted: Path | None = None) -> Path:
+    """Return a temporary path at which there is nothing; links, pipes and own leftovers are removed from it.
+
+    Args:
+        path: The file to write.
+        wanted: Temporary path that this process alone uses; None chooses one.
+    """
+    number, temporary = 1, wanted or part_path(path)
+    while True:
+        try:
+            mode = temporary.lstat().st_mode
+        except FileNotFoundError:
+            return temporary
+        # Writing would follow a link, and wait for a pipe. A file may be somebody's, unless the folder is ours.
+        if not stat.S_ISDIR(mode) and (wanted is not None or not stat.S_ISREG(mode) or _is_owned(path)):
+            temporary.unlink(missing_ok=True)
+            return temporary
+        number += 1
+        temporary = part_path(path, number)
+
+
+def _is_owned(path: Path) -> bool:
+    return any(real_path(path.parent).is_relative_to(root) for root in _owned)
 
 
 class WriteObserver(Protocol):
@@ -99,14 +143,12 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
     Raises:
         OutputError: The folder cannot be written or the disk is full; `path` is then unchanged.
     """
-    temporary = beside or part_path(path)
+    temporary = None
     try:
         for observer in _observers:
             observer.before_write(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        # What a killed process left; or a link or pipe, which writing would follow or wait for.
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
+        temporary = free_part(path, beside)
         yield temporary
         if durable:
             flush(temporary)
@@ -116,8 +158,9 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         if durable:
             flush(path.parent)
     except BaseException as error:
-        with contextlib.suppress(OSError):  # e.g. the folder is a file
-            temporary.unlink(missing_ok=True)
+        if temporary is not None and not isinstance(error, FileExistsError):  # made by somebody else in this moment
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and not isinstance(error, OutputError):
             raise output_error(path, error) from error
         raise
@@ -150,8 +193,8 @@ def flush(path: Path) -> None:
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = False) -> Path:
     """Write `data` to `path` atomically; see `replace_atomically`."""
-    with replace_atomically(path, durable=durable) as temporary:
-        temporary.write_bytes(data)
+    with replace_atomically(path, durable=durable) as temporary, temporary.open("xb") as stream:
+        stream.write(data)
     return path
 
 
@@ -162,7 +205,7 @@ def write_text(path: Path, text: str, *, durable: bool = False) -> Path:
 
 def write_chunks(path: Path, chunks: Iterable[str]) -> Path:
     """Write text that comes in pieces atomically, like `write_text`; one piece is in memory at a time."""
-    with replace_atomically(path) as temporary, temporary.open("wb") as stream:
+    with replace_atomically(path) as temporary, temporary.open("xb") as stream:
         for chunk in chunks:
             stream.write(chunk.encode("utf-8", "backslashreplace"))
     return path
@@ -288,6 +331,16 @@ def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool =
     return write_text(path, text + "\n", durable=durable)
 
 
+def copy_new(source: Path, target: Path) -> None:
+    """Copy the content of a file to a new one.
+
+    Raises:
+        OSError: `target` exists, if only as a link; or the file cannot be copied.
+    """
+    with source.open("rb") as stream, target.open("xb") as new:
+        shutil.copyfileobj(stream, new, 1 << 20)
+
+
 def link_or_copy(source: Path, target: Path) -> Path:
     """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders.
 
@@ -304,11 +357,10 @@ def link_or_copy(source: Path, target: Path) -> Path:
     except OSError as error:
         raise output_error(target, error) from error
     with replace_atomically(target) as temporary:
-        temporary.unlink(missing_ok=True)
         try:
             os.link(real, temporary)
         except OSError as error:
             if error.errno not in _NO_LINK:
                 raise
-            shutil.copyfile(real, temporary)
+            copy_new(real, temporary)
     return target

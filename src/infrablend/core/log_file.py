@@ -7,7 +7,7 @@ import logging
 import shutil
 from pathlib import Path
 
-from infrablend.core.files import part_path
+from infrablend.core.files import copy_new, free_part
 
 
 class LogFileHandler(logging.FileHandler):
@@ -40,6 +40,7 @@ def part_from_links(path: Path) -> None:
         OSError: It cannot be copied.
     """
     if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
-        copy = part_path(path)
-        shutil.copy2(path, copy)
+        copy = free_part(path)
+        copy_new(path, copy)
+        shutil.copystat(path, copy)
         copy.replace(path)

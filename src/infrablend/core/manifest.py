@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from infrablend.core.file_names import can_exist
-from infrablend.core.files import observed_by, open_regular, output_error, part_path, sha256_of, write_text
+from infrablend.core.files import observed_by, open_regular, output_error, owning, part_path, sha256_of, write_text
 from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError, Problem
 
@@ -159,7 +159,7 @@ class Manifest:
         except OSError as error:
             raise output_error(self._file, error) from error
         try:
-            with observed_by(self):
+            with observed_by(self), owning(self.root):
                 yield
         finally:
             with contextlib.suppress(OSError):  # a full disk; reported by the write that failed

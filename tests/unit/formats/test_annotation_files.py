@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -25,13 +26,14 @@ from infrablend.formats.polygons import outline, rasterise
 def test_a_full_disk_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_text(tmp_path / "a" / "x.txt", "old")
 
-    def full(self: Path, data: bytes) -> int:
+    def full(self: Path, mode: str) -> BinaryIO:
         self.touch()
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return os.fdopen(os.open("/dev/full", os.O_WRONLY), "wb")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OutputError, match="No space") as caught:
-        write_bytes(path, b"new")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with pytest.raises(OutputError, match="No space") as caught:
+            write_bytes(path, b"new")
     assert caught.value.problems[0].code == "disk-full"
     assert path.read_text() == "old" and not part_path(path).exists()
 
