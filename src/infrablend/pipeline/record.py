@@ -15,6 +15,8 @@ from infrablend.core.file_names import leaves
 from infrablend.core.files import LinkOutError, load_json, write_json
 from infrablend.core.masks import Mask
 from infrablend.core.scene import SceneSpec
+from infrablend.pipeline.frame_fields import FrameFields
+from infrablend.pipeline.run_fields import damage
 
 VERSION = 1
 DIGEST = "record_sha256"
@@ -104,6 +106,8 @@ class FrameRecord:
         # The background's path may lead out of the data folder: that of `RUN/coco` is in `RUN/images`.
         if leaves(data["image"]):
             raise ValueError("a path that leads out of its folder")
+        if (found := damage(data, FrameFields)) is not None:
+            raise ValueError(found)
         kept = data["kept"]
         if not all(type(n) is int and n >= 0 for n in kept) or len(set(kept)) != len(kept):
             raise ValueError(f"kept: found {kept!r}, expected indices")

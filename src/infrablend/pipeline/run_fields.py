@@ -18,56 +18,56 @@ def _place(text: str) -> str:
 
 
 # Texts and paths may hold what UTF-8 cannot, which pydantic's own type of text refuses.
-_Text = InstanceOf[str]
-_Place = Annotated[InstanceOf[str], AfterValidator(_place)]
+Text = InstanceOf[str]
+Place = Annotated[InstanceOf[str], AfterValidator(_place)]
 _Table = dict[Any, Any]
 _Counts = dict[Any, int]
 _Number = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class _Fields(BaseModel):
+class Fields(BaseModel):
     """Part of a record: fields may be missing, as in records of earlier versions, and others are left alone."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
-class _Data(_Fields):
-    root: _Place = ""
-    format: _Text = ""
+class _Data(Fields):
+    root: Place = ""
+    format: Text = ""
 
 
-class _Reading(_Fields):
-    splits: list[_Text] | None = None
-    format: _Text | None = None
-    form: _Text | None = None
-    metadata: _Place | None = None
-    options: dict[Any, _Text] = {}
+class _Reading(Fields):
+    splits: list[Text] | None = None
+    format: Text | None = None
+    form: Text | None = None
+    metadata: Place | None = None
+    options: dict[Any, Text] = {}
 
 
-class _Selection(_Fields):
+class _Selection(Fields):
     limit: int | None = None
     sample: int | None = None
-    frames: list[_Text] | None = None
+    frames: list[Text] | None = None
 
 
-class _Problem(_Fields):
+class _Problem(Fields):
     model_config = ConfigDict(extra="forbid")
 
-    where: _Text
-    code: _Text
-    found: _Text
-    expected: _Text = ""
-    todo: _Text = ""
+    where: Text
+    code: Text
+    found: Text
+    expected: Text = ""
+    todo: Text = ""
     severity: Literal["error", "warning"] = "error"
 
 
-class _Request(_Fields):
+class _Request(Fields):
     reading: _Reading = _Reading()
     selection: _Selection = _Selection()
     warnings: list[_Problem] = []
 
 
-class _RunCounts(_Fields):
+class _RunCounts(Fields):
     frames: int = 0
     failed_frames: int = 0
     skipped_backgrounds: int = 0
@@ -75,7 +75,7 @@ class _RunCounts(_Fields):
     labels_inserted: _Counts = {}
 
 
-class _Timing(_Fields):
+class _Timing(Fields):
     seconds: _Number = 0.0
     frames_seconds: _Number = 0.0
     labels_seconds: _Number = 0.0
@@ -83,17 +83,17 @@ class _Timing(_Fields):
     worker_seconds: dict[Any, _Number] = {}
 
 
-class _Machine(_Fields):
-    renderer: _Text = ""
-    device: _Text = ""
+class _Machine(Fields):
+    renderer: Text = ""
+    device: Text = ""
     workers: int | None = None
 
 
-class _Run(_Fields):
-    infrablend: _Text
+class _Run(Fields):
+    infrablend: Text
     recipe: _Table
     data: _Data = _Data()
-    formats: list[_Text] = []
+    formats: list[Text] = []
     seed: int = 0
     key: _Table = {}
     request: _Request | None = None
@@ -103,17 +103,22 @@ class _Run(_Fields):
     problems: list[_Problem] = []
     timing: _Timing = _Timing()
     files: int = 0
-    run: _Text = ""
+    run: Text = ""
     levels: Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Field(min_length=2, max_length=2)] | None = (
         None
     )
     unfinished: dict[Any, _Table] = {}
 
 
-def damage(record: Mapping[str, Any]) -> str | None:
-    """Return the first field of a run record that is damaged, what is wrong with it and what it is; None if none is."""
+def damage(record: Mapping[str, Any], fields: type[Fields] = _Run) -> str | None:
+    """Return the first damaged field of a record, what is wrong with it and what it is; None if none is.
+
+    Args:
+        record: Record of a run, or another one.
+        fields: Types of its fields.
+    """
     try:
-        _Run.model_validate(dict(record))
+        fields.model_validate(dict(record))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(step) for step in first["loc"])

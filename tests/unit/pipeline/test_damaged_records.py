@@ -140,6 +140,34 @@ def test_fields_of_a_run_record_of_another_type_are_named(
     done("check", made)
 
 
+# -- records of frames
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("image", {"image": "test/\ud800.jpg"}),
+        ("background.altitude_m", {"background": {"altitude_m": {"a": 1}}}),
+        ("inserted.0.category", {"inserted": [{"category": ["Car"]}]}),
+        ("removed.0", {"removed": [5]}),
+    ],
+)
+def test_fields_of_a_frame_record_of_another_type_are_named(
+    made: Path, data: Path, name: str, values: dict[str, Any]
+) -> None:
+    file = next((made / "scenes").rglob("*.json"))
+
+    def edit(record: dict[str, Any]) -> None:
+        record.update(values)
+        del record["record_sha256"]  # as in records of earlier versions
+
+    change(file, edit)
+    named(run("report", made), file.name, name)
+    named(run("check", made), file.name, name)
+    done(*generate(data, made, "--resume"))
+    done("check", made)
+
+
 # -- stages of experiments
 
 
