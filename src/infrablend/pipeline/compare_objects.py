@@ -52,7 +52,8 @@ from infrablend.realism.features import Measured
 from infrablend.realism.looseness import looseness, looseness_against
 from infrablend.realism.pairing import pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS
-from infrablend.report.realism import CropSheet, html_report, sheets_of
+from infrablend.report.picture_mark import CROP_SHEET, software_of
+from infrablend.report.realism import SHEET_ENDS, CropSheet, html_report, sheets_of
 
 Time = Literal["night", "day", "all"]
 
@@ -372,8 +373,11 @@ def compare(
     require_sklearn()
     record = OutputFolder(out, "comparison", "realism.json").read_record()
     ours = record is not None and {"version", "run", "classes", "ablation"} <= record.keys()
-    for name in ("realism.json", "realism.html", *sorted(p.name for p in out.glob("*.png"))):
+    for name in ("realism.json", "realism.html"):
         require_replaceable(out / name, "comparison", ours=ours)
+    for sheet_file in (p for end in SHEET_ENDS for p in sorted(out.glob(f"*{end}"))):
+        own = not sheet_file.is_symlink() and software_of(sheet_file) == CROP_SHEET
+        require_replaceable(sheet_file, "sheet of crops", ours=own)
     material = measure_populations(run, dataset, request, on_progress)
     found = material.found
     comparisons = [
@@ -417,11 +421,11 @@ def compare(
     manifest = RunFolder(run).manifest().read()
     inside = manifest.exists and real_path(out).is_relative_to(real_path(run))
     with manifest.recording() if inside else nullcontext():  # `--overwrite` of the run then deletes its comparison
-        write_json(out / "realism.json", facts)
         names = distinct_names([file_name(v.category.lower()) for v in comparisons])
         sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
         for sheet in sheets:
             write_bytes(out / f"{sheet.name}.png", sheet.png)
+        write_json(out / "realism.json", facts)
         write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
 

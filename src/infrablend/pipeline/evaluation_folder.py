@@ -17,7 +17,7 @@ from infrablend.pipeline.detection_source import PREDICTIONS
 PAGE, PLOTS = "evaluation.html", "plots"
 _OWN = frozenset({PREDICTIONS, RECORD, PAGE, MATCHES, PLOTS})
 # What a killed call leaves of a file that it was writing.
-_PARTS = frozenset(part_path(Path(name)).name for name in (*_OWN, JOURNAL))
+_PARTS = frozenset(part_path(Path(name)).name for name in (*_OWN - {PLOTS}, JOURNAL))
 
 
 class EvaluationFolder:
@@ -55,7 +55,7 @@ class EvaluationFolder:
         """
         self._manifest.read()
         self._remove_record()
-        self._output.remove(sorted(_PARTS))
+        self._output.remove(name for name in sorted(_PARTS) if not (self._root / name).is_dir())
         self._manifest.remove_own(keep=[PREDICTIONS])
         if (self._root / PLOTS).is_symlink():
             self._manifest.move_aside(PLOTS)

@@ -8,6 +8,7 @@ from infrablend.formats.pictures import open_picture
 
 CONTACT_SHEET = "InfraBlend contact sheet"
 CHARTS = "InfraBlend charts"
+CROP_SHEET = "InfraBlend sheet of crops"
 
 
 def software_of(path: Path) -> str | None:

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
 from infrablend.core.rng import stream
 from infrablend.realism.class_comparison import ClassComparison
 from infrablend.realism.features import FEATURES, MEASURES, Measured
 from infrablend.report.figures import compact, interval
 from infrablend.report.page import render_page
+from infrablend.report.picture_mark import CROP_SHEET
 from infrablend.report.preview import FAINT, INK, PAPER
 from infrablend.report.realism_tables import (
     CHECK_HEAD,
@@ -51,6 +53,11 @@ class CropSheet:
     png: bytes
 
 
+_CHOICES = (("most_obvious", "most obvious"), ("least_obvious", "least obvious"), ("random", "random"))
+SHEET_ENDS = tuple(f"_{what}.png" for what, _ in _CHOICES)
+"""Ends of the file names of sheets."""
+
+
 def sheets_of(comparison: ClassComparison, name: str) -> list[CropSheet]:
     """Draw inserted objects, each beside the most similar real one: the most obvious, the least obvious, and random.
 
@@ -68,11 +75,7 @@ def sheets_of(comparison: ClassComparison, name: str) -> list[CropSheet]:
     drawn = stream(0, "sheet", comparison.category).permutation(len(inserted))
     nearest = _nearest(real, inserted)
     sheets = []
-    for what, title, chosen in (
-        ("most_obvious", "most obvious", order),
-        ("least_obvious", "least obvious", order[::-1]),
-        ("random", "random", drawn),
-    ):
+    for (what, title), chosen in zip(_CHOICES, (order, order[::-1], drawn), strict=True):
         rows = [(real[nearest[k]], inserted[k], float(scores[k])) for k in chosen[:ON_A_SHEET]]
         sheets.append(CropSheet(f"{name}_{what}", f"{comparison.category}: {title}", _sheet(rows)))
     return sheets
@@ -100,7 +103,9 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
         pen.text((x, y + side + 1), f"real {real.key.rsplit('/')[-1]}"[:32], fill=FAINT, font=font)
         pen.text((x + side, y + side + 1), f"inserted, log odds {score:+.1f}", fill=INK, font=font)
     data = io.BytesIO()
-    sheet.save(data, "PNG", compress_level=6)
+    mark = PngInfo()
+    mark.add_text("Software", CROP_SHEET)
+    sheet.save(data, "PNG", compress_level=6, pnginfo=mark)
     return data.getvalue()
 
 

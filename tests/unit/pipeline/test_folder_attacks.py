@@ -537,6 +537,20 @@ def test_overwritten_evaluation_keeps_what_it_did_not_write(tmp_path: Path) -> N
     assert (out / "replaced" / "evaluation.html").read_text() == "edited page"
 
 
+def test_overwritten_evaluation_deletes_no_folder_with_a_temporary_name(tmp_path: Path) -> None:
+    write_detections(tmp_path)
+    out = tmp_path / "out"
+    words = ["evaluate", tmp_path / "in" / "predictions.json", tmp_path / "in" / "data", "--out", out]
+    done(*words, "--bootstrap", "0")
+    for name in (".plots.part", ".evaluation.part.json"):
+        (out / name).mkdir()
+        (out / name / "mine").write_text("mine")
+        ended = run(*words, "--bootstrap", "0", "--overwrite")
+        assert name == ".evaluation.part.json" or (ended.exit_code == 2 and name in ended.output), ended.output
+        assert (out / name / "mine").read_text() == "mine"
+        (out / name).rename(tmp_path / name)
+
+
 @pytest.mark.parametrize("instead", ["endless", "pipe"])
 def test_record_that_is_no_regular_file_is_made_again(instead: str, words: list[object], made: Path) -> None:
     record = record_of(made)

@@ -3,6 +3,7 @@
 import builtins
 import functools
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -15,7 +16,7 @@ from infrablend.compositing.sensor import Sensor, grain
 from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
-from infrablend.errors import DatasetError, MissingDependencyError
+from infrablend.errors import DatasetError, MissingDependencyError, OutputError
 from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
 from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
@@ -454,7 +455,17 @@ def test_a_run_is_compared(crowd, tmp_path, short_training):
         "person_least_obvious.png",
         "person_random.png",
     }
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "person_random.png").write_bytes(
+        mine := cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes()
+    )
+    with pytest.raises(OutputError, match=r"person_random\.png"):
+        api.realism(run, data, tmp_path / "b", execution=api.Execution(in_process=True))
+    assert [p.read_bytes() for p in (tmp_path / "b").iterdir()] == [mine]
+    shutil.copy(tmp_path / "a" / "person_random.png", tmp_path / "b" / "person_random.png")  # of a killed call
+    (tmp_path / "b" / "other.png").write_bytes(mine)
     api.realism(run, data, tmp_path / "b", execution=api.Execution(in_process=True))
+    assert (tmp_path / "b" / "other.png").read_bytes() == mine
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 

@@ -12,7 +12,7 @@ from infrablend.core.files import write_text
 from infrablend.errors import OutputError
 from infrablend.pipeline.profile import _require_own_profile
 from infrablend.report.results.index import index_text
-from infrablend.report.results.write import require_own_pages
+from infrablend.report.results.write import require_own_pages, write_page
 from tests.command_line import run
 from tests.samples import SAMPLES
 
@@ -28,7 +28,9 @@ def test_own_pages_are_replaced(tmp_path: Path) -> None:
     require_own_pages(tmp_path, "transfer-car", "small")
 
 
-@pytest.mark.parametrize("name", ["index.md", "transfer-car.md", "transfer-car.json"])
+@pytest.mark.parametrize(
+    "name", ["index.md", "transfer-car.md", "transfer-car.json", "transfer-car_pr.svg", "transfer-car-unfinished.md"]
+)
 @pytest.mark.parametrize("kind", ["file", "link"])
 def test_other_files_in_their_place_are_named(tmp_path: Path, name: str, kind: str) -> None:
     mine = tmp_path / "mine"
@@ -39,6 +41,28 @@ def test_other_files_in_their_place_are_named(tmp_path: Path, name: str, kind: s
     with pytest.raises(OutputError, match="not written by InfraBlend") as caught:
         require_own_pages(out, "transfer-car", "small")
     assert [Path(p.where).name for p in caught.value.problems] == [name]
+
+
+def test_note_beside_the_record_of_an_experiment_is_named(tmp_path: Path) -> None:
+    shutil.copy(RESULTS / "transfer-car.json", tmp_path / "transfer-car.json")
+    (tmp_path / "transfer-car.md").write_text("my notes on the cars")
+    with pytest.raises(OutputError, match="not written by InfraBlend"):
+        require_own_pages(tmp_path, "transfer-car", "small")
+
+
+def test_only_charts_of_the_page_are_deleted(tmp_path: Path) -> None:
+    facts = json.loads((RESULTS / "datasets.json").read_text("utf-8"))
+    for name in ("datasets_pr.svg", "datasets_mine.svg"):
+        (tmp_path / name).write_text("chart")
+    write_page(facts, tmp_path)
+    assert (tmp_path / "datasets_mine.svg").read_text() == "chart" and not (tmp_path / "datasets_pr.svg").exists()
+
+
+def test_committed_pages_can_be_written_again() -> None:
+    for path in sorted(RESULTS.glob("*.json")):
+        facts = json.loads(path.read_text("utf-8"))
+        if "experiment" in facts:
+            require_own_pages(RESULTS, facts["experiment"], facts["scale"])
 
 
 def test_an_experiment_stops_before_its_first_stage(tmp_path: Path) -> None:

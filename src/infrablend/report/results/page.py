@@ -15,6 +15,7 @@ from infrablend.report.results.differences import list_differences
 from infrablend.report.results.text import (
     INDEX_FILE,
     METRICS,
+    PAGE_MARK,
     class_order,
     count,
     duration,
@@ -87,7 +88,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
 
 def _head(facts: Mapping[str, Any]) -> str:
     """Return scale, status and command."""
-    status = f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** This command writes the page:"
+    status = f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** {PAGE_MARK}"
     return f"{status}\n\n```text\n{facts['command']}\n```"
 
 

@@ -18,6 +18,10 @@ OURS, PAPER, FAINT = "#0072b2", "#d55e00", "#9a9a9a"
 CURVES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1b1b", "#9a9a9a")
 
 
+CHARTS = ("bars", "differences", "pr")
+"""Names of all charts of a page."""
+
+
 def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
     plots = []

@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 INDEX_FILE = "index.md"
+PAGE_MARK = "This command writes the page:"
+"""Words of every page of an experiment, by which a later call knows that it may replace it."""
+UNFINISHED_END = "-unfinished"
+"""End of the name of an unfinished run's page beside a complete one."""
 METRICS = {"p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95"}
 
 

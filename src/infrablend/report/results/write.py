@@ -12,8 +12,8 @@ from infrablend.core.files import load_json, read_regular, write_bytes, write_js
 from infrablend.errors import OutputError, Problem
 from infrablend.report.results.index import INTRO, index_text
 from infrablend.report.results.page import page_text
-from infrablend.report.results.plots import draw_plots
-from infrablend.report.results.text import INDEX_FILE, page_name
+from infrablend.report.results.plots import CHARTS, draw_plots
+from infrablend.report.results.text import INDEX_FILE, PAGE_MARK, UNFINISHED_END, page_name
 
 # Figures of the charts that the JSON does not keep.
 _NOT_KEPT = ("curves", "confusion")
@@ -25,12 +25,9 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
     Raises:
         OutputError: Somebody else wrote one.
     """
-    stem = page_name(experiment, scale)
-    record, page, index = out / f"{stem}.json", out / f"{stem}.md", out / INDEX_FILE
-    own = _facts_of(record).keys() >= {"experiment", "scale", "status"}
-    foreign = [record] if os.path.lexists(record) and not own else []
-    foreign += [page] if os.path.lexists(page) and not own else []
-    foreign += [index] if os.path.lexists(index) and not _is_index(index) else []
+    first, index = page_name(experiment, scale), out / INDEX_FILE
+    foreign = [p for stem in (first, f"{first}{UNFINISHED_END}") for p in _foreign(out, stem)]
+    foreign += [index] if os.path.lexists(index) and not _says(index, INTRO) else []
     if foreign:
         todo = "move it away, or give another folder with --results"
         raise OutputError(
@@ -39,9 +36,18 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
         )
 
 
-def _is_index(path: Path) -> bool:
+def _foreign(out: Path, stem: str) -> list[Path]:
+    """Return the files in the place of a page that are not InfraBlend's; charts are, if their record is."""
+    record, page = out / f"{stem}.json", out / f"{stem}.md"
+    own = _facts_of(record).keys() >= {"experiment", "scale", "status"}
+    foreign = [] if own else [record, *(out / f"{stem}_{name}.svg" for name in CHARTS)]
+    foreign += [] if own and _says(page, PAGE_MARK) else [page]
+    return [p for p in foreign if os.path.lexists(p)]
+
+
+def _says(path: Path, words: str) -> bool:
     try:
-        return INTRO in read_regular(path).decode("utf-8", "replace")
+        return words in read_regular(path).decode("utf-8", "replace")
     except OSError:
         return False
 
@@ -58,13 +64,12 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
     facts = json.loads(json.dumps(facts, sort_keys=True))
     stem = page_name(facts["experiment"], facts["scale"])
     if facts["status"] != "complete" and _is_complete(out / f"{stem}.json"):
-        stem += "-unfinished"
+        stem += UNFINISHED_END
     plots = [(f"{stem}_{name}.svg", title, svg) for name, title, svg in draw_plots(facts)]
     for name, _, svg in plots:
         write_bytes(out / name, svg)
-    for old in sorted(out.glob(f"{stem}_*.svg")):
-        if old.name not in {name for name, _, _ in plots}:
-            old.unlink()  # of an earlier run with more figures
+    for old in {f"{stem}_{name}.svg" for name in CHARTS} - {name for name, _, _ in plots}:
+        (out / old).unlink(missing_ok=True)  # of an earlier run with more figures
     evaluations = {n: {k: v for k, v in e.items() if k not in _NOT_KEPT} for n, e in facts["evaluations"].items()}
     write_json(out / f"{stem}.json", {**facts, "evaluations": evaluations})
     page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
