@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from infrablend import api
 from infrablend.cli import main
 from infrablend.core.format_table import written_names
 from tests.flat_renderer import render_flat
@@ -358,3 +359,19 @@ def test_every_picture_is_read_back_in_its_split_whatever_its_name(tmp_path, cap
     every = dict.fromkeys(("train", "test"), len(ODD_PICTURES))
     assert {s: found["splits"][s]["images"] for s in every} == every
     assert {s: found["splits"][s]["objects"] for s in every} == every
+
+
+@pytest.mark.parametrize("name", [".hidden", "..a"])
+def test_hidden_pictures_with_labels_are_reported(tmp_path, name):
+    for folder in ("images/train", "labels/train"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "data.yaml").write_text("train: images/train\nval: images/train\nnames: [Car]\n")
+    for stem in ("seen", name, "._seen", ".seen.part", ".alone"):
+        Image.new("L", (50, 40), 99).save(tmp_path / "images/train" / f"{stem}.png")
+        if stem != ".alone":
+            (tmp_path / "labels/train" / f"{stem}.txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    found = [p for p in api.read_dataset(tmp_path).problems if p.code == "picture-hidden"]
+    assert [p.severity for p in found] == ["warning"]
+    assert found[0].found.startswith("1 hidden picture(s)") and f"{name}.png" in found[0].found
+    (tmp_path / "labels/train" / f"{name}.txt").unlink()
+    assert not any(p.code == "picture-hidden" for p in api.read_dataset(tmp_path).problems)

@@ -21,7 +21,7 @@ from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.run_root import labels_of_run
 from infrablend.formats.text_fields import with_fitting_fields
-from infrablend.formats.unread import unread_label_files
+from infrablend.formats.unread import hidden_pictures, unread_label_files
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
@@ -99,7 +99,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         dataset = temperatures.with_scale(dataset, scale)
     dataset = add_flight_data(dataset)
     unread = _unread(dataset) if dataset.format == folder.NAME else ()
-    remarks = (*unread, *temperatures.scale_warnings(dataset))
+    remarks = (*unread, *hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
     return replace(dataset, problems=(*dataset.problems, *remarks), markers=markers)
 
 

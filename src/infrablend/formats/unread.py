@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 
@@ -11,9 +12,10 @@ from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
-from infrablend.formats.pictures import is_hidden, list_pictures, walk
+from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
 
 _SUFFIXES = {".xml", ".json", ".txt", ".csv", ".label"}
+_PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
 
 
@@ -45,6 +47,26 @@ def unread_label_files(dataset: Dataset, understood: Collection[Path] = ()) -> l
         if found:
             problems.append(Problem(name, "label-unread", found, _EXPECTED, todo))
     return problems
+
+
+def hidden_pictures(root: Path) -> list[Problem]:
+    """Return a warning if there are hidden pictures with label files of their stems: no reader takes them."""
+    pictures: list[str] = []
+    labelled: set[str] = set()
+    for base, names in walk(root):
+        for path in (Path(base, n) for n in names if is_hidden(n)):
+            if path.name.startswith("._") or _PART.search(path.stem):  # notes of macOS; parts of files
+                continue
+            if path.suffix.lower() in PICTURE_SUFFIXES:
+                pictures.append(path.relative_to(root).as_posix())
+            elif path.suffix.lower() in _SUFFIXES:
+                labelled.add(path.stem)
+    left_out = sorted(p for p in pictures if PurePosixPath(p).stem in labelled)
+    if not left_out:
+        return []
+    found = f"{len(left_out)} hidden picture(s) with labels, left out, such as {left_out[0]}"
+    expected, todo = "names that do not begin with a dot", "rename pictures and label files"
+    return [Problem(root.name, "picture-hidden", found, expected, todo, "warning")]
 
 
 def _candidates(root: Path) -> Iterator[str]:
