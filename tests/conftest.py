@@ -199,6 +199,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: item.path not in slow)  # stable: the order is kept otherwise
 
 
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
+    """Escape lone surrogates in what a test printed and logged: parallel workers cannot send them."""
+    outcome = yield
+    report = outcome.get_result()  # type: ignore[attr-defined]
+    report.sections = [(title, text.encode("utf-8", "backslashreplace").decode()) for title, text in report.sections]
+
+
 def _has_module_fixture(item: pytest.Item) -> bool:
     """Return True if the test uses a fixture of module scope that its own module defines."""
     info = getattr(item, "_fixtureinfo", None)

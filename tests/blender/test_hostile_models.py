@@ -57,7 +57,7 @@ os._exit(0)
 def surroundings(monkeypatch, tmp_path):
     """Render with the flat renderer in this process; give each test its own cache and log."""
     real = request.Execution
-    monkeypatch.setattr(request, "Execution", lambda workers, device: real(workers, device, "flat", True))
+    monkeypatch.setattr(request, "Execution", lambda workers, device, **_: real(workers, device, "flat", True))
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
 
