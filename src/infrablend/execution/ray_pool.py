@@ -31,7 +31,7 @@ from infrablend.execution.worker import ONE_THREAD, ResultMessage
 
 log = logging.getLogger(__name__)
 
-IN_FLIGHT = 2  # tasks per worker: one runs and one waits with the worker, so that it never idles
+IN_FLIGHT = 1  # a lost worker then tells which task it was running; handing over the next one takes milliseconds
 _POLL_S = 0.2
 _CONNECT_S = 10.0
 _REMIND_S = 60.0

@@ -454,7 +454,12 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
 
 def _not_read_as(source: Source, root: Path) -> Problem | None:
     """Return a warning if a folder is not read as the dataset; None if it is."""
-    found = detect(root)
+    try:
+        found = detect(root)
+    except OSError as error:  # the folder was removed meanwhile
+        if isinstance(error, OutputError):
+            raise
+        raise output_error(root, error) from error
     match = next((m for m in found.matches if m.format == source.name), None)
     if match is None or match.ok:
         return None
