@@ -121,10 +121,8 @@ def generate(
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.request import Execution, RunRequest
 
-    execution, selection = (
-        Execution(workers, device.value, executor=executor.value, address=address),
-        FrameSelection(limit, sample, chosen),
-    )
+    execution = Execution(workers, device.value, executor=executor.value, address=address)
+    selection = FrameSelection(limit, sample, chosen)
     if plan:
         planned = api.plan(
             recipe,

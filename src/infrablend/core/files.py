@@ -115,6 +115,11 @@ def sha256_of(path: Path, folder: Path | None = None) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def sha256_of_json(value: Any) -> str:
+    """Return the hexadecimal SHA-256 of a JSON value, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
 def output_error(path: Path, error: OSError) -> OutputError:
     """Return the `OutputError` for a failed write of `path`."""
     if error.errno == errno.ENAMETOOLONG:

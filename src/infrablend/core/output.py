@@ -25,7 +25,7 @@ from typing import Any, Literal, get_args
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, owning, read_object
-from infrablend.errors import OutputError
+from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
 
@@ -268,6 +268,27 @@ def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
     if not ours and (path.exists() or path.is_symlink()):
         raise OutputError(
             f"{path}: exists and is not a {noun} of InfraBlend; nothing was touched. Give another file or folder."
+        )
+
+
+def require_no_foreign(foreign: Sequence[Path], out: Path, what: str, expected: str, option: str) -> None:
+    """Refuse to replace files in a folder which InfraBlend did not write.
+
+    Args:
+        foreign: Such files, in the place of what the command writes.
+        out: The folder.
+        what: What the command writes, for the message.
+        expected: What a file in its place may be.
+        option: Option that names the folder.
+
+    Raises:
+        OutputError: There are some; the problems name them.
+    """
+    if foreign:
+        todo = f"move it away, or give another folder with {option}"
+        raise OutputError(
+            f"{out}: files in the place of {what} were not written by InfraBlend",
+            [Problem(str(p), "file-foreign", "another file", expected, todo) for p in foreign],
         )
 
 

@@ -27,8 +27,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, RenderError, WorkerDiedError
+from infrablend.errors import Interrupted, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.pool_rules import WorkerLimits, loss_of, start_error, value_of
 from infrablend.execution.scratch import scratch_folder
 from infrablend.execution.worker import ONE_THREAD, ResultMessage, StartMessage
 
@@ -36,7 +37,6 @@ logger = logging.getLogger(__name__)
 
 IN_FLIGHT = 2  # tasks per worker: one runs and one waits in its inbox, so that the worker never idles
 TAIL_LINES = 20  # lines of a dead worker's output that its failure quotes
-MIN_TASKS_BEFORE_RSS = 20  # a worker that starts above the ceiling must still get work done
 
 # -c and not -m: the child must find the caller's modules, whatever the caller did to its sys.path.
 _BOOT = (
@@ -54,30 +54,18 @@ def module_path() -> list[str]:
 
 
 @dataclass(frozen=True)
-class PoolSettings:
-    """Limits and lifetimes of the workers of a pool.
+class PoolSettings(WorkerLimits):
+    """Number and limits of the workers of a pool.
 
     Attributes:
         workers: Maximum number of workers; a pool never starts more workers than there are tasks.
-        retries: Number of further attempts at a task after its worker crashed or hung.
-        task_timeout_s: Time limit for one task, after which its worker is killed; None for no limit.
         start_timeout_s: Time limit for a worker to start.
-        tasks_per_worker: Number of tasks after which a worker is replaced.
-        rss_ceiling_bytes: Resident memory above which a worker is replaced, but not before its 20th task.
-        grace_s: Time for running tasks to finish after an interruption.
-        log_path: File to which the output of workers is appended, each line with the worker's number.
-        log_level: Level of Python's logging in the workers; its lines go to the same file.
+        log_path: File to which the output and the log of workers are appended, each line with the worker's number.
     """
 
     workers: int = 1
-    retries: int = 2
-    task_timeout_s: float | None = 600.0
     start_timeout_s: float = 300.0
-    tasks_per_worker: int = 500
-    rss_ceiling_bytes: int = 1536 * 2**20
-    grace_s: float = 5.0
     log_path: Path | None = None
-    log_level: int = logging.INFO
 
     def __post_init__(self) -> None:
         if self.workers < 1 or self.tasks_per_worker < 1 or self.retries < 0:
@@ -362,15 +350,8 @@ class _Run:
         w.since = time.monotonic()
         w.finished += 1
         w.rss_bytes = done.rss_bytes
-        value, failure = None, done.failure
-        if done.value is not None:
-            try:
-                value = pickle.loads(done.value)
-            except Exception as e:  # for example a class that only the worker can import
-                failure = Failure("error", type(e).__name__, f"the result of {attempt.task.key} is unreadable: {e}")
-        old = w.finished >= self._settings.tasks_per_worker
-        big = w.finished >= MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
-        if (old or big) and not w.ending:
+        value, failure = value_of(done, attempt.task)
+        if self._settings.is_due(w.finished, done.rss_bytes) and not w.ending:
             logger.info("worker %d is replaced after %d tasks, %d MiB", w.number, w.finished, done.rss_bytes >> 20)
             self._retire(w)
         numbers = attempt.number, done.seconds, w.number, done.rss_bytes
@@ -431,22 +412,14 @@ class _Run:
             logger.warning("worker %d %s on %s; trying again", w.number, what, guilty.task.key)
             self._pending.appendleft(_Attempt(guilty.index, guilty.task, guilty.call, guilty.number + 1))
             return
-        failure = Failure(
-            kind,
-            "WorkerDiedError",
-            f"{guilty.task.key}: its worker {what} on attempt {guilty.number} of {guilty.number}",
-            traceback="\n".join(w.tail),
-        )
+        failure = loss_of(guilty.task, kind, what, guilty.number, "\n".join(w.tail))
         self._deliver(guilty, TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0))
 
     def _raise_factory_error(self, w: _Worker, failure: Failure) -> None:
         """Raise the error of a worker factory, which would fail again in every new worker."""
         self._reap(w, patience_s=5.0)
-        error = failure.to_exception()
         logger.info("worker %d could not start:\n%s", w.number, failure.traceback)  # the error itself is raised
-        if type(error).__name__ == failure.error:
-            raise error
-        raise RenderError(f"The renderer could not start: {error.message}", error.problems)
+        raise start_error(failure)
 
     def _finish_running_tasks(self) -> None:
         """Let running tasks finish after an interruption, and start nothing else."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import pickle
 import signal
 import socket
 import threading
@@ -20,52 +19,40 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, MissingDependencyError, OutputError, RenderError, WorkerDiedError
+from infrablend.errors import Interrupted, MissingDependencyError, OutputError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
+from infrablend.execution.pool_rules import WorkerLimits, loss_of, start_error, value_of
 from infrablend.execution.process_pool import module_path
 from infrablend.execution.worker import ONE_THREAD, ResultMessage
 
 log = logging.getLogger(__name__)
 
-IN_FLIGHT = 1  # a lost worker then tells which task it was running; handing over the next one takes milliseconds
 _POLL_S = 0.2
 _CONNECT_S = 10.0
 _REMIND_S = 60.0
-_MIN_TASKS_BEFORE_RSS = 20
 
 
 @dataclass(frozen=True)
-class RaySettings:
-    """Where Ray runs, and the limits and lifetimes of its workers.
+class RaySettings(WorkerLimits):
+    """Where Ray runs, and the number and limits of its workers.
 
     Attributes:
         workers: Maximum number of workers; None for one per processor core of the cluster.
         address: Address of a cluster, as for `ray.init`; None takes `RAY_ADDRESS`, else starts Ray on this machine and
             stops it at the end. A Ray that the program has already started is used as it is.
-        retries: Number of further attempts at a task after its worker was lost or hung.
-        task_timeout_s: Time limit for one task, after which its worker is killed; None for no limit.
-        tasks_per_worker: Number of tasks after which a worker is replaced.
         worker_bytes: Memory that each worker reserves with Ray, which places no more workers on a machine than fit.
-        rss_ceiling_bytes: Resident memory above which a worker is replaced, but not before its 20th task.
         gpus: Share of a GPU that each worker reserves; 0 for none.
-        grace_s: Time for running tasks to finish after an interruption.
-        log_level: Level of Python's logging in the workers; Ray keeps their output.
     """
 
     workers: int | None = None
     address: str | None = None
-    retries: int = 2
-    task_timeout_s: float | None = 600.0
-    tasks_per_worker: int = 500
     worker_bytes: int = 0
-    rss_ceiling_bytes: int = 1536 * 2**20
     gpus: float = 0.0
-    grace_s: float = 5.0
-    log_level: int = logging.INFO
 
 
 class RayPool:
@@ -86,20 +73,15 @@ class RayPool:
         source = iter(tasks)
         first = next(source, None)
         if first is None:
-            return
+            return  # without starting Ray
         with contextlib.ExitStack() as stack:
             stack.enter_context(_messages_to_log())
             ray = stack.enter_context(_connected(self._settings))
             run = _Run(ray, self._settings, self._worker)
             stop = stack.enter_context(Interruption(run.kill_all))
             stack.callback(run.kill_all)
-            yield from run.results(_chain(first, source), stop)
+            yield from run.results(chain([first], source), stop)
             run.finish_all()
-
-
-def _chain(first: Task, rest: Iterator[Task]) -> Iterator[Task]:
-    yield first
-    yield from rest
 
 
 @contextlib.contextmanager
@@ -131,7 +113,7 @@ def _connected(settings: RaySettings) -> Iterator[Any]:
         options = {"address": address}
     terminated = signal.getsignal(signal.SIGTERM)
     try:
-        _require_listener(settings.address or os.environ.get("RAY_ADDRESS"))
+        _require_listener(address)
         ray.init(log_to_driver=False, configure_logging=False, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         where = "on this machine" if address is None else f"at {address}"
@@ -186,19 +168,21 @@ class _Attempt:
 class _Worker:
     """The driver's view of one actor.
 
+    It has one task at a time: a lost worker then tells which task it was running, and handing over the next one takes
+    milliseconds.
+
     Attributes:
         starting: Reference to the result of its start, until that is known.
-        in_flight: References to results with their attempts, in the order of submission.
-        since: Start of its current task, on the monotonic clock.
+        current: Reference to the result of its task, and the attempt; None while it is idle.
+        since: Start of its task, on the monotonic clock.
     """
 
     number: int
     actor: Any
     starting: Any
-    ending: bool = False
     finished: int = 0
     since: float = field(default_factory=time.monotonic)
-    in_flight: deque[tuple[Any, _Attempt]] = field(default_factory=deque)
+    current: tuple[Any, _Attempt] | None = None
 
 
 class _Run:
@@ -227,7 +211,7 @@ class _Run:
                 give_up_at = time.monotonic() + self._settings.grace_s
                 self._pending.clear()
             if give_up_at is None:
-                while not exhausted and self._open < self._most * IN_FLIGHT:
+                while not exhausted and self._open < self._most:
                     task = next(source, None)
                     if task is None:
                         exhausted = True
@@ -238,7 +222,7 @@ class _Run:
                     return
                 self._start_workers()
                 self._feed()
-            elif not any(w.in_flight for w in self._workers) or time.monotonic() >= give_up_at:
+            elif not any(w.current for w in self._workers) or time.monotonic() >= give_up_at:
                 raise Interrupted(STOPPED)
             self._collect(winding_down=give_up_at is not None)
             if any(w.starting is None for w in self._workers):
@@ -256,48 +240,43 @@ class _Run:
     # ---- starting and feeding
 
     def _start_workers(self) -> None:
-        outstanding = len(self._pending) + sum(len(w.in_flight) for w in self._workers)
-        for _ in range(min(self._most, outstanding) - sum(not w.ending for w in self._workers)):
+        outstanding = len(self._pending) + sum(w.current is not None for w in self._workers)
+        for _ in range(min(self._most, outstanding) - len(self._workers)):
             actor = self._actor_class.remote(self._settings.log_level, module_path(), str(Path.cwd()))
             self._workers.append(_Worker(self._started, actor, actor.start.remote(self._spec)))
             self._started += 1
 
     def _feed(self) -> None:
-        """Hand out waiting tasks: one to each worker first, then a second one to each."""
-        for depth in range(1, IN_FLIGHT + 1):
-            for w in self._workers:
-                if self._pending and w.starting is None and not w.ending and len(w.in_flight) < depth:
-                    attempt = self._pending.popleft()
-                    if not w.in_flight:
-                        w.since = time.monotonic()
-                    w.in_flight.append((w.actor.perform.remote(attempt.task), attempt))
+        """Hand waiting tasks to idle workers."""
+        for w in self._workers:
+            if self._pending and w.starting is None and w.current is None:
+                attempt = self._pending.popleft()
+                w.since = time.monotonic()
+                w.current = w.actor.perform.remote(attempt.task), attempt
 
     # ---- collecting
 
     def _collect(self, winding_down: bool) -> None:
         """Wait for a result or a start, and take all that are there."""
         waiting = [w.starting for w in self._workers if w.starting is not None]
-        waiting += [w.in_flight[0][0] for w in self._workers if w.in_flight]
+        waiting += [w.current[0] for w in self._workers if w.current is not None]
         if not waiting:
             time.sleep(_POLL_S)
             return
+        self._ray.wait(waiting, num_returns=1, timeout=_POLL_S)
         ready = set(self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0])
-        if not ready:
-            self._ray.wait(waiting, num_returns=1, timeout=_POLL_S)
-            ready = set(self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0])
         for w in list(self._workers):
             if w.starting is not None and w.starting in ready:
                 self._take_start(w)
-            while w.in_flight and w in self._workers and w.in_flight[0][0] in ready:
-                self._take_result(w, winding_down)
+            if w.current is not None and w.current[0] in ready:
+                self._take_result(w, *w.current, winding_down)
         limit = self._settings.task_timeout_s
         for w in list(self._workers):
-            if limit is not None and w.in_flight and time.monotonic() - w.since > limit and not self._is_ready(w):
-                self._handle_lost_worker(w, "timeout", f"took longer than {limit:g} s", winding_down)
-
-    def _is_ready(self, w: _Worker) -> bool:
-        """Return whether a result waits: a slow consumer is not a hang."""
-        return bool(self._ray.wait([w.in_flight[0][0]], timeout=0)[0])
+            if limit is None or w.current is None or time.monotonic() - w.since <= limit:
+                continue
+            reference, attempt = w.current
+            if not self._ray.wait([reference], timeout=0)[0]:  # a slow consumer is not a hang
+                self._handle_lost_worker(w, attempt, "timeout", f"took longer than {limit:g} s", winding_down)
 
     def _take_start(self, w: _Worker) -> None:
         try:
@@ -314,35 +293,20 @@ class _Run:
             return
         w.starting = None
         if failure is not None:
-            self._raise_factory_error(w, failure)
+            log.info("worker %d could not start:\n%s", w.number, failure.traceback)
+            raise start_error(failure)
         self._failed_starts = 0
 
-    def _raise_factory_error(self, w: _Worker, failure: Failure) -> None:
-        error = failure.to_exception()
-        log.info("worker %d could not start:\n%s", w.number, failure.traceback)
-        if type(error).__name__ == failure.error:
-            raise error
-        raise RenderError(f"The renderer could not start: {error.message}", error.problems)
-
-    def _take_result(self, w: _Worker, winding_down: bool) -> None:
-        reference, attempt = w.in_flight[0]
+    def _take_result(self, w: _Worker, reference: Any, attempt: _Attempt, winding_down: bool) -> None:
         try:
             done: ResultMessage = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
-            self._handle_lost_worker(w, "crash", "was lost", winding_down, error)
+            self._handle_lost_worker(w, attempt, "crash", "was lost", winding_down, str(error))
             return
-        w.in_flight.popleft()
-        w.since = time.monotonic()
+        w.current = None
         w.finished += 1
-        value, failure = None, done.failure
-        if done.value is not None:
-            try:
-                value = pickle.loads(done.value)
-            except Exception as e:  # for example a class that only the worker can import
-                failure = Failure("error", type(e).__name__, f"the result of {attempt.task.key} is unreadable: {e}")
-        big = w.finished >= _MIN_TASKS_BEFORE_RSS and done.rss_bytes > self._settings.rss_ceiling_bytes
-        w.ending = w.ending or big or w.finished >= self._settings.tasks_per_worker
-        if w.ending and not w.in_flight:
+        value, failure = value_of(done, attempt.task)
+        if self._settings.is_due(w.finished, done.rss_bytes):
             self._workers.remove(w)
             self._end(w)
         self._deliver(
@@ -354,22 +318,19 @@ class _Run:
         self._arrived.append(result)
 
     def _handle_lost_worker(
-        self, w: _Worker, kind: FailureKind, what: str, winding_down: bool, error: Exception | None = None
+        self, w: _Worker, attempt: _Attempt, kind: FailureKind, what: str, winding_down: bool, output: str = ""
     ) -> None:
         """Retry or fail the task that a worker was running when it, or its machine, was lost."""
         self._workers.remove(w)
         self._ray.kill(w.actor)
-        guilty, *innocent = [attempt for _, attempt in w.in_flight]
         if winding_down:
             return
-        self._pending.extendleft(reversed(innocent))
-        if guilty.number <= self._settings.retries:
-            log.warning("worker %d %s on %s; trying again", w.number, what, guilty.task.key)
-            self._pending.appendleft(_Attempt(guilty.task, guilty.number + 1))
+        if attempt.number <= self._settings.retries:
+            log.warning("worker %d %s on %s; trying again", w.number, what, attempt.task.key)
+            self._pending.appendleft(_Attempt(attempt.task, attempt.number + 1))
             return
-        text = f"{guilty.task.key}: its worker {what} on attempt {guilty.number} of {guilty.number}"
-        failure = Failure(kind, "WorkerDiedError", text, traceback=str(error or ""))
-        self._deliver(TaskResult(guilty.task.key, None, failure, guilty.number, 0.0, w.number, 0))
+        failure = loss_of(attempt.task, kind, what, attempt.number, output)
+        self._deliver(TaskResult(attempt.task.key, None, failure, attempt.number, 0.0, w.number, 0))
 
     # ---- endings
 

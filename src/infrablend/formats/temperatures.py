@@ -121,7 +121,7 @@ def scale_warnings(dataset: Dataset) -> list[Problem]:
         return implausible
     found = "16-bit pictures without a temperature scale: their levels are only counts"
     todo = "state it if it is known, with --read unit=... or data.unit in the recipe; unit=counts accepts them"
-    if was_extracted(dataset):
+    if from_radiometric_files(dataset):
         todo = EXTRACT_AGAIN
     return [
         *implausible,
@@ -133,7 +133,7 @@ def _some(images: Sequence[ImageRecord]) -> Sequence[ImageRecord]:
     return images[:: max(1, len(images) // _LOOKED_AT)][:_LOOKED_AT]
 
 
-def was_extracted(dataset: Dataset) -> bool:
+def from_radiometric_files(dataset: Dataset) -> bool:
     """Return whether `infrablend temperatures` wrote the dataset."""
     return (dataset.root / TEMPERATURES_FILE).is_file()
 
@@ -164,7 +164,7 @@ def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) 
     if not wrong or len(wrong) < len(medians):
         return []
     found = f"temperatures of no scene: medians of {min(wrong):,.1f} to {max(wrong):,.1f} K in {len(wrong)} picture(s)"
-    todo = f"{EXTRACT_AGAIN}; or {CHECK_SCALE}" if was_extracted(dataset) else CHECK_SCALE
+    todo = f"{EXTRACT_AGAIN}; or {CHECK_SCALE}" if from_radiometric_files(dataset) else CHECK_SCALE
     return [Problem(dataset.root.name, IMPLAUSIBLE, found, describe_plausible(of_ground), todo, "warning")]
 
 

@@ -12,7 +12,7 @@ from infrablend.core.finished import COMPLETE, EXCLUDING, finishing_command
 from infrablend.core.run_layout import EXCLUDED
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
-from infrablend.pipeline.excluded import purge, read_choice, read_review, require_choice
+from infrablend.pipeline.excluded import purge, read_review, require_choice
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import similar
 from infrablend.pipeline.plan import RunPlan
@@ -111,13 +111,12 @@ def choose_frames(
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
     recorded = RecordedRun.from_record(record, folder.run_file)
     plan = recorded.plan(data)
-    require_choice(record, folder)
+    before = require_choice(record, folder)
     if not folder.manifest().exists:
         raise OutputError(
             f"{run}: the list of its label files (log/files.jsonl) is missing; expected it, because labels of excluded "
             "frames are removed by it. Write the labels again first: the command of the run with --resume"
         )
-    before = read_choice(folder)
     after = _changed(before, choice, plan, run)
 
     def choose(now: Mapping[str, str]) -> Mapping[str, str]:

@@ -10,14 +10,13 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.files import part_path, require_still_there, write_json
 from infrablend.core.finished import COMPLETE
-from infrablend.core.manifest import REPLACED, Manifest, files_below
+from infrablend.core.manifest import JOURNAL, REPLACED, Manifest, files_below
 from infrablend.core.output import OutputFolder
 from infrablend.core.typed_command import command_facts
 from infrablend.errors import OutputError, Problem
 from infrablend.report.card import CARD_FILE
 
 # Exists only while files are written; then the record lists them.
-_JOURNAL = ".files.jsonl"
 
 
 class DatasetFolder:
@@ -33,7 +32,7 @@ class DatasetFolder:
 
     def _new_manifest(self) -> Manifest:
         ignored = (self._record, part_path(Path(self._record)).name)
-        return Manifest(self.root, self.root / _JOURNAL, self.root / REPLACED, ignored)
+        return Manifest(self.root, self.root / JOURNAL, self.root / REPLACED, ignored)
 
     def require_usable(self, overwrite: bool) -> None:
         """Check the folder without touching it.
@@ -118,7 +117,7 @@ class DatasetFolder:
         earlier.read().add_all(record.get("written"))
         own = {path.split("/")[0] for path in earlier.paths}
         own |= {part_path(Path(name)).name for name in own}  # what a kill left of a file
-        self._output.require_only({*own, self._record, _JOURNAL, REPLACED, CARD_FILE}, entries)
+        self._output.require_only({*own, self._record, JOURNAL, REPLACED, CARD_FILE}, entries)
         return earlier
 
     def _empty(self, overwrite: bool, head: Mapping[str, Any]) -> None:
@@ -132,7 +131,7 @@ class DatasetFolder:
         earlier.remove_own()
         rest = files_below(self.root, [e for e in entries if e != REPLACED])
         rest += [e for e in entries if not (self.root / e).is_dir() and (self.root / e).exists()]
-        self._kept = sorted({*rest} - {self._record, _JOURNAL, CARD_FILE})
+        self._kept = sorted({*rest} - {self._record, JOURNAL, CARD_FILE})
         # The record stays until the next one replaces it: an interrupted call can be repeated.
         if earlier.exists:
             self._manifest.reset()

@@ -6,8 +6,6 @@ The choice is written before anything moves. Whatever a kill leaves, the next ca
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import shlex
 from collections.abc import Iterable, Mapping
@@ -15,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import load_json, output_error, sha256_of, write_json
+from infrablend.core.files import load_json, output_error, sha256_of, sha256_of_json, write_json
 from infrablend.core.finished import COMPLETE
 from infrablend.core.manifest import Manifest, remove_empty
 from infrablend.core.run_layout import EXCLUDED, IMAGES, SCENES, RunLayout
@@ -42,7 +40,7 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
         frames = data["frames"]
         if data["version"] != VERSION or not all(isinstance(v, str) for pair in frames.items() for v in pair):
             raise ValueError("not a choice of frames")
-        if data["sha256"] != _digest_of(frames):
+        if data["sha256"] != sha256_of_json(frames):
             raise ValueError("it was edited: frames are chosen by `infrablend exclude` and `include`")
         return dict(frames)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -53,8 +51,8 @@ def read_choice(layout: RunLayout) -> dict[str, str]:
         ) from error
 
 
-def require_choice(record: Mapping[str, Any], layout: RunLayout) -> None:
-    """Check that the choice of a finished run is the one that its labels were written with.
+def require_choice(record: Mapping[str, Any], layout: RunLayout) -> dict[str, str]:
+    """Return the choice of frames, after a check that a finished run has that which its labels were written with.
 
     Raises:
         OutputError: `excluded.json` is damaged, was removed, or is an earlier one.
@@ -66,21 +64,18 @@ def require_choice(record: Mapping[str, Any], layout: RunLayout) -> None:
             f"{layout.excluded_file}: {found}; expected the choice that the labels of the run were written with. "
             "Restore the file, or make the run again with --overwrite"
         )
+    return frames
 
 
 def choice_digest(frames: Mapping[str, str]) -> str | None:
     """Return the digest of a choice for the record of its run; None if no frame is left out."""
-    return _digest_of(frames) if frames else None
+    return sha256_of_json(dict(frames)) if frames else None
 
 
 def write_choice(layout: RunLayout, excluded: Mapping[str, str]) -> None:
     """Write the choice of frames."""
     frames = dict(sorted(excluded.items()))
-    write_json(layout.excluded_file, {"version": VERSION, "frames": frames, "sha256": _digest_of(frames)}, indent=2)
-
-
-def _digest_of(frames: Mapping[str, str]) -> str:
-    return hashlib.sha256(json.dumps(dict(frames), sort_keys=True).encode()).hexdigest()
+    write_json(layout.excluded_file, {"version": VERSION, "frames": frames, "sha256": sha256_of_json(frames)}, indent=2)
 
 
 def place_frames(

@@ -23,6 +23,8 @@ def make_executor(worker: WorkerSpec, execution: Execution, log_path: Path) -> E
         return Serial(worker, log_path)
     if execution.executor == "ray":
         gpus = 0.0 if execution.device in ("auto", "cpu") else 1.0
-        settings = RaySettings(execution.workers, execution.address, worker_bytes=WORKER_BYTES, gpus=gpus)
+        settings = RaySettings(
+            workers=execution.workers, address=execution.address, worker_bytes=WORKER_BYTES, gpus=gpus
+        )
         return RayPool(worker, settings)
     return ProcessPool(worker, PoolSettings(workers=max(1, execution.worker_count()), log_path=log_path))

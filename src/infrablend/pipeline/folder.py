@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import logging
 import os
 import shutil
@@ -13,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, part_path, write_json
+from infrablend.core.files import load_json, part_path, sha256_of_json, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
@@ -56,7 +54,7 @@ def _digest_of(record: Mapping[str, Any]) -> str:
     deciding: dict[str, Any] = {k: record[k] for k in _DECIDING if k in record}
     machine = record.get("machine")  # but not the number of workers, which decides nothing
     deciding["renderer"] = machine.get("renderer") if isinstance(machine, Mapping) else None
-    return hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()
+    return sha256_of_json(deciding)
 
 
 def is_edited(record: Mapping[str, Any]) -> bool:

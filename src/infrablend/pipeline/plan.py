@@ -20,12 +20,12 @@ from infrablend.config.agc import FixedAgc
 from infrablend.config.recipe import MetricCamera, MetricSections, RadiometricMatching, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
+from infrablend.core.files import sha256_of_json
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
-from infrablend.formats import flight
-from infrablend.formats.flight import FOR_ALL
-from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, implausible_scales, was_extracted
+from infrablend.formats.flight import FOR_ALL, was_extracted
+from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, from_radiometric_files, implausible_scales
 from infrablend.formats.writing import WriteSettings, unwritable
 from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
@@ -328,7 +328,7 @@ def make_plan(
 
 def _identity(key: Mapping[str, Any]) -> str:
     deciding = {**key["recipe"], "description": None}
-    return hashlib.sha256(json.dumps([deciding, key["seed"]], sort_keys=True).encode()).hexdigest()[:16]
+    return sha256_of_json([deciding, key["seed"]])[:16]
 
 
 def _configurations(originals: bool, count: int) -> list[int | None]:
@@ -424,7 +424,7 @@ class _Telemetry:
     def of(cls, dataset: Dataset) -> _Telemetry:
         names = ("pitch_deg", "altitude_m", "hfov_deg")
         known = (any(getattr(i, name) is not None for i in dataset.images) for name in names)
-        return cls(flight.was_extracted(dataset), *known)
+        return cls(was_extracted(dataset), *known)
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
@@ -461,7 +461,7 @@ def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Prob
         f"no temperature scale, which {needed} needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
         EXTRACT_AGAIN
-        if was_extracted(dataset)
+        if from_radiometric_files(dataset)
         else "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
     )
 

@@ -23,9 +23,9 @@ from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_bytes, write_json
-from infrablend.core.output import require_apart
+from infrablend.core.output import require_apart, require_no_foreign
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.report.profile_plots import draw_profile
@@ -292,9 +292,4 @@ def _require_own_profile(out: Path) -> None:
     except (OSError, ValueError):
         own = False
     foreign = [p for p in (path, plot) if os.path.lexists(p) and not own]
-    if foreign:
-        todo = "move it away, or give another folder with --out"
-        raise OutputError(
-            f"{out}: files in the place of the profile were not written by InfraBlend",
-            [Problem(str(p), "file-foreign", "another file", "an earlier profile", todo) for p in foreign],
-        )
+    require_no_foreign(foreign, out, "the profile", "an earlier profile", "--out")

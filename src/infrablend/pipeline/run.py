@@ -34,7 +34,7 @@ from infrablend.errors import (
     RenderError,
 )
 from infrablend.formats.images import output_suffix
-from infrablend.pipeline.excluded import CHOICE, choice_digest, place_frames, read_choice, require_choice, write_choice
+from infrablend.pipeline.excluded import CHOICE, choice_digest, place_frames, require_choice, write_choice
 from infrablend.pipeline.executors import make_executor
 from infrablend.pipeline.folder import FILES, RUN, RunFolder
 from infrablend.pipeline.frame_pool import settings_for
@@ -177,9 +177,7 @@ def run_plan(
         manifest = folder.manifest()
         if previous is None:
             manifest.reset()
-        if previous is not None:
-            require_choice(previous, folder)
-        kept_out = {} if previous is None else read_choice(folder)
+        kept_out = {} if previous is None else require_choice(previous, folder)
         if choose is not None:
             kept_out = dict(choose(kept_out))
         folder.write_run({**header, "status": "running" if choose is None else EXCLUDING})

@@ -17,6 +17,7 @@ from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.files import write_bytes
 from infrablend.core.finished import require_finished
 from infrablend.core.run_layout import IMAGES, RunLayout
+from infrablend.core.typed_command import run_command
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.excluded import read_choice
 from infrablend.pipeline.folder import RunFolder
@@ -94,7 +95,7 @@ def _run_facts(
         recipe=str(recipe.get("name", "")),
         description=str(recipe.get("description") or ""),
         settings=settings,
-        command=_command(record),
+        command=shlex.join(run_command(record, "recipe.yaml", "DATA", "RUN", folders=False)),  # of no machine
         version=str(record["infrablend"]),
         made=(
             ("backgrounds", f"{data.get('backgrounds', 0)} pictures, format {data.get('format', 'unknown')}"),
@@ -108,24 +109,6 @@ def _run_facts(
         machine=record.get("machine", {}),
         frames=frames,
     )
-
-
-def _command(record: Mapping[str, Any]) -> str:
-    """Return the command of a run; the page names no folder of this machine."""
-    words = ["infrablend", "generate", "recipe.yaml", "--data", "DATA", "--out", "RUN"]
-    words += ["--seed", str(record.get("seed", 0))]
-    request = record.get("request") or {}
-    reading, selection = request.get("reading", {}), request.get("selection", {})
-    if splits := reading.get("splits"):
-        words += ["--split", ",".join(splits)]
-    words += [w for name in ("format", "form") if name in reading for w in (f"--{name}", str(reading[name]))]
-    if metadata := reading.get("metadata"):
-        words += ["--metadata", Path(metadata).name]
-    words += [w for name, text in reading.get("options", {}).items() for w in ("--read", f"{name}={text}")]
-    words += [w for name in ("limit", "sample") if name in selection for w in (f"--{name}", str(selection[name]))]
-    if frames := selection.get("frames"):
-        words += ["--frames", ",".join(frames)]
-    return shlex.join(words)
 
 
 def _frame_facts(record: FrameRecord) -> FrameFacts:

@@ -9,7 +9,7 @@ from typing import Any
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, is_finished
-from infrablend.core.manifest import REPLACED, Manifest
+from infrablend.core.manifest import JOURNAL, REPLACED, Manifest
 from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES
 from infrablend.errors import OutputError, Problem, Severity
 from infrablend.pipeline.excluded import require_choice
@@ -33,8 +33,8 @@ def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem
     for root in (inside, *inside.parents):
         part = inside.relative_to(root).parts[:1]
         wanted = {*part, IMAGES, SCENES} if part else None
-        if _finished(root / RUN_FILE) is not None:
-            return [p for p in _of_run(root, digests) if wanted is None or p.where.split("/")[0] in wanted]
+        if (run := _finished(root / RUN_FILE)) is not None:
+            return [p for p in _of_run(root, run, digests) if wanted is None or p.where.split("/")[0] in wanted]
         for name in _DATASETS:
             record = _finished(root / name)
             if record is not None:
@@ -48,13 +48,12 @@ def _finished(file: Path) -> Mapping[str, Any] | None:
     return record if record is not None and "infrablend" in record and is_finished(record) else None
 
 
-def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
+def _of_run(root: Path, run: Mapping[str, Any], digests: bool) -> Iterator[Problem]:
     folder = RunFolder(root)
     manifest = folder.manifest().read()
     todo = "repeat the command of the run with --resume: it restores the file and keeps a changed one in log/replaced"
-    if is_edited(read_object(root / RUN_FILE) or {}):
+    if is_edited(run):
         yield Problem(RUN_FILE, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
-    run = read_object(root / RUN_FILE) or {}
     if isinstance(run.get(FILES), int) and (listed := len(folder.listed(manifest))) < run[FILES]:
         found = f"lists {listed} files; {RUN_FILE} counts {run[FILES]}"
         yield Problem("log/files.jsonl", GONE, found, "the list as the run wrote it", todo)
@@ -89,7 +88,7 @@ def _of_run(root: Path, digests: bool) -> Iterator[Problem]:
 
 
 def _of_dataset(root: Path, written: Any) -> Iterator[Problem]:
-    manifest = Manifest(root, root / ".files.jsonl", root / REPLACED).add_all(written)
+    manifest = Manifest(root, root / JOURNAL, root / REPLACED).add_all(written)
     todo = "nothing, if you edited it; --overwrite writes the dataset again and keeps the changed file in replaced"
     yield from _differences(manifest, manifest.paths, todo, "warning")
 

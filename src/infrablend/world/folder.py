@@ -11,11 +11,10 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.files import part_path, require_still_there, write_json
 from infrablend.core.finished import COMPLETE, WORLD_FILE, is_finished
-from infrablend.core.manifest import REPLACED, Manifest
+from infrablend.core.manifest import JOURNAL, REPLACED, Manifest
 from infrablend.core.output import OutputFolder
 from infrablend.core.typed_command import command_facts
 
-_JOURNAL = ".files.jsonl"
 _FRAMES = ".frames"
 
 
@@ -34,7 +33,7 @@ class WorldFolder:
 
     def _new_manifest(self) -> Manifest:
         ignored = (WORLD_FILE, part_path(Path(WORLD_FILE)).name, _FRAMES)
-        return Manifest(self.root, self.root / _JOURNAL, self.root / REPLACED, ignored)
+        return Manifest(self.root, self.root / JOURNAL, self.root / REPLACED, ignored)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 import shlex
 from collections import Counter
@@ -14,7 +12,7 @@ from typing import Any
 from infrablend.annotation.classes import drop_classes
 from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
-from infrablend.core.files import read_regular
+from infrablend.core.files import read_regular, sha256_of_json
 from infrablend.core.format_table import writer_for_task
 from infrablend.core.manifest import Manifest
 from infrablend.errors import DatasetError, OutputError, Problem
@@ -165,7 +163,7 @@ def data_digest(wanted: Dataset, task: str) -> str:
     if task != "segment":
         return found
     masks = [o.mask.to_coco() for i in wanted.images for o in i.instances if o.mask is not None]
-    return hashlib.sha256(json.dumps([found, masks], sort_keys=True).encode()).hexdigest()
+    return sha256_of_json([found, masks])
 
 
 def most_tiles(preset: Preset, split: str) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import load_json, read_regular, write_bytes, write_json, write_text
-from infrablend.errors import OutputError, Problem
+from infrablend.core.output import require_no_foreign
 from infrablend.report.results.index import INTRO, index_text
 from infrablend.report.results.page import page_text
 from infrablend.report.results.plots import CHARTS, draw_plots
@@ -28,12 +28,7 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
     first, index = page_name(experiment, scale), out / INDEX_FILE
     foreign = [p for stem in (first, f"{first}{UNFINISHED_END}") for p in _foreign(out, stem)]
     foreign += [index] if os.path.lexists(index) and not _says(index, INTRO) else []
-    if foreign:
-        todo = "move it away, or give another folder with --results"
-        raise OutputError(
-            f"{out}: files in the place of the results were not written by InfraBlend",
-            [Problem(str(p), "file-foreign", "another file", "a page that InfraBlend wrote", todo) for p in foreign],
-        )
+    require_no_foreign(foreign, out, "the results", "a page that InfraBlend wrote", "--results")
 
 
 def _foreign(out: Path, stem: str) -> list[Path]:
