@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import json
 import logging
 from collections.abc import Mapping, Sequence
@@ -133,7 +134,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
         RecipeError: With every unknown key and bad value at once.
     """
     try:
-        data = read_yaml(text)
+        data = copy.deepcopy(_read_yaml(text))
     except ValueError as error:
         raise RecipeError(
             f"recipe {where}: {error}. Correct the file; docs/reference/recipe.md has all fields."
@@ -217,6 +218,12 @@ def _require_settings(settings: Settings) -> None:
             f"settings: found {settings!r}, expected a list of texts such as ['output.image=png'], or a mapping such "
             "as {'output.image': 'png'}"
         )
+
+
+@functools.lru_cache(maxsize=8)
+def _read_yaml(text: str) -> Any:
+    """Return the shared value of a text: the studio reads the same recipe with other settings at each change."""
+    return read_yaml(text)
 
 
 def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]:
