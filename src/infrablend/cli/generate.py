@@ -59,7 +59,11 @@ def generate(
         ),
     ] = None,
     shard_size: Annotated[
-        int | None, typer.Option(min=1, help="Most frames per shard, with --shard I instead of I/N.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Most frames per shard, with --shard I instead of I/N, or for all shards of output.layout=shards.",
+        ),
     ] = None,
     split: SplitsOption = None,
     seed: SeedOption = 0,
@@ -173,9 +177,7 @@ def shard_request(text: str | None, size: int | None) -> ShardRequest | None:
     from infrablend.pipeline.shard import ShardRequest
 
     if text is None:
-        if size is not None:
-            raise typer.BadParameter("--shard-size needs --shard I, the number of the shard", param_hint="--shard-size")
-        return None
+        return None if size is None else ShardRequest(size=size)
     number, slash, count = text.partition("/")
     numbers = [number, *([count] if slash else [])]
     if not all(n.isascii() and n.isdigit() and len(n) < 10 for n in numbers):
@@ -191,7 +193,7 @@ def show_run(report: RunReport, session: Session) -> None:
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, print_json, print_problems, print_result, table
 
-    print_problems(report.problems, session.log_path, report.out / "run.json")
+    print_problems(report.problems, session.log_path, report.record_file or report.out / "run.json")
     if session.json:
         print_json(report.to_json())
     else:

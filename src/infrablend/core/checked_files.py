@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import stat
 from pathlib import Path
 
@@ -23,8 +24,7 @@ class CheckedFiles:
         """
         try:
             status = path.lstat()
-            facts = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, sha256)
-            key = hashlib.blake2b(repr(facts).encode(), digest_size=16).digest()
+            key = _key(status, sha256)
             if key in self._known:
                 return True
             if not path.is_file() or sha256_of(path, folder) != sha256:
@@ -34,3 +34,12 @@ class CheckedFiles:
         if stat.S_ISREG(status.st_mode):  # a link does not change with the file that it leads to
             self._known.add(key)
         return True
+
+    def add(self, path: Path, sha256: str) -> None:
+        """Take note of a file that was just written, with content that has this SHA-256."""
+        self._known.add(_key(path.lstat(), sha256))
+
+
+def _key(status: os.stat_result, sha256: str) -> bytes:
+    facts = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, sha256)
+    return hashlib.blake2b(repr(facts).encode(), digest_size=16).digest()

@@ -82,3 +82,31 @@ class RunLayout:
     def coco_file(self, split: str) -> Path:
         """Return the COCO file of a split."""
         return self.labels("coco") / f"{split}.json"
+
+
+@dataclass(frozen=True)
+class ShardFiles:
+    """Files of a finished shard of a run with `output.layout: shards`.
+
+    Attributes:
+        folder: Folder that they are in.
+        name: Name of the shard, the stem of all of them.
+    """
+
+    folder: Path
+    name: str
+
+    @property
+    def tar(self) -> Path:
+        """Pictures, labels and scenes."""
+        return self.folder / f"{self.name}.tar"
+
+    @property
+    def table(self) -> Path:
+        """Parquet table with a row per frame."""
+        return self.folder / f"{self.name}.parquet"
+
+    @property
+    def marker(self) -> Path:
+        """Record of the shard; it is written last."""
+        return self.folder / f"{self.name}.json"

@@ -47,7 +47,10 @@ FILES = "files"
 DIGEST = "sha256"
 """Field of a run record with the digest of the fields that decide what the run is."""
 
-_DECIDING = ("categories", "formats", "key", "levels", "recipe", "request", "run", "seed", "shard")
+ARCHIVE = "archive"
+"""Field of the record of a shard with sizes and digests of its tar and its table."""
+
+_DECIDING = (ARCHIVE, "categories", "formats", "key", "levels", "recipe", "request", "run", "seed", "shard")
 
 
 def _digest_of(record: Mapping[str, Any]) -> str:
@@ -60,6 +63,39 @@ def _digest_of(record: Mapping[str, Any]) -> str:
 def is_edited(record: Mapping[str, Any]) -> bool:
     """Return whether a field of a run record that decides what the run is was changed after it was written."""
     return DIGEST in record and record[DIGEST] != _digest_of(record)
+
+
+def read_run_file(file: Path) -> dict[str, Any]:
+    """Return the record of a run or of a shard.
+
+    Raises:
+        OutputError: The record does not exist or cannot be read.
+    """
+    try:
+        data = load_json(file)
+    except (OSError, ValueError) as error:
+        raise OutputError(
+            f"{file}: cannot be read ({error}); expected the record of a run. Use a folder written by "
+            "`infrablend generate --out`, or make the run again with --overwrite."
+        ) from error
+    if not isinstance(data, dict) or not {"recipe", "infrablend"} <= data.keys():
+        raise OutputError(f"{file}: not a run record; expected one written by `infrablend generate`")
+    if is_edited(data):
+        raise OutputError(
+            f"{file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} or machine.renderer); "
+            "expected the record as written. Restore it, or make the run again with --overwrite."
+        )
+    if (found := damage(data)) is not None:
+        raise OutputError(
+            f"{file}: damaged ({found}); expected the record of a run as `infrablend generate` writes it. "
+            "Restore it, or make the run again with --overwrite."
+        )
+    return data
+
+
+def sealed(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run record with a digest of what decides the run."""
+    return {**record, DIGEST: _digest_of(record)}
 
 
 @dataclass(frozen=True)
@@ -78,30 +114,11 @@ class RunFolder(RunLayout):
         Raises:
             OutputError: The record does not exist or cannot be read.
         """
-        try:
-            data = load_json(self.run_file)
-        except (OSError, ValueError) as error:
-            raise OutputError(
-                f"{self.run_file}: cannot be read ({error}); expected the record of a run. Use a folder written by "
-                "`infrablend generate --out`, or make the run again with --overwrite."
-            ) from error
-        if not isinstance(data, dict) or not {"recipe", "infrablend"} <= data.keys():
-            raise OutputError(f"{self.run_file}: not a run record; expected one written by `infrablend generate`")
-        if is_edited(data):
-            raise OutputError(
-                f"{self.run_file}: changed after InfraBlend wrote it ({', '.join(_DECIDING)} or machine.renderer); "
-                "expected the record as written. Restore it, or make the run again with --overwrite."
-            )
-        if (found := damage(data)) is not None:
-            raise OutputError(
-                f"{self.run_file}: damaged ({found}); expected the record of a run as `infrablend generate` writes it. "
-                "Restore it, or make the run again with --overwrite."
-            )
-        return data
+        return read_run_file(self.run_file)
 
     def write_run(self, data: dict[str, Any]) -> None:
         """Write the run record atomically, with a digest of what decides the run."""
-        write_json(self.run_file, {**data, DIGEST: _digest_of(data)}, indent=2)
+        write_json(self.run_file, sealed(data), indent=2)
 
     def manifest(self) -> Manifest:
         """Return the manifest of the files that the run writes, unread; frames have their own records instead."""

@@ -12,13 +12,14 @@ from infrablend.config.modes import DROPPED, KEPT
 from infrablend.core.file_names import real_path
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
-from infrablend.errors import OutputError, Problem
+from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import LENS_REPLACED, RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
-from infrablend.pipeline.sharded_run import run_shard
+from infrablend.pipeline.shard import ShardRequest
+from infrablend.pipeline.sharded_run import run_shards
 from infrablend.pipeline.temperature_scale import with_scale
 
 
@@ -31,9 +32,15 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
     if request.out is None:
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
     plan = prepare_run(request)
-    if request.shard is not None:
-        shard = request.shard.of(len(plan.frames))
-        return run_shard(plan, shard, request.out, request.execution, request.existing, on_progress)
+    packed = plan.recipe.output.layout == "shards"
+    wanted = request.shard or (ShardRequest(count=1) if packed else None)
+    if wanted is not None:
+        if wanted.number is None and not packed:
+            raise ArgumentError(
+                "--shard-size needs --shard I, the number of the shard, unless the recipe has output.layout: shards"
+            )
+        shards = wanted.of(len(plan.frames))
+        return run_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
     return run_plan(plan, request.out, request.execution, request.existing, on_progress)
 
 
@@ -43,7 +50,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     With a shard in the request, times are those of one shard and of merging.
     """
     plan = prepare_run(request)
-    shards = None if request.shard is None else request.shard.of(len(plan.frames)).count
+    shards = None if request.shard is None else request.shard.of(len(plan.frames))[0].count
     return {
         **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,

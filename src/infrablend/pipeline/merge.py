@@ -9,21 +9,20 @@ from typing import Any
 
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
-from infrablend.core.files import link_or_copy
 from infrablend.core.output import Existing, require_apart
 from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.folder import RUN, RunFolder
+from infrablend.pipeline.folder import RUN, RunFolder, read_run_file
 from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.plan import RunPlan
-from infrablend.pipeline.record import RecordError, load_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.shard_source import ShardSource
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan
 
 
@@ -33,13 +32,13 @@ class _Finished:
 
     Attributes:
         shard: The shard.
-        folder: Its folder.
+        source: Where its frames are.
         record: Its run record.
         failures: Reasons of its unfinished frames, by id.
     """
 
     shard: Shard
-    folder: RunFolder
+    source: ShardSource
     record: Mapping[str, Any]
     failures: Mapping[str, Failure]
 
@@ -55,7 +54,8 @@ def merge_shards(
 ) -> RunReport:
     """Write one run from the shards of a run; the result has the bytes of an undivided run.
 
-    Pictures and records become hard links where the file system can, and copies elsewhere. The shards stay unchanged.
+    Pictures and records become hard links where the file system can, and copies elsewhere; tars are unpacked. Shards
+    stay unchanged, and may have different layouts.
 
     Args:
         sources: Folders with shards, from one machine or several.
@@ -74,7 +74,7 @@ def merge_shards(
     shared, shards = _finished_shards(sources, partial)
     for source in sources:
         _require_apart(source, out)
-    recorded = RecordedRun.from_record(shards[0].record, shards[0].folder.run_file)
+    recorded = RecordedRun.from_record(shards[0].record, shards[0].source.record_file)
     for backgrounds in {recorded.data, data or recorded.data}:
         require_apart(backgrounds, out)
     plan = recorded.plan(data)
@@ -92,7 +92,11 @@ def merge_shards(
     execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
     frames = FrameSource(
-        _ShardFrames(places, failures, RunFolder(out)), shared.levels, recorded.machine, recorded.packages, checked
+        _ShardFrames(places, failures, RunFolder(out), checked),
+        shared.levels,
+        recorded.machine,
+        recorded.packages,
+        checked,
     )
     return run_plan(plan, out, execution, existing, on_progress, source=frames)
 
@@ -132,7 +136,7 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
     if not found:
         raise ArgumentError(f"none of the {shared.count} shards is finished; expected at least one")
     return shared, [
-        _read(run.shard_folder(state.shard), state.shard, shared) for _, (run, state) in sorted(found.items())
+        _read(run.shard_source(state.shard), state.shard, shared) for _, (run, state) in sorted(found.items())
     ]
 
 
@@ -141,27 +145,27 @@ def _unfinished(shard: Shard, run: ShardedRun, state: ShardState | None) -> Prob
     return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", run.command(shard))
 
 
-def _read(folder: RunFolder, shard: Shard, shared: SharedPlan) -> _Finished:
+def _read(source: ShardSource, shard: Shard, shared: SharedPlan) -> _Finished:
     """Return a finished shard, if its record is that of this shard of this run."""
-    record = folder.read_run()
+    record = read_run_file(source.record_file)
     if record.get("shard") != str(shard):
-        raise OutputError(f"{folder.root}: found shard {record.get('shard')} of a run, expected shard {shard}")
+        raise OutputError(f"{source.place}: found shard {record.get('shard')} of a run, expected shard {shard}")
     if changed := differences(shared.key, record.get("key", {})):
         raise OtherSettingsError(
-            f"{folder.root}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
+            f"{source.place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
     levels = record.get("levels")
     if (None if levels is None else [float(v) for v in levels]) != (shared.levels and list(shared.levels)):
         raise OtherSettingsError(
-            f"{folder.root}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
+            f"{source.place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
             "the file as it was, or repeat the command of the shard with --overwrite"
         )
     try:
         failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
     except (LookupError, TypeError, AttributeError) as error:
-        raise OutputError(f"{folder.run_file}: damaged ({error}); repeat the shard with --resume") from error
-    return _Finished(shard, folder, record, failures)
+        raise OutputError(f"{source.record_file}: damaged ({error}); repeat the shard with --resume") from error
+    return _Finished(shard, source, record, failures)
 
 
 def _places(plan: RunPlan, shards: Iterable[_Finished]) -> dict[str, _Finished]:
@@ -175,35 +179,23 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
     Raises:
         OutputError: One is not; `problems` names each shard.
     """
-    broken: dict[Shard, list[str]] = {}
+    frames: dict[Shard, list[str]] = {one.shard: [] for one in shards}
     for frame_id, one in places.items():
-        if frame_id not in one.failures and not _is_intact(one, frame_id, checked):
-            broken.setdefault(one.shard, []).append(frame_id)
-    if broken:
-        problems = [
-            Problem(
-                str(one.folder.root),
-                "shard-truncated",
-                f"{len(broken[one.shard])} frames are missing or damaged, such as {broken[one.shard][0]}",
-                "all frames of a finished shard",
-                ShardedRun(one.folder.root.parent).command(one.shard),
-            )
-            for one in shards
-            if one.shard in broken
-        ]
-        raise OutputError(f"{len(broken)} shards are truncated; nothing was written", problems)
-
-
-def _is_intact(shard: _Finished, frame_id: str, checked: CheckedFiles) -> bool:
-    folder = shard.folder
-    try:
-        record = load_record(folder.record(frame_id))
-        image = folder.image(record.image)
-    except (RecordError, ValueError):
-        return False
-    if not record.is_of(shard.record.get(RUN)):
-        return False
-    return record.frame_id == frame_id and checked.has_digest(image, folder.root, record.image_sha256)
+        if frame_id not in one.failures:
+            frames[one.shard].append(frame_id)
+    problems = [
+        Problem(
+            str(one.source.place),
+            "shard-truncated",
+            found,
+            "all frames of a finished shard",
+            ShardedRun(one.source.place.parent).command(one.shard),
+        )
+        for one in shards
+        if (found := one.source.damage(frames[one.shard], one.record, checked)) is not None
+    ]
+    if problems:
+        raise OutputError(f"{len(problems)} shards are truncated; nothing was written", problems)
 
 
 def _require_apart(source: Path, out: Path) -> None:
@@ -213,24 +205,34 @@ def _require_apart(source: Path, out: Path) -> None:
 
 
 class _ShardFrames:
-    """Executor that takes finished frames from shards instead of rendering them, and repeats their failures."""
+    """Executor that takes finished frames from shards instead of rendering them, and repeats their failures.
 
-    def __init__(self, places: Mapping[str, _Finished], failures: Mapping[str, Failure], folder: RunFolder) -> None:
-        self._places, self._failures, self._folder = places, failures, folder
+    Tasks come in the order of the plan, in which each shard has its frames, too: a tar is read once.
+    """
+
+    def __init__(
+        self,
+        places: Mapping[str, _Finished],
+        failures: Mapping[str, Failure],
+        folder: RunFolder,
+        checked: CheckedFiles,
+    ) -> None:
+        self._places, self._failures, self._folder, self._checked = places, failures, folder, checked
+        self._open: ShardSource | None = None
 
     def run(self, tasks: Iterable[Task]) -> Iterator[TaskResult]:
-        """Link the frame of each task, see `core.tasks.Executor`."""
+        """Link or unpack the frame of each task, see `core.tasks.Executor`."""
         with Interruption() as stop:
             for task in tasks:
                 if stop.requested:
                     raise Interrupted(STOPPED)
                 failure = self._failures.get(task.key)
-                yield TaskResult(task.key, None if failure else self._link(task.key), failure)
+                yield TaskResult(task.key, None if failure else self._take(task.key), failure)
 
-    def _link(self, frame_id: str) -> FrameDone:
-        source = self._places[frame_id].folder
-        record = load_record(source.record(frame_id))
-        # The record comes first, as in `frame.FrameMaker`.
-        link_or_copy(source.record(frame_id), self._folder.record(frame_id))
-        link_or_copy(source.image(record.image), self._folder.image(record.image))
+    def _take(self, frame_id: str) -> FrameDone:
+        source = self._places[frame_id].source
+        if self._open is not None and self._open is not source:
+            self._open.close()
+        self._open = source
+        record = source.put(frame_id, self._folder, self._checked)
         return FrameDone(len(record.inserted), len(record.inserted), {})

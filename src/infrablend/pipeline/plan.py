@@ -17,7 +17,7 @@ from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.agc import FixedAgc
-from infrablend.config.recipe import MetricCamera, MetricSections, RadiometricMatching, Recipe
+from infrablend.config.recipe import NOT_IN_KEY, MetricCamera, MetricSections, RadiometricMatching, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.files import sha256_of_json
@@ -302,7 +302,7 @@ def make_plan(
     )  # fmt: skip
     key = {
         "version": __version__,
-        "recipe": json.loads(recipe.model_dump_json(exclude={"output": {"formats"}})),
+        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
         "seed": seed,
         "backgrounds": fingerprint(trimmed),
     }

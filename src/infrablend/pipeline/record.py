@@ -153,18 +153,35 @@ def load_record(path: Path) -> FrameRecord:
         RecordError: The record is missing, damaged, or was edited.
     """
     try:
-        data = load_json(path)
-        if not isinstance(data, dict):
-            raise RecordError("damaged: not a JSON object")
-        if (digest := data.pop(DIGEST, None)) is not None and digest != _digest(data):
-            raise RecordError("edited: its digest does not match")
-        return FrameRecord.from_json(data)
+        return _verified(load_json(path))
     except RecordError:
         raise
     except LinkOutError as error:
         raise RecordError(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise RecordError(f"damaged: {type(error).__name__}: {error}") from error
+
+
+def parse_record(text: bytes) -> FrameRecord:
+    """Return the record with this content; see `load_record`.
+
+    Raises:
+        RecordError: The record is damaged, or was edited.
+    """
+    try:
+        return _verified(json.loads(text))
+    except RecordError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        raise RecordError(f"damaged: {type(error).__name__}: {error}") from error
+
+
+def _verified(data: Any) -> FrameRecord:
+    if not isinstance(data, dict):
+        raise RecordError("damaged: not a JSON object")
+    if (digest := data.pop(DIGEST, None)) is not None and digest != _digest(data):
+        raise RecordError("edited: its digest does not match")
+    return FrameRecord.from_json(data)
 
 
 def read_record(path: Path) -> FrameRecord | None:

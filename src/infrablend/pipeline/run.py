@@ -66,6 +66,7 @@ class RunReport:
         problems: Skipped backgrounds, failed frames and warnings, and files that the run did not write or that were
             changed; the run record does not have the latter, because equal runs have equal records.
         seconds: Wall-clock time of this call.
+        record_file: Record with all problems; None for `run.json` in `out`.
     """
 
     out: Path
@@ -73,6 +74,7 @@ class RunReport:
     counts: Mapping[str, Any]
     problems: tuple[Problem, ...] = ()
     seconds: float = 0.0
+    record_file: Path | None = None
 
     @property
     def ok(self) -> bool:

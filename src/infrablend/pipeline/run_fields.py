@@ -89,6 +89,16 @@ class _Machine(Fields):
     workers: int | None = None
 
 
+class _File(Fields):
+    bytes: int
+    sha256: Text
+
+
+class _Archive(Fields):
+    tar: _File
+    table: _File
+
+
 class _Run(Fields):
     infrablend: Text
     recipe: _Table
@@ -108,6 +118,7 @@ class _Run(Fields):
         None
     )
     unfinished: dict[Any, _Table] = {}
+    archive: _Archive | None = None
 
 
 def damage(record: Mapping[str, Any], fields: type[Fields] = _Run) -> str | None:

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.recipe import NOT_IN_KEY
 
 _BACKGROUNDS = "backgrounds"
 _SHOWN = 3
@@ -73,7 +74,7 @@ def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
         recipe = upgrade_recorded(key["recipe"])
         with contextlib.suppress(ValidationError):  # an invalid recipe is compared as it is recorded
             upgraded = recipe_from_json(json.dumps(recipe))
-            recipe = json.loads(upgraded.model_dump_json(exclude={"output": {"formats"}}))
+            recipe = json.loads(upgraded.model_dump_json(exclude={"output": NOT_IN_KEY}))
         recipe.pop("description", None)
         comparable["recipe"] = recipe
     return comparable

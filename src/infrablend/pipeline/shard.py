@@ -56,10 +56,10 @@ class Shard:
 
 @dataclass(frozen=True)
 class ShardRequest:
-    """Request for one shard; the number of shards is given, or follows from their size.
+    """Request for one shard or all of them; the number of shards is given, or follows from their size.
 
     Attributes:
-        number: Number of the shard, from 1.
+        number: Number of the shard, from 1; None for all, one after the other, which needs `output.layout: shards`.
         count: Number of shards of the run.
         size: Most frames per shard.
 
@@ -67,26 +67,26 @@ class ShardRequest:
         ArgumentError: Neither or both of count and size are given, or a value is out of range.
     """
 
-    number: int
+    number: int | None = None
     count: int | None = None
     size: int | None = None
 
     def __post_init__(self) -> None:
-        require_whole("shard", self.number, 1)
+        if self.number is not None:
+            require_whole("shard", self.number, 1)
         if (self.count is None) == (self.size is None):
             raise ArgumentError("a shard needs either the number of shards (2/7) or their size; give one of them")
         if self.size is not None:
             require_whole("shard size", self.size, 1)
         if self.count is not None:
-            Shard(self.number, self.count)
+            Shard(1 if self.number is None else self.number, self.count)
 
-    def of(self, frames: int) -> Shard:
-        """Return the shard of a run with this number of frames.
+    def of(self, frames: int) -> list[Shard]:
+        """Return the shards to make of a run with this number of frames.
 
         Raises:
             ArgumentError: The run has fewer shards.
         """
-        if self.count is not None:
-            return Shard(self.number, self.count)
-        assert self.size is not None
-        return Shard(self.number, max(1, -(-frames // self.size)))
+        count = self.count or max(1, -(-frames // (self.size or 1)))
+        numbers = range(1, count + 1) if self.number is None else [self.number]
+        return [Shard(n, count) for n in numbers]

@@ -3,7 +3,13 @@
     OUT/shards.json                  the plan: recipe, seed, digest of the data, and what is measured over all of it
     OUT/shard-00002-of-00007/        one shard, a run folder without label files: images/ scenes/ log/ run.json
 
-A shard has a lock of its own, so several jobs may share OUT. Its `run.json` is its marker: it is complete last.
+or, with `output.layout: shards`,
+
+    OUT/shard-00002-of-00007.tar     pictures, labels and scenes
+    OUT/shard-00002-of-00007.parquet a row per frame
+    OUT/shard-00002-of-00007.json    the record of the shard
+
+A shard has a lock of its own, so several jobs may share OUT. Its record is its marker: it is complete last.
 """
 
 from __future__ import annotations
@@ -16,18 +22,18 @@ import os
 import shlex
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from infrablend import __version__
 from infrablend.core.files import DAMAGED, output_error, read_object, replace_atomically
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import RUN_FILE, SHARDS_FILE
-from infrablend.core.tasks import OnProgress
+from infrablend.core.run_layout import RUN_FILE, SHARDS_FILE, ShardFiles
+from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.typed_command import recorded_command
 from infrablend.errors import OtherSettingsError, OutputError
 from infrablend.pipeline.folder import RunFolder
@@ -37,9 +43,12 @@ from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import MAX_SHARDS, Shard
+from infrablend.pipeline.shard_archive import damage_of, run_archived, unfinished_run
+from infrablend.pipeline.shard_source import ShardArchive, ShardFolder, ShardSource
 
 log = logging.getLogger(__name__)
 
+Layout = Literal["files", "shards"]
 State = Literal["done", "running", "failed", "stopped", "missing"]
 """State of a shard: `failed` is finished without some frames, `stopped` is unfinished and nobody works on it."""
 
@@ -57,6 +66,7 @@ class SharedPlan:
         formats: Label formats of the merged dataset.
         renderer: Renderer of all shards.
         levels: Range of grey levels of the dataset; None if the recipe does not need it.
+        layout: Layout of finished shards.
     """
 
     count: int
@@ -65,6 +75,7 @@ class SharedPlan:
     formats: tuple[str, ...]
     renderer: str
     levels: tuple[float, float] | None
+    layout: Layout = "files"
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -76,6 +87,7 @@ class SharedPlan:
             "formats": list(self.formats),
             "renderer": self.renderer,
             "levels": None if self.levels is None else list(self.levels),
+            "layout": self.layout,
         }
 
     @classmethod
@@ -88,6 +100,9 @@ class SharedPlan:
         levels, count, frames = data["levels"], int(data["shards"]), int(data["frames"])
         if not 1 <= count <= MAX_SHARDS or frames < 0:
             raise ValueError(f"{count} shards of {frames} frames, expected 1 to {MAX_SHARDS} of at least 0")
+        layout: Layout = data.get("layout", "files")
+        if layout not in get_args(Layout):
+            raise ValueError(f"layout {layout!r}, expected one of {', '.join(get_args(Layout))}")
         return cls(
             count,
             frames,
@@ -95,10 +110,11 @@ class SharedPlan:
             tuple(data["formats"]),
             str(data["renderer"]),
             None if levels is None else (float(levels[0]), float(levels[1])),
+            layout,
         )
 
     def require_same(self, other: SharedPlan, where: Path) -> None:
-        """Check that another plan gives the same shards.
+        """Check that another plan gives the same shards, in whatever layout.
 
         Raises:
             OtherSettingsError: It does not; the message lists the differences.
@@ -162,8 +178,18 @@ class ShardedRun:
         return self.root / SHARDS_FILE
 
     def shard_folder(self, shard: Shard) -> RunFolder:
-        """Return the folder of a shard."""
+        """Return the folder of a shard: where it is, or while it is made, depending on the layout."""
         return RunFolder(self.root / shard.folder_name, "shard")
+
+    def shard_files(self, shard: Shard) -> ShardFiles:
+        """Return the files of a shard with the layout `shards`."""
+        return ShardFiles(self.root, shard.folder_name)
+
+    def shard_source(self, shard: Shard) -> ShardSource:
+        """Return a finished shard as a source of frames, in its layout."""
+        if self.read_plan().layout == "shards":
+            return ShardArchive(self.shard_files(shard))
+        return ShardFolder(self.shard_folder(shard))
 
     def read_plan(self) -> SharedPlan:
         """Return the shared plan.
@@ -192,15 +218,20 @@ class ShardedRun:
             OutputError: The folder has something else, or cannot be written.
         """
         formats = tuple(plan.recipe.output.formats)
-        wanted = SharedPlan(count, len(plan.frames), plan.key, formats, renderer, None)
+        wanted = SharedPlan(count, len(plan.frames), plan.key, formats, renderer, None, plan.recipe.output.layout)
         with self._locked():
             if os.path.lexists(self.file):
                 known = self.read_plan()
                 known.require_same(wanted, self.root)
+                if known.layout != wanted.layout:
+                    raise OtherSettingsError(
+                        f"{self.root}: its shards have output.layout: {known.layout}, not {wanted.layout}. Use another "
+                        "folder; `infrablend merge` takes folders of both layouts."
+                    )
                 return known
             folder = OutputFolder(self.root, "run in shards", SHARDS_FILE)
             found = [n for n in folder.entries() if not n.startswith(_TEMPORARY)]
-            if any(not n.endswith(f"-of-{count:05d}") for n in found):
+            if any(not n.partition(".")[0].endswith(f"-of-{count:05d}") for n in found):
                 raise folder.refuse_not_ours()
             folder.make_writable()
             shared = replace(wanted, levels=dataset_levels(plan) if plan.needs_levels else None)
@@ -234,12 +265,12 @@ class ShardedRun:
             OutputError: The folder has no readable plan.
         """
         shared = self.read_plan()
-        states = [self._state(Shard(n, shared.count), shared.frames) for n in range(1, shared.count + 1)]
+        states = [self._state(Shard(n, shared.count), shared) for n in range(1, shared.count + 1)]
         return [s if s.state in ("done", "running") else replace(s, command=self.command(s.shard)) for s in states]
 
     def command(self, shard: Shard) -> str:
         """Return the command that makes or finishes a shard: its own, or that of another shard of the folder."""
-        for record in (read_object(self.shard_folder(shard).run_file), self._any_record):
+        for record in (*map(read_object, self._record_files(shard.folder_name)), self._any_record):
             if (command := recorded_command(record, self.root, str(shard))) is not None:
                 return command
         return f"infrablend generate ... --out {shlex.quote(str(self.root))} --shard {shard} --resume"
@@ -247,8 +278,14 @@ class ShardedRun:
     @cached_property
     def _any_record(self) -> dict[str, Any] | None:
         """Record of a shard, to learn the command of the others."""
-        files = (folder / RUN_FILE for folder in sorted(self.root.glob("shard-*-of-*")))
+        names = sorted({p.name.partition(".")[0] for p in self.root.glob("shard-*-of-*")})
+        files = (file for name in names for file in self._record_files(name))
         return next((record for f in files if (record := read_object(f)) is not None), None)
+
+    def _record_files(self, name: str) -> tuple[Path, ...]:
+        """Return where the record of a shard of this name may be, finished or not, in either layout."""
+        files = ShardFiles(self.root, name)
+        return files.marker, self.root / name / RUN_FILE, unfinished_run(files).run_file
 
     def wait(self, interval_s: float = 30) -> list[ShardState]:
         """Return the states once every shard is done or failed; the plan may be missing until the first one starts.
@@ -263,18 +300,22 @@ class ShardedRun:
                     return states
             time.sleep(interval_s)
 
-    def _state(self, shard: Shard, frames: int) -> ShardState:
-        folder, planned = self.shard_folder(shard), len(shard.part_of(range(frames)))
-        if not folder.root.is_dir():
+    def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
+        folder, files = self.shard_folder(shard), self.shard_files(shard)
+        planned = len(shard.part_of(range(shared.frames)))
+        packed = shared.layout == "shards"
+        record = read_object(files.marker if packed else folder.run_file) or {}
+        if not record and not folder.root.is_dir() and not os.path.lexists(files.marker):
             return ShardState(shard, "missing", planned)
-        record = read_object(folder.run_file) or {}
         claimed = folder.output.is_claimed()
         counts = record.get("counts")
         finished = counts.get("frames") if isinstance(counts, Mapping) else None
-        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed:
+        whole = not packed or damage_of(files, record, digests=False) is None
+        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed and whole:
             state: State = "done" if finished == planned else "failed"
             return ShardState(shard, state, planned, finished, planned - finished)
-        return ShardState(shard, "running" if claimed else "stopped", planned, len(folder.records()))
+        made = unfinished_run(files) if packed else folder
+        return ShardState(shard, "running" if claimed else "stopped", planned, len(made.records()))
 
 
 def run_shard(
@@ -285,7 +326,7 @@ def run_shard(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
-    """Render the frames of one shard into its folder below `out`; label files are written when shards are merged.
+    """Render the frames of one shard into its folder or files in `out`; merging shards writes the label files.
 
     Args:
         plan: Plan of the whole run.
@@ -303,4 +344,45 @@ def run_shard(
     shared = sharded.share_plan(plan, shard.count, execution.renderer)
     # Problems of the data are those of the whole run: merging reports them once.
     part = replace(plan, frames=tuple(shard.part_of(plan.frames)), shard=shard, levels=shared.levels, problems=())
+    if shared.layout == "shards":
+        return run_archived(part, sharded.shard_files(shard), execution, existing, on_progress)
     return run_plan(part, sharded.shard_folder(shard).root, execution, existing, on_progress)
+
+
+def run_shards(
+    plan: RunPlan,
+    shards: Sequence[Shard],
+    out: Path,
+    execution: Execution,
+    existing: Existing = "refuse",
+    on_progress: OnProgress | None = None,
+) -> RunReport:
+    """Produce shards one after the other; the report counts the frames of all.
+
+    The arguments and errors are those of `run_shard`.
+    """
+    reports: list[RunReport] = []
+    before, total = 0, sum(len(s.part_of(plan.frames)) for s in shards)
+
+    def shifted(progress: Progress) -> None:
+        if on_progress is not None:
+            on_progress(replace(progress, done=before + progress.done, total=total))
+
+    for shard in shards:
+        reports.append(run_shard(plan, shard, out, execution, existing, shifted))
+        before += len(shard.part_of(plan.frames))
+    if len(reports) == 1:
+        return reports[0]
+    problems = tuple(p for r in reports for p in r.problems)
+    counts: dict[str, Any] = {}
+    for report in reports:
+        counts = _added(counts, report.counts)
+    return RunReport(out, COMPLETE, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
+
+
+def _added(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sums of counts, also of those in mappings."""
+    found = dict(a)
+    for name, value in b.items():
+        found[name] = _added(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
+    return found

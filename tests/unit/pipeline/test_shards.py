@@ -43,7 +43,7 @@ def test_shards_partition_the_frames():
         shards = [list(Shard(n, count).part_of(frames)) for n in range(1, count + 1)]
         assert [n for shard in shards for n in shard] == frames
         assert max(map(len, shards)) - min(map(len, shards)) <= 1
-    assert ShardRequest(2, size=4).of(10) == Shard(2, 3)
+    assert ShardRequest(2, size=4).of(10) == [Shard(2, 3)]
     with pytest.raises(ArgumentError, match="from 1 to 3"):
         ShardRequest(4, size=4).of(10)
 
@@ -256,7 +256,7 @@ def test_failures_and_skipped_backgrounds_are_merged(dataset, tmp_path):
 
 def test_interrupted_merge_is_finished(dataset, tmp_path, monkeypatch):
     from infrablend.errors import OutputError
-    from infrablend.pipeline import merge
+    from infrablend.pipeline import shard_source
 
     out, links = tmp_path / "out", []
     make_shards(dataset, out, 2)
@@ -268,7 +268,7 @@ def test_interrupted_merge_is_finished(dataset, tmp_path, monkeypatch):
         return os.link(source, target) if target.parent.mkdir(parents=True, exist_ok=True) is None else None
 
     with monkeypatch.context() as patch:
-        patch.setattr(merge, "link_or_copy", fail_late)
+        patch.setattr(shard_source, "link_or_copy", fail_late)
         assert run("merge", out, tmp_path / "merged").exit_code != 0
     assert run("check", tmp_path / "merged").exit_code == 2
     done("merge", out, tmp_path / "merged", "--resume")

@@ -1,0 +1,158 @@
+"""Tar of a shard in WebDataset form: picture, labels and scene of a frame follow each other and share a key.
+
+    test/a_c0.jpg    test/a_c0.json    test/a_c0.scene.json
+
+Headers are constant, so that equal frames give equal bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+from infrablend.core.dataset import SPLITS, ImageRecord, Instance
+from infrablend.core.files import LARGEST_READ_BYTES, finite, open_regular
+from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.errors import DatasetError, Problem
+
+LABEL = "json"
+SCENE = "scene.json"
+_BLOCK = 512
+_FACTS = ("pitch_deg", "altitude_m", "time_of_day", "sequence", "captured", "hfov_deg", "roll_deg")
+
+
+def key_of(frame_id: str) -> str:
+    """Return the key of a frame: its id, with `.` in its name as `%2E`, because keys end at the first dot of a name."""
+    folder, slash, name = frame_id.rpartition("/")
+    return folder + slash + name.replace("%", "%25").replace(".", "%2E")
+
+
+# -- labels ----------------------------------------------------------------------------------------------------
+
+
+def label_text(frame_id: str, image: ImageRecord, ids: Mapping[str, int]) -> bytes:
+    """Return the labels and metadata of a frame as JSON; `ids` has the number of each category."""
+    assert image.size_wh is not None
+    label = {
+        "frame_id": frame_id,
+        "split": image.split,
+        "file_name": image.name,
+        "width": image.size_wh[0],
+        "height": image.size_wh[1],
+        **{name: getattr(image, name) for name in _FACTS},
+        "radiometry": None if image.radiometry is None else asdict(image.radiometry),
+        "objects": [{**i.to_json(), "category_id": ids[i.category]} for i in image.instances],
+    }
+    text = json.dumps(finite(label, Counter()), sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
+    return text.encode() + b"\n"
+
+
+def image_of(label: Mapping[str, Any], path: Path) -> ImageRecord:
+    """Return the image that `label_text` described, as a picture at this path.
+
+    Raises:
+        LookupError, TypeError, ValueError, AttributeError: The label is damaged.
+    """
+    if label["split"] not in SPLITS:
+        raise ValueError(f"split {label['split']!r}, expected one of {', '.join(SPLITS)}")
+    objects = [{k: v for k, v in o.items() if k != "category_id"} for o in label["objects"]]
+    radiometry = label["radiometry"]
+    if radiometry is not None:
+        scale = radiometry["scale"]
+        radiometry = Radiometry(**{**radiometry, "scale": None if scale is None else TemperatureScale.from_json(scale)})
+    return ImageRecord(
+        id=str(label["frame_id"]).partition("/")[2],
+        path=path,
+        split=label["split"],
+        size_wh=(int(label["width"]), int(label["height"])),
+        instances=tuple(Instance.from_json(o) for o in objects),
+        file_name=str(label["file_name"]),
+        radiometry=radiometry,
+        **{name: label[name] for name in _FACTS},
+    )
+
+
+# -- writing ---------------------------------------------------------------------------------------------------
+
+
+class TarWriter:
+    """Writes the tar of a shard to a stream; close it, or use it in a `with` statement."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        """Start the tar."""
+        self._tar = tarfile.open(fileobj=stream, mode="w|", format=tarfile.PAX_FORMAT)  # noqa: SIM115 - closed below
+
+    def __enter__(self) -> TarWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if kind is None:
+            self._tar.close()
+
+    def add(self, key: str, suffix: str, data: bytes) -> int:
+        """Append a file and return the offset of its content."""
+        info = tarfile.TarInfo(f"{key}.{suffix}")  # time, owner and group are 0, and their names empty
+        info.size, info.mode = len(data), 0o644
+        self._tar.addfile(info, BytesIO(data))
+        return int(self._tar.offset) - -(-len(data) // _BLOCK) * _BLOCK
+
+
+# -- reading ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PackedFrame:
+    """Files of one frame.
+
+    Attributes:
+        key: Key of the frame, see `key_of`.
+        image: Picture file.
+        label: Labels, see `label_text`.
+        scene: Record of the frame, as in `scenes/` of a run.
+    """
+
+    key: str
+    image: bytes
+    label: bytes
+    scene: bytes
+
+
+def packed_frames(path: Path) -> Iterator[PackedFrame]:
+    """Yield the frames of a shard, reading its tar once from start to end.
+
+    Raises:
+        DatasetError: The tar is missing, truncated or damaged.
+    """
+    try:
+        with open_regular(path) as stream, tarfile.open(fileobj=stream, mode="r|") as tar:
+            group: dict[str, bytes] = {}
+            for info in tar:
+                folder, slash, name = info.name.rpartition("/")
+                stem, _, suffix = name.partition(".")
+                if not info.isreg() or info.size > LARGEST_READ_BYTES or suffix in group:
+                    raise ValueError(f"{info.name!r} is no file of a frame")
+                content = tar.extractfile(info)
+                assert content is not None
+                group[suffix] = content.read()
+                key = folder + slash + stem
+                if len(group) == 3:
+                    yield _frame(key, group)
+                    group = {}
+            if group:
+                raise ValueError("the last frame is not complete")
+    except (OSError, ValueError, LookupError, tarfile.TarError) as error:
+        problem = Problem(str(path), "shard-truncated", str(error), "a whole tar", "make the shard again with --resume")
+        raise DatasetError(f"{path}: cannot be read", [problem]) from error
+
+
+def _frame(key: str, group: dict[str, bytes]) -> PackedFrame:
+    label, scene = group.pop(LABEL), group.pop(SCENE)
+    (image,) = group.values()
+    return PackedFrame(key, image, label, scene)

@@ -1,0 +1,234 @@
+"""Finished shards as three files: a tar, a table and a record, which is their marker and appears last.
+
+While a shard is made, everything is in a folder of its name beside them: `run/`, and then the three files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.annotation.looseness import loosen_image
+from infrablend.core.files import (
+    flush,
+    output_error,
+    read_regular,
+    replace_atomically,
+    sha256_of,
+    write_bytes,
+    write_json,
+)
+from infrablend.core.finished import COMPLETE
+from infrablend.core.output import Existing, OutputFolder
+from infrablend.core.run_layout import ShardFiles
+from infrablend.core.tasks import OnProgress
+from infrablend.errors import OutputError, Problem
+from infrablend.formats.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text, packed_frames
+from infrablend.pipeline.folder import ARCHIVE, RunFolder, read_run_file, sealed
+from infrablend.pipeline.labelled import labelled_image
+from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.record import RecordError, load_record, parse_record
+from infrablend.pipeline.request import Execution
+from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
+
+log = logging.getLogger(__name__)
+
+_RUN = "run"
+
+
+def unfinished_run(files: ShardFiles) -> RunFolder:
+    """Return the folder with the frames of a shard that is being made."""
+    return RunFolder(files.folder / files.name / _RUN, "shard")
+
+
+def run_archived(
+    plan: RunPlan,
+    files: ShardFiles,
+    execution: Execution,
+    existing: Existing = "refuse",
+    on_progress: OnProgress | None = None,
+) -> RunReport:
+    """Render the frames of a shard, and pack them.
+
+    Args:
+        plan: Plan of the shard.
+        files: Files to write.
+        execution: Workers, device and renderer.
+        existing: What to do if the shard has been started; `resume` leaves a shard that is whole as it is.
+        on_progress: Called after each frame.
+
+    Raises:
+        MissingDependencyError: pyarrow is not installed.
+        OutputError, OtherSettingsError, Interrupted, RenderError: See `run_plan`.
+    """
+    require_pyarrow()
+    work = OutputFolder(files.folder / files.name, "shard")
+    with work.claimed():
+        try:
+            packed = ShardFiles(work.root, files.name)
+            if packed.marker.exists() and existing != "refuse":  # a kill while the files were moved
+                publish(packed, files)
+            found = _finished(files, existing)
+            if found is not None and existing == "resume":
+                if found.get("counts", {}).get("frames") == len(plan.frames):
+                    shutil.rmtree(unfinished_run(files).root, ignore_errors=True)
+                    return _report(files, found)
+                if not os.path.lexists(unfinished_run(files).root):
+                    _unpack(files, found)
+            report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress)
+            _pack(plan, unfinished_run(files), packed, report.counts["frames"])
+            publish(packed, files)
+            shutil.rmtree(unfinished_run(files).root, ignore_errors=True)
+        finally:
+            with contextlib.suppress(OSError):  # not empty: to be resumed
+                work.root.rmdir()
+    return replace(report, out=files.folder, record_file=files.marker)
+
+
+def publish(packed: ShardFiles, target: ShardFiles) -> None:
+    """Move the files of a packed shard to where others see them: the marker last, and that of earlier ones first.
+
+    After a kill it can be called again, as long as the packed marker is there.
+
+    Raises:
+        OutputError: They cannot be moved.
+    """
+    try:
+        if not os.path.lexists(packed.marker):
+            raise OutputError(f"{packed.marker}: missing; expected the record of a packed shard")
+        target.marker.unlink(missing_ok=True)
+        for source, place in ((packed.tar, target.tar), (packed.table, target.table)):
+            if os.path.lexists(source):
+                source.replace(place)
+        flush(target.folder)
+        packed.marker.replace(target.marker)
+        flush(target.folder)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise output_error(target.marker, error) from error
+
+
+def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = True) -> str | None:
+    """Return what is wrong with the tar or the table of a finished shard; None if both are as they were written.
+
+    Args:
+        files: Files of the shard.
+        record: Its record.
+        digests: Whether to read the files; otherwise only their sizes are compared.
+    """
+    for path, name in ((files.tar, "tar"), (files.table, "table")):
+        try:
+            facts = record[ARCHIVE][name]
+            if not path.is_file():
+                return f"{path.name} is missing"
+            if (size := path.stat().st_size) != facts["bytes"]:
+                return f"{path.name} has {size} bytes, expected {facts['bytes']}"
+            if digests and sha256_of(path, files.folder) != facts["sha256"]:
+                return f"{path.name} was changed after it was written"
+        except OSError as error:
+            return f"{path.name} cannot be read ({error.strerror or error})"
+        except (LookupError, TypeError):
+            return f"{files.marker.name} is damaged: no facts about the {name}"
+    return None
+
+
+def _finished(files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None:
+    """Return the record of a shard that is whole; None if it has to be made.
+
+    Raises:
+        OutputError: There is something at its place, and `existing` or its origin forbid to replace it.
+    """
+    there = [p for p in (files.marker, files.tar, files.table) if os.path.lexists(p)]
+    if not there:
+        return None
+    if existing == "refuse":
+        raise OutputError(
+            f"{there[0]}: exists already; expected no such shard. Use --resume to make it only if it is not whole, or "
+            "--overwrite to replace it."
+        )
+    if files.marker not in there:
+        raise OutputError(
+            f"{there[0]}: exists without {files.marker.name}, which marks a shard as finished, so nothing shows that "
+            "InfraBlend wrote it; nothing was touched. Move it elsewhere, and repeat the command."
+        )
+    if existing == "overwrite":
+        return None
+    try:
+        record = read_run_file(files.marker)
+        found = damage_of(files, record)
+    except OutputError as error:
+        found = error.message
+    if found is None:
+        return record
+    log.warning("%s: %s; the shard is made again", files.marker, found)
+    return None
+
+
+def _report(files: ShardFiles, record: Mapping[str, Any]) -> RunReport:
+    problems = tuple(Problem(**p) for p in record.get("problems", ()))
+    return RunReport(files.folder, COMPLETE, record["counts"], problems, record_file=files.marker)
+
+
+def _unpack(files: ShardFiles, record: Mapping[str, Any]) -> None:
+    """Put the frames of a finished shard where a run continues with those that failed."""
+    folder = unfinished_run(files)
+    # The record comes first: after a kill, a run continues with what is there.
+    folder.write_run({**{k: v for k, v in record.items() if k != ARCHIVE}, "status": "running"})
+    for frame in packed_frames(files.tar):
+        known = parse_record(frame.scene)
+        write_bytes(folder.record(known.frame_id), frame.scene)
+        write_bytes(folder.image(known.image), frame.image)
+
+
+def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) -> None:
+    """Write tar, table and marker of the frames in the folder, one frame in memory at a time."""
+    ids = {c.name: c.id for c in plan.categories}
+    packed = 0
+    with replace_atomically(files.tar, durable=True) as tar_part, replace_atomically(files.table) as table_part:
+        with tar_part.open("wb") as stream, TarWriter(stream) as tar, TableWriter(table_part, ids) as table:
+            for frame in plan.frames:
+                if not os.path.lexists(folder.record(frame.frame_id)):
+                    continue  # failed; the record of the shard has the reason
+                try:
+                    record = load_record(folder.record(frame.frame_id))
+                    picture = read_regular(folder.image(record.image), folder.root)
+                except (RecordError, OSError, ValueError) as error:
+                    raise _changed(frame.frame_id, str(error)) from error
+                if _sha256(picture) != record.image_sha256:
+                    raise _changed(frame.frame_id, "its picture was changed")
+                image = labelled_image(frame, record, folder.image(record.image))
+                image, _ = loosen_image(image, plan.recipe.labels.loosen)
+                key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
+                scene = read_regular(folder.record(frame.frame_id), folder.root)
+                offset = tar.add(key, Path(record.image).suffix[1:], picture)
+                tar.add(key, LABEL, label)
+                tar.add(key, SCENE, scene)
+                facts = {"label_sha256": _sha256(label), "scene_sha256": _sha256(scene)}
+                table.add(record, image, key, {**facts, "image_offset": offset, "image_bytes": len(picture)})
+                packed += 1
+        flush(table_part)
+        if packed != expected:
+            raise OutputError(f"{folder.root}: found {packed} frames, expected {expected}. Repeat with --resume")
+    archive = {"tar": _facts(files.tar), "table": _facts(files.table)}
+    write_json(files.marker, sealed({**folder.read_run(), ARCHIVE: archive}), indent=2, durable=True)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    return {"bytes": path.stat().st_size, "sha256": sha256_of(path)}
+
+
+def _changed(frame_id: str, what: str) -> OutputError:
+    return OutputError(f"frame {frame_id}: {what} while the shard was packed; repeat the command with --resume")
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,149 @@
+"""Table of a shard: a row per frame with its labels, draws and digests, in Parquet; needs the extra `shards`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.core.scene import SceneSpec
+from infrablend.errors import MissingDependencyError
+from infrablend.pipeline.record import FrameRecord
+
+_ROWS = 1000
+
+
+def require_pyarrow() -> None:
+    """Raise MissingDependencyError with the command to run if pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        raise MissingDependencyError(
+            "pyarrow not installed, which output.layout: shards needs for its tables; install with\n"
+            '  pip install "infrablend[shards]"\n(in a checkout: make setup)'
+        )
+
+
+@cache
+def _schema() -> Any:
+    """Return the columns, which are the same for every shard of every run, whatever it contains."""
+    import pyarrow as pa
+
+    text, number, whole, yes = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+    counts = pa.list_(pa.struct([("reason", text), ("count", whole)]))
+    draws = pa.struct(
+        [("wanted", whole), ("attempts", whole), ("first_distance_m", number), ("distance_m", number)]
+        + [("absent", counts), ("rejected", counts)]
+    )
+    objects = pa.struct(
+        [("category", text), ("category_id", whole), ("inserted", yes), ("box_xyxy", pa.list_(number))]
+        + [("corners_xy", pa.list_(number)), ("mask", text), ("visibility", number), ("truncated", yes)]
+        + [("occluded", yes)]
+    )
+    return pa.schema(
+        [("key", text), ("frame_id", text), ("split", text), ("image", text), ("width", whole), ("height", whole)]
+        + [("background", text), ("configuration", whole), ("pitch_deg", number), ("altitude_m", number)]
+        + [("time_of_day", text), ("objects", pa.list_(objects)), ("removed", counts), ("draws", draws)]
+        + [("background_sha256", text), ("image_sha256", text), ("label_sha256", text), ("scene_sha256", text)]
+        + [("image_offset", whole), ("image_bytes", whole)]
+    )
+
+
+class TableWriter:
+    """Writes the table of a shard, a group of rows at a time; close it, or use it in a `with` statement."""
+
+    def __init__(self, path: Path, ids: Mapping[str, int]) -> None:
+        """Start a table; `ids` has the number of each category."""
+        import pyarrow.parquet as pq
+
+        self._ids = ids
+        self._rows: list[dict[str, Any]] = []
+        # The compression is stated, because another default would give other bytes.
+        self._writer = pq.ParquetWriter(path, _schema(), compression="zstd", version="2.6")
+
+    def __enter__(self) -> TableWriter:
+        return self
+
+    def __exit__(self, kind: object, error: object, at: object) -> None:
+        if kind is None:
+            self._write()
+        self._writer.close()
+
+    def add(self, record: FrameRecord, image: ImageRecord, key: str, files: Mapping[str, Any]) -> None:
+        """Add a frame: its record, its labels, its key in the tar, and the columns about its files."""
+        width, height = image.size_wh or (None, None)
+        reasons: dict[str, int] = {}
+        for item in record.removed:
+            reasons[item["reason"]] = reasons.get(item["reason"], 0) + 1
+        row = {
+            "key": key,
+            "frame_id": record.frame_id,
+            "split": image.split,
+            "image": record.image,
+            "width": width,
+            "height": height,
+            "background": record.background.get("id"),
+            "configuration": None if record.scene is None else record.scene.configuration,
+            "pitch_deg": image.pitch_deg,
+            "altitude_m": image.altitude_m,
+            "time_of_day": image.time_of_day,
+            "objects": [self._object(i) for i in image.instances],
+            "removed": _counts(reasons),
+            "draws": None if record.scene is None else _draws(record.scene),
+            "background_sha256": record.background.get("sha256"),
+            "image_sha256": record.image_sha256,
+            **files,
+        }
+        self._rows.append(_fitting(row))
+        if len(self._rows) == _ROWS:
+            self._write()
+
+    def _object(self, instance: Instance) -> dict[str, Any]:
+        corners, mask = instance.corners_xy, instance.mask
+        return {
+            "category": instance.category,
+            "category_id": self._ids[instance.category],
+            "inserted": instance.inserted,
+            "box_xyxy": instance.box_xyxy.tolist(),
+            "corners_xy": None if corners is None else corners.reshape(-1).tolist(),
+            "mask": None if mask is None else mask.counts,
+            "visibility": instance.visibility,
+            "truncated": instance.truncated,
+            "occluded": bool(instance.extra["occluded"]) if "occluded" in instance.extra else None,
+        }
+
+    def _write(self) -> None:
+        import pyarrow as pa
+
+        if self._rows:
+            self._writer.write_table(pa.Table.from_pylist(self._rows, _schema()))
+            self._rows = []
+
+
+def _draws(scene: SceneSpec) -> dict[str, Any]:
+    draws = scene.draws
+    return {
+        "wanted": draws.get("wanted"),
+        "attempts": draws.get("attempts"),
+        "first_distance_m": draws.get("first_distance_m"),
+        "distance_m": scene.camera.distance_m,
+        "absent": _counts(draws.get("absent", {})),
+        "rejected": _counts(draws.get("rejected", {})),
+    }
+
+
+def _counts(reasons: Mapping[str, int]) -> list[dict[str, Any]]:
+    return [{"reason": reason, "count": count} for reason, count in sorted(reasons.items())]
+
+
+def _fitting(value: Any) -> Any:
+    """Return values without what the table cannot hold: parts of a character in texts, and numbers that are none."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {k: _fitting(v) for k, v in value.items()}
+    return [_fitting(v) for v in value] if isinstance(value, list) else value

@@ -1,0 +1,250 @@
+"""Shards as a tar and a table: what they contain, and that they merge to the bytes of an undivided run."""
+
+import hashlib
+import json
+import shlex
+import shutil
+import tarfile
+from itertools import groupby
+from pathlib import Path
+
+import pytest
+
+from infrablend.core.output import OutputFolder
+from infrablend.errors import OutputError
+from infrablend.formats import shard_tar
+from infrablend.pipeline import shard_archive, shard_table
+from tests.command_line import done, run
+from tests.flat_renderer import render_flat
+from tests.unit.pipeline.test_run import dataset, hashes
+from tests.unit.pipeline.test_shards import command
+
+pq = pytest.importorskip("pyarrow.parquet")
+
+__all__ = ["dataset"]
+
+PACKED = ("--set", "output.layout=shards")
+
+
+@pytest.fixture(autouse=True)
+def flat(monkeypatch):
+    render_flat(monkeypatch)
+
+
+@pytest.fixture
+def small(dataset, tmp_path):
+    """Command of a run in two packed shards, without the words that choose one."""
+    return command(dataset, tmp_path / "out", *PACKED, "--limit", 2)
+
+
+def contents(out: Path) -> dict[str, str]:
+    """Digests of tars and tables, which do not depend on time and machine."""
+    return {
+        p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(out.glob("shard-*")) if p.suffix != ".json"
+    }
+
+
+def names(out: Path) -> list[str]:
+    return sorted(p.name for p in out.iterdir())
+
+
+def shard_names(number: int, count: int) -> list[str]:
+    return [f"shard-{number:05d}-of-{count:05d}.{end}" for end in ("json", "parquet", "tar")]
+
+
+def test_shards_of_both_layouts_merge_to_the_bytes_of_one_run(dataset, tmp_path):
+    done(*command(dataset, tmp_path / "whole"))
+    expected = hashes(tmp_path / "whole")
+    packed, files = tmp_path / "packed", tmp_path / "files"
+    for number in (3, 1):
+        done(*command(dataset, packed, *PACKED, "--shard", f"{number}/3"))
+    done(*command(dataset, files, "--shard", "2/3"))
+    assert names(packed) == [*shard_names(1, 3), *shard_names(3, 3), "shards.json"]
+    done("merge", packed, files, tmp_path / "merged")
+    assert hashes(tmp_path / "merged") == expected
+    assert json.loads((tmp_path / "whole/run.json").read_text())["levels"]
+
+    # Finished shards stay as they are, and the same frames give the same bytes.
+    before = contents(packed)
+    again = run(*command(dataset, packed, *PACKED, "--shard", "3/3"))
+    assert again.exit_code == 2
+    assert "exists already" in again.output
+    times = {p: p.stat().st_mtime_ns for p in packed.iterdir()}
+    done(*command(dataset, packed, *PACKED, "--shard", "3/3", "--resume"))
+    assert {p: p.stat().st_mtime_ns for p in packed.iterdir()} == times
+    done(*command(dataset, packed, *PACKED, "--shard", "3/3", "--overwrite"))
+    assert contents(packed) == before
+    mixed = run(*command(dataset, packed, "--shard", "2/3"))
+    assert mixed.exit_code == 2
+    assert "output.layout: shards, not files" in mixed.output
+
+
+def test_contents_of_a_shard(dataset, tmp_path):
+    done(*command(dataset, tmp_path / "whole"))
+    whole = tmp_path / "whole"
+    done(*command(dataset, tmp_path / "out", *PACKED))  # an undivided run is one shard
+    assert names(tmp_path / "out") == [*shard_names(1, 1), "shards.json"]
+    done("status", tmp_path / "out")
+    tar_file = tmp_path / "out/shard-00001-of-00001.tar"
+    with tarfile.open(tar_file) as tar:
+        infos = tar.getmembers()
+        data = {i.name: tar.extractfile(i).read() for i in infos}
+    for info in infos:
+        facts = (info.isreg(), info.mtime, info.uid, info.gid, info.uname, info.gname, info.mode)
+        assert facts == (True, 0, 0, 0, "", "", 0o644)
+    # WebDataset: files of a sample follow each other, and a key ends at the first dot of the name.
+    keys = [key for key, _ in groupby(infos, lambda i: i.name.partition(".")[0])]
+    assert len(keys) == len(set(keys)) == len(infos) // 3
+    rows = pq.read_table(tmp_path / "out/shard-00001-of-00001.parquet").to_pylist()
+    assert [r["key"] for r in rows] == keys == [r["frame_id"] for r in rows]
+    coco = {s: json.loads((whole / "coco" / f"{s}.json").read_text()) for s in ("train", "val", "test")}
+    for row in rows:
+        suffix = Path(row["image"]).suffix
+        assert data[row["key"] + suffix] == (whole / "images" / row["image"]).read_bytes()
+        assert data[row["key"] + ".scene.json"] == (whole / "scenes" / f"{row['frame_id']}.json").read_bytes()
+        found = tar_file.read_bytes()[row["image_offset"] :][: row["image_bytes"]]
+        assert found == data[row["key"] + suffix]
+        for column, name in (("image", suffix), ("label", ".json"), ("scene", ".scene.json")):
+            assert row[f"{column}_sha256"] == hashlib.sha256(data[row["key"] + name]).hexdigest()
+        # The labels are those of the label files, in the same order.
+        part = coco[row["split"]]
+        (image,) = [i for i in part["images"] if row["image"].endswith(i["file_name"])]
+        boxes = [a["bbox"] for a in part["annotations"] if a["image_id"] == image["id"]]
+        label = json.loads(data[row["key"] + ".json"])
+        for objects in (row["objects"], label["objects"]):
+            found = [o["box_xyxy"] for o in objects]
+            assert [[x, y, r - x, b - y] for x, y, r, b in found] == [pytest.approx(b, abs=1e-6) for b in boxes]
+        assert [o["category"] for o in row["objects"]] == [o["category"] for o in label["objects"]]
+        assert row["draws"] is None or row["draws"]["attempts"] >= 1
+    assert sum(len(r["objects"]) for r in rows) == sum(len(c["annotations"]) for c in coco.values()) > 0
+
+
+def test_keys_have_no_dot():
+    assert shard_tar.key_of("test/a_c0") == "test/a_c0"
+    assert shard_tar.key_of("test/v1.2/a.b%_c0") == "test/v1.2/a%2Eb%25_c0"
+
+
+def test_all_shards_of_a_size(small, tmp_path):
+    out = tmp_path / "out"
+    ended = done(*small, "--shard-size", 2, "--json")
+    count = len(list(out.glob("*.tar")))
+    assert count > 1
+    assert json.loads(ended.stdout)["counts"]["frames"] == sum(
+        pq.read_metadata(p).num_rows for p in out.glob("*.parquet")
+    )
+    before = contents(out)
+    shutil.rmtree(out)
+    for number in range(1, count + 1):
+        done(*small, "--shard", f"{number}/{count}")
+    assert contents(out) == before
+
+
+def test_a_kill_at_any_step_is_finished(small, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    words = (*small, "--shard", "1/2")
+    done(*words)
+    expected, listed = contents(out), names(out)
+
+    def killed(*_, **__):
+        raise OutputError("killed")
+
+    steps = [
+        (shard_archive, "_pack"),
+        (shard_archive, "write_json"),
+        (shard_archive, "publish"),
+        (shard_archive, "flush"),
+    ]
+    for module, step in steps:
+        shutil.rmtree(out)
+        with monkeypatch.context() as patch:
+            patch.setattr(module, step, killed)
+            assert run(*words).exit_code == 2
+        # Nothing counts as finished: no marker. In between, the folder of the shard has what is needed.
+        assert not list(out.glob("*.json")) or names(out)[-1] == "shards.json"
+        assert not (out / "shard-00001-of-00002.json").exists()
+        states = json.loads(run("status", out, "--json").stdout)["shards"]
+        assert [s["state"] for s in states] == ["stopped", "missing"]
+        done(*shlex.split(states[0]["command"])[1:])
+        assert contents(out) == expected
+        assert names(out) == listed
+
+
+def test_damaged_shards_are_named_and_made_again(small, tmp_path):
+    out = tmp_path / "out"
+    for number in (1, 2):
+        done(*small, "--shard", f"{number}/2")
+    expected = contents(out)
+    tar, table = out / "shard-00002-of-00002.tar", out / "shard-00001-of-00002.parquet"
+    data = tar.read_bytes()
+    for damage, said in (
+        (lambda: tar.write_bytes(data[:2000]), "tar has 2000 bytes"),
+        (lambda: tar.write_bytes(data[:700] + b"?" + data[701:]), "tar was changed"),
+        (tar.unlink, "tar is missing"),
+        (table.unlink, "parquet is missing"),
+    ):
+        damage()
+        ended = run("merge", out, tmp_path / "merged")
+        assert ended.exit_code == 2
+        assert said in ended.output or "not finished" in ended.output
+        assert not (tmp_path / "merged").exists()
+        for number in (1, 2):
+            done(*small, "--shard", f"{number}/2", "--resume")
+        assert contents(out) == expected
+    tar.write_bytes(data[:2000])
+    ended = run("status", out)
+    assert ended.exit_code == 1
+    assert "shard 2/2: stopped" in ended.stdout
+    # What nobody can tell to be ours stays.
+    (out / "shard-00002-of-00002.json").unlink()
+    for flag in ("--resume", "--overwrite"):
+        ended = run(*small, "--shard", "2/2", flag)
+        assert ended.exit_code == 2
+        assert "exists without" in ended.output
+    assert tar.read_bytes() == data[:2000]
+
+
+def test_two_jobs_and_other_runs(small, dataset, tmp_path):
+    out = tmp_path / "out"
+    done(*small, "--shard", "1/2")
+    with OutputFolder(out / "shard-00002-of-00002", "shard").claimed():
+        assert "another process is writing this shard" in run(*small, "--shard", "2/2").output
+        states = json.loads(run("status", out, "--json").stdout)["shards"]
+        assert [s["state"] for s in states] == ["done", "running"]
+    assert "from 1 to 2" in run(*small, "--shard", "3/2").output
+    assert "seed was 0, is 5" in run(*small, "--shard", "2/2", "--seed", 5).output
+    other = command(dataset, tmp_path / "other", *PACKED, "--limit", 2, "--shard", "2/2", "--seed", 5)
+    done(*other)
+    ended = run("merge", out, tmp_path / "other", tmp_path / "merged")
+    assert "seed was 0, is 5" in ended.output
+    # A shard under the name of another one.
+    for end in ("json", "parquet", "tar"):
+        shutil.copy(out / f"shard-00001-of-00002.{end}", out / f"shard-00002-of-00002.{end}")
+    assert "found shard 1/2" in run("merge", out, tmp_path / "merged").output
+    assert not (tmp_path / "merged").exists()
+
+
+def test_failed_frames_are_tried_again(dataset, tmp_path):
+    broken = dataset / "normal_json/train/1_80_90_0_00002.jpg"
+    out, words = tmp_path / "out", command(dataset, tmp_path / "out", *PACKED)
+    done(*words)
+    expected, data = contents(out), broken.read_bytes()
+    shutil.rmtree(out)
+    broken.write_bytes(data[:3000])
+    assert run(*words).exit_code == 1
+    assert "shard 1/1: failed, 9 of 12 frames" in run("status", out).stdout
+    assert run("merge", out, tmp_path / "merged").exit_code == 1
+    whole = run(*command(dataset, tmp_path / "whole"))
+    assert whole.exit_code == 1
+    assert hashes(tmp_path / "merged") == hashes(tmp_path / "whole")
+    broken.write_bytes(data)
+    done(*words, "--resume")
+    assert contents(out) == expected
+    assert names(out) == [*shard_names(1, 1), "shards.json"]
+
+
+def test_missing_pyarrow_is_named(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(shard_table, "find_spec", lambda name: None)
+    ended = run(*small)
+    assert ended.exit_code != 0
+    assert "infrablend[shards]" in ended.output
+    assert not list((tmp_path / "out").glob("shard-*"))
