@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from infrablend.core.files import part_path
+from infrablend.core.manifest import JOURNAL
 from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
 from tests.clips import write_clips, write_detections
@@ -285,7 +287,7 @@ SCENARIOS: dict[str, Scenario] = {
             (_evaluate,),
             share=0.03,
             trained=True,
-            working=tuple(WORKING_FILES),
+            working=(*WORKING_FILES, part_path(Path(JOURNAL)).name),
         ),
     )
 }  # fmt: skip

@@ -15,6 +15,7 @@ from infrablend import api
 from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import load_recipe, parse_recipe
+from infrablend.core.files import part_path
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
@@ -204,7 +205,7 @@ def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path
     out = tmp_path / "run"
     generate(data, out)
     whole = digests(out)
-    left = out / "images" / "train" / ".0_60_30_0_00001_c0.part.jpg"
+    left = part_path(out / "images" / "train" / "0_60_30_0_00001_c0.jpg")
     left.write_bytes(b"half")
     generate(data, out, existing="resume")
     assert not left.exists()

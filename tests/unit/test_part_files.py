@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.files import link_or_copy, owning, part_path, write_bytes, write_chunks
+from infrablend.core.files import link_or_copy, part_path, write_bytes, write_chunks
 from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError
 
@@ -30,26 +30,32 @@ def test_nothing_is_written_through_what_is_in_the_way(tmp_path: Path, way: str,
         os.mkfifo(part)
     else:
         part.write_bytes(b"of a killed process, and longer")
-    with owning(tmp_path / "out"):
-        if kind == "link or copy":
-            written = link_or_copy(source, target)
-        else:
-            written = write_chunks(target, ["n", "ew"]) if kind == "chunks" else write_bytes(target, b"new")
+    if kind == "link or copy":
+        written = link_or_copy(source, target)
+    else:
+        written = write_chunks(target, ["n", "ew"]) if kind == "chunks" else write_bytes(target, b"new")
     assert written.read_bytes() == b"new" and target.is_file() and not target.is_symlink()
     assert mine.read_bytes() == b"mine" and not os.path.lexists(part)
     assert not (tmp_path / "nothing").exists()
 
 
-@pytest.mark.parametrize("way", ["file", "folder"])
-def test_files_of_others_with_temporary_names_are_kept(tmp_path: Path, way: str) -> None:
+def test_files_and_folders_of_others_with_temporary_names_are_kept(tmp_path: Path) -> None:
     target = tmp_path / "sheet.png"
-    part = part_path(target)
-    part.mkdir() if way == "folder" else part.write_bytes(b"mine")
-    part_path(target, 2).write_bytes(b"mine, too")
+    for number, name in enumerate((".sheet.part.png", ".sheet.part-2.png", "sheet.png.part")):
+        (tmp_path / name).write_bytes(f"mine {number}".encode())
+    (part_path(target) / "mine").mkdir(parents=True)
+    part_path(target, 2).write_bytes(b"of a killed process")
+    before = sorted(p.name for p in tmp_path.iterdir())
     assert write_bytes(target, b"new").read_bytes() == b"new"
-    assert part.is_dir() if way == "folder" else part.read_bytes() == b"mine"
-    assert part_path(target, 2).read_bytes() == b"mine, too"
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([part.name, part_path(target, 2).name, target.name])
+    assert sorted({*before, "sheet.png"} - {part_path(target, 2).name}) == sorted(p.name for p in tmp_path.iterdir())
+    assert (tmp_path / ".sheet.part-2.png").read_bytes() == b"mine 1" and (part_path(target) / "mine").is_dir()
+
+
+def test_temporary_names_fit_the_file_system_and_differ_by_file(tmp_path: Path) -> None:
+    names = ["a.png", "a.jpg", "b.png", "a", f"{'x' * 250}.png", f"{'x' * 249}y.png"]
+    parts = [part_path(tmp_path / name) for name in names]
+    assert len({p.name for p in parts}) == len(names) and all(len(p.name) <= 255 for p in parts)
+    assert [p.suffix for p in parts] == [Path(n).suffix for n in names[:3]] + [".part", ".png", ".png"]
 
 
 def test_file_made_by_others_meanwhile_is_kept(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, Protocol
 
-from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder, real_path
+from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
 from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
@@ -29,36 +29,26 @@ _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, 
 
 NAME_TOO_LONG = "name-too-long"
 
+_MARK = 10  # digits of the digest in a temporary name
+
 
 def part_path(path: Path, number: int = 1) -> Path:
     """Return the temporary path of a file while it is being written: hidden, in the same folder.
 
     The path keeps the suffix, which some writers require. It is always the same, so the next write replaces what a
-    killed process left behind. Where the name would be too long for a file system, a digest replaces the stem.
+    killed process left behind. A digest of the name is part of it, so that no file of somebody else is taken for that.
+    Where the name would be too long for a file system, the digest alone is the stem.
 
     Args:
         path: The file.
-        number: Number of the path, where the usual one is taken by a file of somebody else.
+        number: Number of the path, where a folder has the usual one.
     """
+    digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()
     end = f".part{'' if number == 1 else f'-{number}'}{path.suffix}"
-    name = f".{path.stem}{end}"
+    name = f".{path.stem}.{digest[:_MARK]}{end}"
     if len(os.fsencode(name)) > MAX_NAME_BYTES:
-        name = f".{hashlib.sha256(os.fsencode(path.stem)).hexdigest()}{end}"
+        name = f".{digest}{end}"
     return path.with_name(name)
-
-
-_owned: list[Path] = []
-
-
-@contextlib.contextmanager
-def owning(folder: Path) -> Iterator[None]:
-    """Take files with temporary names in or below `folder`, within the block, for what a killed process left there."""
-    root = real_path(folder)
-    _owned.append(root)
-    try:
-        yield
-    finally:
-        _owned.remove(root)
 
 
 def free_part(path: Path, wanted: Path | None = None) -> Path:
@@ -69,21 +59,12 @@ def free_part(path: Path, wanted: Path | None = None) -> Path:
         wanted: Temporary path that this process alone uses; None chooses one.
     """
     number, temporary = 1, wanted or part_path(path)
-    while True:
-        try:
-            mode = temporary.lstat().st_mode
-        except FileNotFoundError:
-            return temporary
-        # Writing would follow a link, and wait for a pipe. A file may be somebody's, unless the folder is ours.
-        if not stat.S_ISDIR(mode) and (wanted is not None or not stat.S_ISREG(mode) or _is_owned(path)):
-            temporary.unlink(missing_ok=True)
-            return temporary
+    while temporary.is_dir() and not temporary.is_symlink():
         number += 1
         temporary = part_path(path, number)
-
-
-def _is_owned(path: Path) -> bool:
-    return any(real_path(path.parent).is_relative_to(root) for root in _owned)
+    # Writing would follow a link, and wait for a pipe.
+    temporary.unlink(missing_ok=True)
+    return temporary
 
 
 class WriteObserver(Protocol):

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from infrablend.core.file_names import can_exist
-from infrablend.core.files import observed_by, open_regular, output_error, owning, part_path, sha256_of, write_text
+from infrablend.core.files import observed_by, open_regular, output_error, part_path, sha256_of, write_text
 from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError, Problem
 
@@ -159,7 +159,7 @@ class Manifest:
         except OSError as error:
             raise output_error(self._file, error) from error
         try:
-            with observed_by(self), owning(self.root):
+            with observed_by(self):
                 yield
         finally:
             with contextlib.suppress(OSError):  # a full disk; reported by the write that failed
@@ -372,7 +372,10 @@ class Manifest:
         write_text(self._file, "".join(f"{line}\n" for line in lines))
         if self._stream is not None:  # which would go on in the file that was replaced
             self._stream.close()
-            self._stream = self._file.open("a", encoding="utf-8")
+            try:
+                self._stream = self._file.open("a", encoding="utf-8")
+            except OSError as error:
+                raise output_error(self._file, error) from error
 
     def reset(self) -> None:
         """Forget all entries and empty the file of the manifest."""

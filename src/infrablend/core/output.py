@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import output_error, owning, read_object
+from infrablend.core.files import output_error, read_object
 from infrablend.errors import OutputError, Problem
 
 log = logging.getLogger(__name__)
@@ -99,8 +99,7 @@ class OutputFolder:
             def require_claim() -> None:
                 self._require_same(handle)
 
-            with owning(self.root):
-                yield require_claim
+            yield require_claim
             require_claim()
         finally:
             os.close(handle)

@@ -11,14 +11,14 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
 from infrablend.core.arguments import require_names
-from infrablend.core.file_names import real_path
+from infrablend.core.file_names import can_exist, leaves, real_path
 from infrablend.core.files import output_error, require_still_there, sha256_of, write_json
 from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
 from infrablend.core.json_records import is_list
@@ -209,12 +209,12 @@ def fetch(
         raise DatasetError(f"{name}: nothing was fetched\n{fetch_instructions(source)}")
     new = not out.exists()
     try:
-        with _output(out).claimed():
+        with _output(out).claimed() as require_claim:
             known = _require_own(order, wanted)
-            todo = [a for a in wanted if a.part not in known or _ready(order, a).exists()]
+            todo = [a for a in wanted if _ready(order, a).exists() or not _is_placed(order, known.get(a.part))]
             for a in (a for a in wanted if a not in todo):
                 _sweep(order, a)  # left by a call that was killed just before it finished
-            done = [_fetch_part(order, a) for a in todo]
+            done = [_fetch_part(order, a, known.get(a.part), require_claim) for a in todo]
     except KeyboardInterrupt as stop:
         raise Interrupted("interrupted; downloaded data is kept. Repeat the command to resume.") from stop
     finally:
@@ -226,7 +226,7 @@ def fetch(
         done[-1][1].append(remark)
     if done:  # after the last change, because a folder may be removed at any moment
         placed = [place for *_, places in done for place in places]
-        require_still_there([out / SOURCE_FILE, *placed], "delete the folder and repeat the command")
+        require_still_there([out / SOURCE_FILE, *placed])
     return FetchReport(
         out,
         name,
@@ -277,6 +277,19 @@ def _output(out: Path) -> OutputFolder:
     return OutputFolder(out, "download", SOURCE_FILE)
 
 
+def _is_placed(order: _Order, facts: Any) -> bool:
+    """Return whether a part was fetched, and nothing of it has been removed since."""
+    return facts is not None and all((order.out / name).exists() for name in _places(facts))
+
+
+def _places(facts: Any) -> list[str]:
+    """Return the files and folders of a part as its record lists them; those of earlier versions list none."""
+    found = facts.get("places") if isinstance(facts, dict) else None
+    return (
+        [n for n in found if isinstance(n, str) and can_exist(n) and not leaves(n)] if isinstance(found, list) else []
+    )
+
+
 def _ready(order: _Order, a: Archive) -> Path:
     """Return the file that exists while a checked and unpacked part is being moved to its place."""
     return order.work / f"{a.part}{PLACED}"
@@ -289,8 +302,17 @@ def _record(path: Path) -> dict[str, Any]:
     return data
 
 
-def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem], list[Path]]:
-    """Fetch, check, unpack and place one archive; return its facts, the warnings and what was placed."""
+def _fetch_part(
+    order: _Order, a: Archive, known: Any, require_claim: Callable[[], None]
+) -> tuple[dict[str, Any], list[Problem], list[Path]]:
+    """Fetch, check, unpack and place one archive; return its facts, the warnings and where it is.
+
+    Args:
+        order: What to fetch.
+        a: The archive.
+        known: Its facts of an earlier call, if something of it was removed since; what is left stays as it is.
+        require_claim: Checks that the folder is still the one that this call began with.
+    """
     ready = _ready(order, a)
     stage = order.work / f"{a.part}.unpacked"
     try:
@@ -312,6 +334,9 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
                 order.limits,
                 lambda n, of: order.on_progress(FetchProgress("unpack", order.file_name(a), n, of)),
             )
+            require_claim()
+            if sum(len(names) for *_, names in os.walk(stage)) != unpacked.files:
+                raise OutputError(f"{stage}: files were removed while they were unpacked; repeat the command")
             content = without_wrapper(stage)
             problems += _check_content(order, a, content, unpacked.commit)
         except DatasetError as error:
@@ -333,17 +358,22 @@ def _fetch_part(order: _Order, a: Archive) -> tuple[dict[str, Any], list[Problem
             # Provenance; this file need not be reproducible.
             "fetched": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
+        try:
+            facts["places"] = sorted((Path(a.into) / entry.name).as_posix() for entry in content.iterdir())
+        except OSError as error:
+            raise output_error(content, error) from error
         # Records the folder, because the entries that remain after some were moved may look like a wrapper.
         inside = content.relative_to(stage).as_posix()
         write_json(ready, {"facts": facts, "problems": [p.to_json() for p in problems], "content": inside})
-    places = _place(content, order.out / a.into)
+    left = {order.out / name for name in _places(known)}
+    _place(content, order.out / a.into, left)
     _write_source(order, a, facts)
     packed = order.work / a.file
     if order.keep_archive and packed.exists():
         packed.replace(order.out / a.file)
     ready.unlink(missing_ok=True)
     _sweep(order, a)
-    return facts, problems, places
+    return facts, problems, [order.out / name for name in _places(facts)]
 
 
 def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
@@ -472,22 +502,24 @@ def _as_warning(p: Problem) -> Problem:
     return Problem(p.where, p.code, p.found, p.expected, p.todo, "warning")
 
 
-def _place(content: Path, target: Path) -> list[Path]:
-    """Move every entry of `content` into `target` without overwriting anything; return their new places."""
-    places = []
+def _place(content: Path, target: Path, left: Collection[Path]) -> None:
+    """Move every entry of `content` into `target` without overwriting anything.
+
+    Those that are `left` of an earlier call stay as they are.
+    """
     try:
         target.mkdir(parents=True, exist_ok=True)
         for entry in sorted(os.scandir(content), key=lambda e: e.name):
             place = target / entry.name
+            if place in left and place.exists():
+                continue
             if place.exists() or place.is_symlink():
                 raise OutputError(f"{place}: already exists; move it away and repeat the command")
             Path(entry).rename(place)
-            places.append(place)
     except OSError as error:
         if isinstance(error, OutputError):
             raise
         raise output_error(target, error) from error
-    return places
 
 
 def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from infrablend.core.files import load_json, owning, write_json
+from infrablend.core.files import load_json, write_json
 from infrablend.errors import OutputError
 
 REVIEW_FILE = "review.json"
@@ -56,5 +56,4 @@ def write_verdicts(path: Path, verdicts: Mapping[str, Verdict]) -> None:
         frame_id: {"verdict": verdict.word, **({"reason": verdict.reason} if verdict.reason else {})}
         for frame_id, verdict in verdicts.items()
     }
-    with owning(path.parent):
-        write_json(path, {"frames": frames}, indent=1, durable=True)
+    write_json(path, {"frames": frames}, indent=1, durable=True)

@@ -219,7 +219,7 @@ class ShardedRun:
         """
         formats = tuple(plan.recipe.output.formats)
         wanted = SharedPlan(count, len(plan.frames), plan.key, formats, renderer, None, plan.recipe.output.layout)
-        with self._locked():
+        with self._locked() as alone:
             if os.path.lexists(self.file):
                 known = self.read_plan()
                 known.require_same(wanted, self.root)
@@ -235,6 +235,8 @@ class ShardedRun:
                 raise folder.refuse_not_ours()
             folder.make_writable()
             shared = replace(wanted, levels=dataset_levels(plan) if plan.needs_levels else None)
+            if alone:
+                self._remove_leftovers()
             # A name of its own: where the file system has no locks, several jobs may write the same bytes at once.
             temporary = self.root / f"{_TEMPORARY}{socket.gethostname()}.{os.getpid()}.part.json"
             with replace_atomically(self.file, beside=temporary, durable=True) as part:
@@ -242,21 +244,29 @@ class ShardedRun:
             return shared
 
     @contextlib.contextmanager
-    def _locked(self) -> Iterator[None]:
-        """Wait for other jobs that read or write the shared plan."""
+    def _locked(self) -> Iterator[bool]:
+        """Wait for other jobs that read or write the shared plan; yield whether the file system keeps them out."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
             raise output_error(self.root, error) from error
         try:
+            alone = True
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX)
             except OSError as error:  # file systems without locks
                 log.warning("%s: cannot be locked (%s)", self.root, error)
-            yield
+                alone = False
+            yield alone
         finally:
             os.close(handle)
+
+    def _remove_leftovers(self) -> None:
+        """Delete temporary plans that killed jobs left; nobody else may be writing one."""
+        for left in sorted(self.root.glob(f"{_TEMPORARY}*.part.json")):
+            if not left.is_dir() or left.is_symlink():
+                left.unlink(missing_ok=True)
 
     def states(self) -> list[ShardState]:
         """Return the state of every shard, in the order of their numbers.

@@ -825,6 +825,37 @@ def test_fetch_resumes_after_interruption_at_every_step(tiny, server, tmp_path, 
     assert found == {**CONTENT, "images/c.bin": BODY}
 
 
+def test_removed_files_of_a_part_are_fetched_again(tiny, server, tmp_path):
+    out = tmp_path / "tiny"
+    fetch("tiny", out)
+    whole = json.loads((out / "SOURCE.json").read_text())
+    shutil.rmtree(out / "images")
+    (out / "labels.json").write_bytes(b"mine")
+    again = fetch("tiny", out)
+    assert (again.fetched, again.present) == (("all",), ())
+    found = tree(out)
+    record = json.loads(found.pop("SOURCE.json"))
+    assert found == {**CONTENT, "labels.json": b"mine"}  # what is there stays
+    for facts in (whole["archives"]["all"], record["archives"]["all"]):
+        assert facts.pop("places") == ["LICENSE", "images", "labels.json"] and facts.pop("fetched")
+    assert record == whole
+
+
+def test_folder_removed_while_it_is_fetched_is_not_fetched(tiny, server, tmp_path):
+    out = tmp_path / "tiny"
+
+    def remove(p: FetchProgress) -> None:
+        if p.step == "unpack" and p.done == 2:
+            shutil.rmtree(out)
+
+    with pytest.raises(OutputError, match=r"removed|No such file"):
+        fetch("tiny", out, on_progress=remove)
+    shutil.rmtree(out, ignore_errors=True)
+    fetch("tiny", out)
+    found = tree(out)
+    assert found.pop("SOURCE.json") and found == CONTENT
+
+
 def test_parts_doubled_folders_and_litter(tiny, server, tmp_path):
     out = tmp_path / "two"
     report = fetch("two", out, parts=["test"])

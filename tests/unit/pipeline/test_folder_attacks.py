@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from infrablend.core.files import part_path
 from tests.clips import write_detections
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
@@ -318,7 +319,7 @@ def test_log_without_a_record_is_no_dead_end(words: list[object], tmp_path: Path
         shutil.rmtree(tmp_path / "run", ignore_errors=True)
         (tmp_path / "run" / "log").mkdir(parents=True)
         (tmp_path / "run" / "log" / "run.log").write_text("started")
-        (tmp_path / "run" / ".run.part.json").write_text("{")
+        part_path(tmp_path / "run" / "run.json").write_text("{")
         done(*words, option)
 
 
@@ -362,7 +363,7 @@ def test_evaluation_killed_at_its_record_is_repeated_with_overwrite(tmp_path: Pa
     done(*words, "--out", tmp_path / "fresh")
     made = tmp_path / "out"
     shutil.copytree(tmp_path / "fresh", made)
-    (made / "evaluation.json").rename(made / ".evaluation.part.json")
+    (made / "evaluation.json").rename(part_path(made / "evaluation.json"))
     ended = run(*words, "--out", made)
     assert ended.exit_code == 2 and "--overwrite" in ended.stderr, ended.output
     done(*words, "--out", made, "--overwrite")
@@ -405,15 +406,14 @@ def test_report_removed_while_it_is_written_is_an_error_and_can_be_repeated(
     assert run("inspect", data, "--out", out).exit_code == 2 and (out / "inspect.png").read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize("name", [".README.part.md", ".SOURCE.part.json"])
+@pytest.mark.parametrize("name", ["README.md", "SOURCE.json"])
 def test_conversion_killed_while_it_writes_beside_its_record_is_repeated(
     name: str, data: Path, converted: Path
 ) -> None:
     before = tree(converted)
     set_status(converted / "convert.json", "running")
-    (converted / name).write_text("half")
-    written = {"path": name.replace(".part", "")[1:]}
-    (converted / ".files.jsonl").write_text(json.dumps(written) + "\n")
+    part_path(converted / name).write_text("half")
+    (converted / ".files.jsonl").write_text(json.dumps({"path": name}) + "\n")
     done("convert", data, converted, "--to", "voc", "--overwrite")
     assert tree(converted) == before
 
@@ -542,11 +542,12 @@ def test_overwritten_evaluation_deletes_no_folder_with_a_temporary_name(tmp_path
     out = tmp_path / "out"
     words = ["evaluate", tmp_path / "in" / "predictions.json", tmp_path / "in" / "data", "--out", out]
     done(*words, "--bootstrap", "0")
-    for name in (".plots.part", ".evaluation.part.json"):
+    usual = part_path(out / "evaluation.json").name
+    for name in (".plots.part", usual):
         (out / name).mkdir()
         (out / name / "mine").write_text("mine")
         ended = run(*words, "--bootstrap", "0", "--overwrite")
-        assert name == ".evaluation.part.json" or (ended.exit_code == 2 and name in ended.output), ended.output
+        assert name == usual or (ended.exit_code == 2 and name in ended.output), ended.output
         assert (out / name / "mine").read_text() == "mine"
         (out / name).rename(tmp_path / name)
 

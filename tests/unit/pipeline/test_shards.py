@@ -135,6 +135,15 @@ def test_two_jobs_on_one_shard(dataset, tmp_path):
         make_shards(dataset, tmp_path / "out", 3, only=range(3, 4))  # others go on
 
 
+def test_temporary_plans_of_killed_jobs_are_removed(dataset, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in (".shards.other.123.part.json", ".shards.notes.json"):
+        (out / name).write_text("half")
+    make_shards(dataset, out, 3, only=range(1, 2))
+    assert sorted(p.name for p in out.iterdir()) == [".shards.notes.json", "shard-00001-of-00003", "shards.json"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
