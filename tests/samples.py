@@ -16,7 +16,9 @@ tests of `check` take what is in `SAMPLES`.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +26,11 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.files import sha256_of
 from infrablend.core.masks import Mask
+from infrablend.core.run_layout import ShardFiles
 from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
+from infrablend.formats.shard_tar import TarWriter, label_text
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -389,6 +394,31 @@ def _monet(folder: Path) -> Path:
         categories = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
         top = {"images": images, "annotations": annotations, "categories": categories}
         (folder / split / f"{sequence}.json").write_text(json.dumps(top))
+    return folder
+
+
+@sample("shards")
+def _shards(folder: Path) -> Path:
+    """Two packed shards; their tables are not read."""
+    images, categories = records(folder / "from")
+    ids = {c.name: c.id for c in categories}
+    key = {"seed": 0}
+    (folder / "shards.json").write_text(json.dumps({"shards": 2, "layout": "shards", "key": key}))
+    for number in (1, 2):
+        files = ShardFiles(folder, f"shard-{number:05d}-of-00002")
+        with files.tar.open("wb") as stream, TarWriter(stream) as tar:
+            for image in images[number - 1 :: 2]:
+                frame = f"{image.split}/{Path(image.name).stem}"
+                tar.add(frame, image.path.suffix[1:], image.path.read_bytes())
+                tar.add(frame, "json", label_text(frame, image, ids))
+                tar.add(frame, "scene.json", b"{}")
+        files.table.write_bytes(b"PAR1")
+        made = {"tar": files.tar, "table": files.table}
+        archive = {k: {"bytes": p.stat().st_size, "sha256": sha256_of(p)} for k, p in made.items()}
+        known = [asdict(c) for c in categories]
+        record = {"infrablend": "0", "status": "complete", "key": key, "categories": known, "archive": archive}
+        files.marker.write_text(json.dumps(record))
+    shutil.rmtree(folder / "from")
     return folder
 
 

@@ -678,7 +678,7 @@ class Output(Strict):
     """Folders below `<split>/`, in this order, e.g. `[pitch, altitude, day_night]`."""
     layout: Literal["files", "shards"] = "files"
     """`files`: a file per picture and record; `shards`: a tar and a table per shard (see
-    [shards](shards.md)), which `infrablend merge` turns into `files`."""
+    [shards](../formats/shards.md)), which `infrablend merge` turns into `files`."""
     agc: Agc | None = None
     """16-bit pictures only: also write the dataset with 8-bit PNG pictures to `8bit/`, by this automatic gain control,
     the same for originals and inserts: `linear`, `plateau`, `{mode: fixed, low_c: 0, high_c: 40}`, or a mapping with

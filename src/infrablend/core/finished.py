@@ -76,8 +76,11 @@ def require_finished(folder: Path) -> None:
             damaged = record is None and (root / SCENES).is_dir()
             if damaged or (record is not None and not is_finished(record)):
                 raise _unfinished(folder, path, marker, record)
-        if "shards" in (read_object(root / SHARDS_FILE) or {}):
+        plan = read_object(root / SHARDS_FILE) or {}
+        if "shards" in plan and plan.get("layout") != "shards":
             raise _in_shards(folder, root)
+        if "shards" in plan and len(_shard_records(root)) != plan["shards"]:
+            raise _lacks_shards(folder, root, plan["shards"])
         if any((root / DOWNLOAD_FOLDER).glob(f"*{PLACED}")):
             raise _half_placed(folder, root)
 
@@ -89,6 +92,7 @@ def markers_of(folder: Path) -> dict[str, str]:
     """
     inside = real_path(folder)
     paths = [root / m.file for root in (inside, *inside.parents) for m in _MARKERS]
+    paths += _shard_records(inside)
     return {str(p): _identity(p) for p in paths if p.is_file() and not leaves_folder(p)}
 
 
@@ -163,6 +167,22 @@ def _in_shards(folder: Path, root: Path) -> DatasetError:
         f"merge them: infrablend merge {root} DST",
     )
     return DatasetError(f"{folder}: belongs to a run in shards; its labels are missing", [problem])
+
+
+def _shard_records(root: Path) -> list[Path]:
+    """Return the records of packed shards in a folder, each of which marks a shard as finished."""
+    return sorted(root.glob("shard-*-of-*.json"))
+
+
+def _lacks_shards(folder: Path, root: Path, count: object) -> DatasetError:
+    problem = Problem(
+        str(root),
+        UNFINISHED,
+        f"{len(_shard_records(root))} of {count} shards",
+        "all shards",
+        f"finish them, see infrablend status {root}; or merge those that are finished: infrablend merge --partial",
+    )
+    return DatasetError(f"{folder}: belongs to an unfinished run in shards", [problem])
 
 
 def _linked(folder: Path, path: Path, marker: _Marker) -> DatasetError:

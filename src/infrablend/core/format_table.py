@@ -127,6 +127,7 @@ FORMATS: tuple[Format, ...] = (
             ),
         ),
     ),
+    Format("shards", "infrablend.formats.shards", "a run in shards: tars in WebDataset form (`output.layout`)"),
     Format(
         "masks", "infrablend.formats.masks", "InfraBlend's own instance masks: 16-bit PNG files with tables",
         (

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 from infrablend.core.dataset import SPLITS, ImageRecord, Instance
+from infrablend.core.file_names import join_inside
 from infrablend.core.files import LARGEST_READ_BYTES, finite, open_regular
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
@@ -25,7 +26,11 @@ from infrablend.errors import DatasetError, Problem
 LABEL = "json"
 SCENE = "scene.json"
 _BLOCK = 512
-_FACTS = ("pitch_deg", "altitude_m", "time_of_day", "sequence", "captured", "hfov_deg", "roll_deg")
+_NUMBER, _TEXT = (int, float, type(None)), (str, type(None))
+_FACTS: Mapping[str, tuple[type, ...]] = {
+    **dict.fromkeys(("pitch_deg", "altitude_m", "hfov_deg", "roll_deg"), _NUMBER),
+    **dict.fromkeys(("time_of_day", "sequence", "captured"), _TEXT),
+}
 
 
 def key_of(frame_id: str) -> str:
@@ -54,22 +59,26 @@ def label_text(frame_id: str, image: ImageRecord, ids: Mapping[str, int]) -> byt
     return text.encode() + b"\n"
 
 
-def image_of(label: Mapping[str, Any], path: Path) -> ImageRecord:
-    """Return the image that `label_text` described, as a picture at this path.
+def image_of(label: Mapping[str, Any], folder: Path) -> ImageRecord:
+    """Return the image that `label_text` described, its picture at `<split>/<file name>` in this folder.
 
     Raises:
         LookupError, TypeError, ValueError, AttributeError: The label is damaged.
     """
-    if label["split"] not in SPLITS:
-        raise ValueError(f"split {label['split']!r}, expected one of {', '.join(SPLITS)}")
+    for name, kinds in _FACTS.items():
+        value = label[name]
+        if not isinstance(value, kinds) or isinstance(value, bool) or value != value:
+            raise ValueError(f"{name}: found {value!r}")
+    if label["split"] not in SPLITS or label["time_of_day"] not in (None, "day", "night"):
+        raise ValueError(f"split {label['split']!r} and time of day {label['time_of_day']!r}")
     objects = [{k: v for k, v in o.items() if k != "category_id"} for o in label["objects"]]
     radiometry = label["radiometry"]
     if radiometry is not None:
         scale = radiometry["scale"]
         radiometry = Radiometry(**{**radiometry, "scale": None if scale is None else TemperatureScale.from_json(scale)})
     return ImageRecord(
-        id=str(label["frame_id"]).partition("/")[2],
-        path=path,
+        id="",
+        path=join_inside(folder, f"{label['split']}/{label['file_name']}"),
         split=label["split"],
         size_wh=(int(label["width"]), int(label["height"])),
         instances=tuple(Instance.from_json(o) for o in objects),

@@ -37,6 +37,7 @@ from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record, parse_record
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.shard_damage import damage_of
 from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
 
 log = logging.getLogger(__name__)
@@ -117,30 +118,6 @@ def publish(packed: ShardFiles, target: ShardFiles) -> None:
         raise output_error(target.marker, error) from error
 
 
-def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = True) -> str | None:
-    """Return what is wrong with the tar or the table of a finished shard; None if both are as they were written.
-
-    Args:
-        files: Files of the shard.
-        record: Its record.
-        digests: Whether to read the files; otherwise only their sizes are compared.
-    """
-    for path, name in ((files.tar, "tar"), (files.table, "table")):
-        try:
-            facts = record[ARCHIVE][name]
-            if not path.is_file():
-                return f"{path.name} is missing"
-            if (size := path.stat().st_size) != facts["bytes"]:
-                return f"{path.name} has {size} bytes, expected {facts['bytes']}"
-            if digests and sha256_of(path, files.folder) != facts["sha256"]:
-                return f"{path.name} was changed after it was written"
-        except OSError as error:
-            return f"{path.name} cannot be read ({error.strerror or error})"
-        except (LookupError, TypeError):
-            return f"{files.marker.name} is damaged: no facts about the {name}"
-    return None
-
-
 def _finished(files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None:
     """Return the record of a shard that is whole; None if it has to be made.
 
@@ -219,7 +196,10 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
         if packed != expected:
             raise OutputError(f"{folder.root}: found {packed} frames, expected {expected}. Repeat with --resume")
     archive = {"tar": _facts(files.tar), "table": _facts(files.table)}
-    write_json(files.marker, sealed({**folder.read_run(), ARCHIVE: archive}), indent=2, durable=True)
+    run = {**folder.read_run(), ARCHIVE: archive}
+    groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them
+    run["categories"] = [{**c, "supercategory": groups[c["name"]]} for c in run["categories"]]
+    write_json(files.marker, sealed(run), indent=2, durable=True)
 
 
 def _facts(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from infrablend.errors import OutputError
 from infrablend.formats.shard_tar import PackedFrame, key_of, packed_frames
 from infrablend.pipeline.folder import RUN, RunFolder
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record, parse_record
-from infrablend.pipeline.shard_archive import damage_of
+from infrablend.pipeline.shard_damage import damage_of
 
 
 class ShardSource(Protocol):

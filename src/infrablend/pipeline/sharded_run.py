@@ -43,7 +43,8 @@ from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import MAX_SHARDS, Shard
-from infrablend.pipeline.shard_archive import damage_of, run_archived, unfinished_run
+from infrablend.pipeline.shard_archive import run_archived, unfinished_run
+from infrablend.pipeline.shard_damage import damage_of
 from infrablend.pipeline.shard_source import ShardArchive, ShardFolder, ShardSource
 
 log = logging.getLogger(__name__)

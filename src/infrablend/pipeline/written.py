@@ -10,11 +10,12 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, is_finished
 from infrablend.core.manifest import JOURNAL, REPLACED, Manifest
-from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES
+from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES, SHARDS_FILE, ShardFiles
 from infrablend.errors import OutputError, Problem, Severity
 from infrablend.pipeline.excluded import require_choice
 from infrablend.pipeline.folder import FILES, RUN, RunFolder, is_edited
 from infrablend.pipeline.record import RecordError, load_record
+from infrablend.pipeline.shard_damage import damage_of
 from infrablend.report.card import CARD_FILE
 
 CHANGED, GONE = "file-changed", "file-gone"
@@ -30,6 +31,8 @@ def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem
         digests: Whether to read the pictures of a run; otherwise only their existence is checked.
     """
     inside = real_path(folder)
+    if (inside / SHARDS_FILE).is_file():
+        return list(_of_shards(inside, digests))
     for root in (inside, *inside.parents):
         part = inside.relative_to(root).parts[:1]
         wanted = {*part, IMAGES, SCENES} if part else None
@@ -85,6 +88,16 @@ def _of_run(root: Path, run: Mapping[str, Any], digests: bool) -> Iterator[Probl
             yield Problem(image, CHANGED, "changed after InfraBlend wrote it", "the picture of its labels", todo)
     advice = f"{todo}. To edit labels, convert the run and edit the conversion"
     yield from _differences(manifest, (n for n in manifest.paths if n not in framed), advice)
+
+
+def _of_shards(root: Path, digests: bool) -> Iterator[Problem]:
+    for marker in sorted(root.glob("shard-*-of-*.json")):
+        record = read_object(marker) or {}
+        todo = "repeat the command of the shard with --resume, which makes it again"
+        if is_edited(record):
+            yield Problem(marker.name, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
+        if (found := damage_of(ShardFiles(root, marker.stem), record, digests=digests)) is not None:
+            yield Problem(marker.stem, CHANGED, found, "the shard as written", todo)
 
 
 def _of_dataset(root: Path, written: Any) -> Iterator[Problem]:

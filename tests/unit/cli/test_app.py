@@ -40,6 +40,7 @@ class Report:
     counts: dict
     problems: tuple = ()
     ok: bool = True
+    record_file: Path | None = None
 
     def to_json(self):
         return {"out": str(self.out), "counts": self.counts, "problems": [p.to_json() for p in self.problems]}

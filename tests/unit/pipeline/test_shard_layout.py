@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from infrablend import api
 from infrablend.core.output import OutputFolder
 from infrablend.errors import OutputError
 from infrablend.formats import shard_tar
@@ -248,3 +249,60 @@ def test_missing_pyarrow_is_named(small, tmp_path, monkeypatch):
     assert ended.exit_code != 0
     assert "infrablend[shards]" in ended.output
     assert not list((tmp_path / "out").glob("shard-*"))
+
+
+def test_commands_read_shards(dataset, tmp_path):
+    """The dataset in the tars is that of the merged run, and every command that reads datasets takes it."""
+    out = tmp_path / "out"
+    done(*command(dataset, out, *PACKED, "--shard-size", 7))
+    done("merge", out, tmp_path / "merged")
+    packed, merged = api.read_dataset(out), api.read_dataset(tmp_path / "merged")
+    assert packed.format == "shards"
+    classes = [[(c.id, c.name, c.ignore) for c in d.categories] for d in (packed, merged)]
+    assert classes[0] == classes[1]
+    assert [(i.split, i.name) for i in packed.images] == [(i.split, i.name) for i in merged.images]
+    for a, b in zip(packed.images, merged.images, strict=True):
+        assert a.path.read_bytes() == b.path.read_bytes()
+        assert (a.id, a.size_wh, a.pitch_deg, a.time_of_day) == (b.id, b.size_wh, b.pitch_deg, b.time_of_day)
+        assert [(o.category, o.inserted) for o in a.instances] == [(o.category, o.inserted) for o in b.instances]
+        for o, p in zip(a.instances, b.instances, strict=True):
+            assert o.box_xyxy.tolist() == pytest.approx(p.box_xyxy.tolist(), abs=1e-6)
+            assert o.mask == p.mask
+    assert "out: shards, 12 images" in done("check", out).stdout
+    done("inspect", out)
+    for number, source in enumerate((out, tmp_path / "merged")):
+        done("convert", source, tmp_path / f"coco{number}", "--to", "coco")
+        done("split", source, tmp_path / f"split{number}", "--by", "gap", "--to", "yolo")
+    folders = [tmp_path / "coco0", tmp_path / "coco1"]
+    found = [sorted(p.relative_to(folder) for p in folder.rglob("*.json")) for folder in folders]
+    assert found[0] == found[1]
+    for name in (n for n in found[0] if n.stem in ("train", "val", "test")):
+        first, second = (json.loads((folder / name).read_text()) for folder in folders)
+        assert [a["bbox"] for a in first["annotations"]] == [a["bbox"] for a in second["annotations"]]
+    pictures = [sorted((tmp_path / f"split{n}").rglob("*.jpg")) for n in (0, 1)]
+    assert [p.read_bytes() for p in pictures[0]] == [p.read_bytes() for p in pictures[1]] != []
+
+
+def test_readers_name_unfinished_and_damaged_shards(small, tmp_path):
+    out = tmp_path / "out"
+    done(*small, "--shard", "1/2")
+    ended = run("check", out)
+    assert ended.exit_code == 2
+    assert "1 of 2 shards" in ended.output
+    done(*small, "--shard", "2/2")
+    done("check", out)
+    tar = out / "shard-00002-of-00002.tar"
+    data = tar.read_bytes()
+    picture = data.index(b"\xff\xd8\xff") + 700  # within the first JPEG
+    tar.write_bytes(data[:picture] + bytes([data[picture] ^ 1]) + data[picture + 1 :])
+    ended = run("check", out)
+    assert ended.exit_code == 1
+    assert "file-changed" in ended.stdout
+    assert "shard-00002-of-00002.tar was changed" in " ".join(ended.stdout.split())
+    tar.write_bytes(data[:5000])
+    for words in (("check", out), ("convert", out, tmp_path / "to", "--to", "coco")):
+        ended = run(*words)
+        assert ended.exit_code in (1, 2)
+        assert "shard-truncated" in ended.output or "expected" in ended.output
+        assert "shard-00002-of-00002.tar" in ended.output
+    assert not (tmp_path / "to").exists()
