@@ -143,6 +143,33 @@ class PaperCamera(Camera):
     """Distance from the camera to the scene's origin, metres. Paper: D_min, D_max = 1, 10."""
 
 
+class FlightHeight(Strict):
+    """True over stated height in pictures of one time of day, or taken below a height."""
+
+    factor: Annotated[float, Field(ge=0.2, le=5)]
+    """True over stated height."""
+    time_of_day: Literal["day", "night"] | None = None
+    """Time of day of these pictures; any by default."""
+    below_m: float | None = Field(None, gt=0)
+    """These pictures are stated to be taken below this height, metres; any height by default."""
+
+
+class StatedHeights(Strict):
+    """How heights in names and tables of the dataset differ from true ones."""
+
+    factor: Annotated[float, Field(ge=0.2, le=5)] = 1.15
+    """True over stated height where no annotated object shows it."""
+    by_flight: tuple[FlightHeight, ...] = ()
+    """Factors for pictures of some times of day and heights: the first entry that fits a picture applies to it, and the
+    factor above applies where none fits. Flights differ by their place of take-off."""
+    spread: float = Field(0.16, gt=0, le=1)
+    """Standard deviation of the factor's logarithm. The smaller it is, the less the objects of one picture count."""
+    references: tuple[Literal["person", "car", "bicycle"], ...] = ("person", "car", "bicycle")
+    """Classes whose annotated boxes show the true height."""
+    box_looseness: Annotated[float, Field(ge=1, le=2)] = 1.0
+    """How much wider and higher annotated boxes are than the objects in them (`infrablend profile` measures it)."""
+
+
 class MetricCamera(Camera):
     """The real camera of `placement.mode: metric`: at a height above the ground."""
 
@@ -158,7 +185,10 @@ class MetricCamera(Camera):
     calibrate: bool = True
     """With `altitude: metadata`: correct the height until the annotated people, cars and two-wheelers of the image have
     their real size. Heights in metadata count from take-off; in an image without such objects the height is multiplied
-    by 1.15, unless it comes from the header of the picture itself or a flight log (`altitude_from` in the table)."""
+    by `stated_heights.factor`, unless it comes from the header of the picture itself or a flight log (`altitude_from`
+    in the table)."""
+    stated_heights: StatedHeights = StatedHeights()
+    """With `calibrate`: how heights in names and tables of the dataset differ from true ones."""
 
 
 # ---- Objects

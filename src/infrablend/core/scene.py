@@ -135,6 +135,7 @@ class View:
         ground_z_m: Height of the ground plane in the world.
         anchors: Number of annotated objects used for the calibration, by class.
         factor_sd: Standard deviation of the logarithm of true over stated height.
+        at_limit: Whether the calibration reached a limit of the correction.
     """
 
     camera_height_m: float
@@ -142,6 +143,7 @@ class View:
     ground_z_m: float
     anchors: Mapping[str, int]
     factor_sd: float
+    at_limit: bool = False
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from infrablend.config.recipe import (
     RadiometricMatching,
 )
 from infrablend.core.cores import take_core
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
@@ -66,7 +67,7 @@ from infrablend.pipeline.original import unchanged_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
-from infrablend.sampling.calibration import FROM_TABLE, PRIORS
+from infrablend.sampling.calibration import FROM_TABLE, PRIORS, HeightPrior, prior_of
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import air_source, move_objects
 
@@ -181,9 +182,16 @@ class FrameComposer:
             isinstance(recipe.matching, GreyMatching) and recipe.matching.polarity == "black-hot",
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
-            PRIORS.get(str(source.extra.get("altitude_from")), FROM_TABLE),
+            self._height_prior(source),
             source.time_of_day,
         )
+
+    def _height_prior(self, source: ImageRecord) -> HeightPrior:
+        """Return what is known about the picture's stated height, by its origin."""
+        known = PRIORS.get(str(source.extra.get("altitude_from")))
+        if known is None and isinstance(self._recipe, MetricSections):
+            return prior_of(self._recipe.camera.stated_heights, source.altitude_m, source.time_of_day)
+        return known or FROM_TABLE
 
     def _match(
         self, scene: PlacedScene, frame: PlannedFrame, background: Background

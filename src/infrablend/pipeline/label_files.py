@@ -242,9 +242,8 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
         gains += [tuple(map(sys.intern, doubts)) for doubts in _gain_doubts(r)]
     problems = []
     if heights and 5 * sum(heights) >= len(heights):
-        low, high = FACTOR_BOUNDS
         found = (
-            f"the corrected height of the camera is at its limit, {low:.2f} or {high:.2f} times the stated one, in "
+            "the corrected height of the camera is as far from the stated one as is allowed in "
             f"{sum(heights)} of {len(heights)} frames with annotated objects of known size"
         )
         todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
@@ -264,7 +263,8 @@ def _height_at_limit(record: FrameRecord) -> bool | None:
     if view is None or not view.anchors:
         return None
     factor = view.camera_height_m / view.stated_height_m
-    return any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
+    # Records of earlier versions have the factor alone.
+    return view.at_limit or any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
 
 
 def _gain_doubts(record: FrameRecord) -> list[Sequence[str]]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infrablend.config.recipe import StatedHeights
 from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import KnownClass, known_class
 from infrablend.core.dataset import Instance
@@ -33,10 +34,16 @@ class HeightPrior:
     Attributes:
         factor: True over stated height.
         sd: Standard deviation of the factor's logarithm.
+        bounds: Limits of the corrected factor.
+        references: Classes whose annotated boxes show the height.
+        box_looseness: How much wider and higher annotated boxes are than the objects in them.
     """
 
     factor: float
     sd: float
+    bounds: tuple[float, float] = FACTOR_BOUNDS
+    references: tuple[KnownClass, ...] = ("person", "car", "bicycle")
+    box_looseness: float = 1.0
 
 
 # Heights in file names and tables, as in HIT-UAV: 1.15 times too low, with the spread between its groups.
@@ -44,6 +51,19 @@ FROM_TABLE = HeightPrior(NOMINAL_FACTOR, 0.16)
 PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser": HeightPrior(1.0, 0.03)}
 """Heights in a picture's own header, by their origin (`ImageRecord.extra["altitude_from"]`): above take-off, where only
 the relief between there and here is unknown, or from the laser range finder."""
+
+
+def prior_of(heights: StatedHeights, stated_m: float | None, time_of_day: str | None) -> HeightPrior:
+    """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
+    factor = heights.factor
+    for flight in heights.by_flight:
+        if flight.time_of_day not in (None, time_of_day):
+            continue
+        if flight.below_m is None or (stated_m is not None and stated_m < flight.below_m):
+            factor = flight.factor
+            break
+    low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
+    return HeightPrior(factor, heights.spread, (low, high), heights.references, heights.box_looseness)
 
 
 @dataclass(frozen=True)
@@ -80,6 +100,7 @@ class Calibration:
         factor: Corrected over stated height.
         sd: Standard deviation of the factor's logarithm.
         anchors: Number of annotated objects used, by class.
+        at_limit: Whether the factor is at a limit of the correction.
     """
 
     height_m: float
@@ -87,6 +108,7 @@ class Calibration:
     factor: float
     sd: float
     anchors: Mapping[str, int]
+    at_limit: bool = False
 
 
 def calibrate(
@@ -106,11 +128,11 @@ def calibrate(
     ratios: dict[KnownClass, list[float]] = {}
     for label in labels:
         kind = known_class(label.category)
-        if kind is None or label.truncated:
+        if kind is None or kind not in prior.references or label.truncated:
             continue
         ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])
         if ratio is not None:
-            ratios.setdefault(kind, []).append(math.log(ratio))
+            ratios.setdefault(kind, []).append(math.log(ratio / prior.box_looseness))
     # A box larger than predicted means that the camera is closer than stated.
     weight, total = 1 / prior.sd**2, math.log(prior.factor) / prior.sd**2
     for name, found in sorted(ratios.items()):
@@ -118,11 +140,10 @@ def calibrate(
         precision = min(len(found), 6) / REFERENCES[name].sd ** 2
         weight += precision
         total -= precision * float(np.median(found))
-    low, high = FACTOR_BOUNDS
+    low, high = prior.bounds
     factor = min(max(math.exp(total / weight), low), high)
-    return Calibration(
-        stated_m * factor, stated_m, factor, weight**-0.5, {k: len(v) for k, v in sorted(ratios.items())}
-    )
+    anchors: dict[str, int] = {k: len(v) for k, v in sorted(ratios.items())}
+    return Calibration(stated_m * factor, stated_m, factor, weight**-0.5, anchors, factor in (low, high))
 
 
 def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, reference: Reference) -> float | None:

@@ -166,7 +166,7 @@ def real_camera(
     )
     camera = at_height(camera, found.height_m)
     ground = ground_z_m(camera, found.height_m)
-    return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd)
+    return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
 
 def place_metric(

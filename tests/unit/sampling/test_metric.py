@@ -7,10 +7,11 @@ import pytest
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.config.recipe import FlightHeight, StatedHeights
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
-from infrablend.sampling.calibration import FACTOR_BOUNDS, NOMINAL_FACTOR, REFERENCES, calibrate
+from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import Site, is_even, relief_of
 from infrablend.sampling.scene import FrameKey, rebuild_scene, sample_scene
 
@@ -91,6 +92,34 @@ def test_without_anchors_the_nominal_factor_holds_and_outliers_are_bounded():
     assert calibrate(camera, 100, tiny).factor == FACTOR_BOUNDS[1]
     # Cut by the frame, so its size is unusable.
     assert not calibrate(camera, 100, [Instance("Car", np.array([0.0, 100, 60, 140]))]).anchors
+
+
+def test_heights_are_corrected_as_the_recipe_states_for_its_dataset():
+    low = FlightHeight(factor=1.8, time_of_day="night", below_m=75)
+    heights = StatedHeights(factor=1.3, by_flight=(low, FlightHeight(factor=1.5, time_of_day="day")), box_looseness=1.2)
+    factors = [
+        prior_of(heights, *flight).factor for flight in ((60, "night"), (80, "night"), (60, "day"), (None, None))
+    ]
+    assert factors == [1.8, 1.3, 1.5, 1.3]
+    prior = prior_of(heights, 60, "night")
+    assert calibrate(hit_uav_camera(60, 60), 60, [], prior).factor == pytest.approx(1.8)
+    assert prior_of(StatedHeights(), 60, "night") == FROM_TABLE
+
+
+def test_loose_boxes_do_not_make_the_camera_lower():
+    rng = np.random.default_rng(1)
+    labels = annotated(hit_uav_camera(60, 100), 100, "Car", 6, rng)
+    people = annotated(hit_uav_camera(60, 60), 60, "Person", 6, rng)
+    loose = []
+    for label in labels:
+        centre, half = (label.box_xyxy[:2] + label.box_xyxy[2:]) / 2, (label.box_xyxy[2:] - label.box_xyxy[:2]) / 2
+        loose.append(Instance(label.category, np.concatenate([centre - 1.2 * half, centre + 1.2 * half])))
+    exact = calibrate(hit_uav_camera(60, 80), 80, labels)
+    prior = prior_of(StatedHeights(references=("car",), box_looseness=1.2), 80, "day")
+    found = calibrate(hit_uav_camera(60, 80), 80, [*loose, *people], prior)
+    assert found.anchors == {"car": len(loose)} and not found.at_limit
+    assert found.factor == pytest.approx(exact.factor, rel=0.02)
+    assert calibrate(hit_uav_camera(60, 80), 80, loose).factor < 0.87 * found.factor
 
 
 FLAT = np.full((512, 640), 120, np.uint8)
