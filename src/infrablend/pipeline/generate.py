@@ -32,16 +32,25 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
     if request.out is None:
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
     plan = prepare_run(request)
-    packed = plan.recipe.output.layout == "shards"
-    wanted = request.shard or (ShardRequest(count=1) if packed else None)
+    wanted = _wanted(request, plan)
     if wanted is not None:
-        if wanted.number is None and not packed:
-            raise ArgumentError(
-                "--shard-size needs --shard I, the number of the shard, unless the recipe has output.layout: shards"
-            )
         shards = wanted.of(len(plan.frames))
         return run_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
     return run_plan(plan, request.out, request.execution, request.existing, on_progress)
+
+
+def _wanted(request: RunRequest, plan: RunPlan) -> ShardRequest | None:
+    """Return the shards to make; None for a run with a file per frame.
+
+    Raises:
+        ArgumentError: All shards of a run with a file per frame are requested.
+    """
+    packed = plan.recipe.output.layout == "shards"
+    if request.shard is not None and request.shard.number is None and not packed:
+        raise ArgumentError(
+            "--shard-size needs --shard I, the number of the shard, unless the recipe has output.layout: shards"
+        )
+    return request.shard or (ShardRequest(count=1) if packed else None)
 
 
 def describe_run(request: RunRequest, price_per_core_hour: float | None = None) -> dict[str, Any]:
@@ -50,11 +59,12 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     With a shard in the request, times are those of one shard and of merging.
     """
     plan = prepare_run(request)
-    shards = None if request.shard is None else request.shard.of(len(plan.frames))[0].count
+    wanted = _wanted(request, plan)
+    shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
     return {
         **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,
-        "out": None if request.out is None or shards else RunFolder(request.out).outlook(request.existing),
+        "out": None if request.out is None or wanted else RunFolder(request.out).outlook(request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],

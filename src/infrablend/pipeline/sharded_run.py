@@ -353,8 +353,7 @@ def run_shard(
     """
     sharded = ShardedRun(out)
     shared = sharded.share_plan(plan, shard.count, execution.renderer)
-    # Problems of the data are those of the whole run: merging reports them once.
-    part = replace(plan, frames=tuple(shard.part_of(plan.frames)), shard=shard, levels=shared.levels, problems=())
+    part = replace(plan, frames=tuple(shard.part_of(plan.frames)), shard=shard, levels=shared.levels)
     if shared.layout == "shards":
         return run_archived(part, sharded.shard_files(shard), execution, existing, on_progress)
     return run_plan(part, sharded.shard_folder(shard).root, execution, existing, on_progress)
@@ -379,9 +378,12 @@ def run_shards(
         if on_progress is not None:
             on_progress(replace(progress, done=before + progress.done, total=total))
 
+    if len(shards) < shards[0].count:
+        plan = replace(plan, problems=())  # those of the data are reported once, by merging
     for shard in shards:
         reports.append(run_shard(plan, shard, out, execution, existing, shifted))
         before += len(shard.part_of(plan.frames))
+        plan = replace(plan, problems=())
     if len(reports) == 1:
         return reports[0]
     problems = tuple(p for r in reports for p in r.problems)

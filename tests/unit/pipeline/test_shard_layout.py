@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shlex
 import shutil
 import tarfile
 from itertools import groupby
@@ -12,11 +11,11 @@ import pytest
 
 from infrablend import api
 from infrablend.core.output import OutputFolder
-from infrablend.errors import OutputError
 from infrablend.formats import shard_tar
-from infrablend.pipeline import shard_archive, shard_table
+from infrablend.pipeline import shard_table
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
+from tests.killing import run_until_killed
 from tests.unit.pipeline.test_run import dataset, hashes
 from tests.unit.pipeline.test_shards import command
 
@@ -140,32 +139,30 @@ def test_all_shards_of_a_size(small, tmp_path):
     assert contents(out) == before
 
 
-def test_a_kill_at_any_step_is_finished(small, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-    words = (*small, "--shard", "1/2")
-    done(*words)
+def test_a_kill_before_any_rename_is_finished(dataset, tmp_path, monkeypatch):
+    out, renamed = tmp_path / "out", []
+    words = command(dataset, out, *PACKED, "--limit", 1, "--shard", "1/2")
+    replace = Path.replace
+
+    def noted(path: Path, target: Path) -> Path:
+        renamed.append(target)
+        return replace(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", noted)
+        done(*words)
     expected, listed = contents(out), names(out)
-
-    def killed(*_, **__):
-        raise OutputError("killed")
-
-    steps = [
-        (shard_archive, "_pack"),
-        (shard_archive, "write_json"),
-        (shard_archive, "publish"),
-        (shard_archive, "flush"),
-    ]
-    for module, step in steps:
+    assert [p.suffix for p in renamed[-3:]] == [".tar", ".parquet", ".json"] and renamed[-1].parent == out
+    for number in range(len(renamed)):
         shutil.rmtree(out)
-        with monkeypatch.context() as patch:
-            patch.setattr(module, step, killed)
-            assert run(*words).exit_code == 2
-        # Nothing counts as finished: no marker. In between, the folder of the shard has what is needed.
-        assert not list(out.glob("*.json")) or names(out)[-1] == "shards.json"
+        run_until_killed(number, lambda: run(*words))
+        # No marker: nothing counts as finished, and readers refuse it.
         assert not (out / "shard-00001-of-00002.json").exists()
-        states = json.loads(run("status", out, "--json").stdout)["shards"]
-        assert [s["state"] for s in states] == ["stopped", "missing"]
-        done(*shlex.split(states[0]["command"])[1:])
+        if (out / "shards.json").exists():
+            assert run("check", out).exit_code == 2
+            states = json.loads(run("status", out, "--json").stdout)["shards"]
+            assert states[0]["state"] in ("stopped", "missing")
+        done(*words, "--resume")
         assert contents(out) == expected
         assert names(out) == listed
 
@@ -238,6 +235,10 @@ def test_failed_frames_are_tried_again(dataset, tmp_path):
     assert whole.exit_code == 1
     assert hashes(tmp_path / "merged") == hashes(tmp_path / "whole")
     broken.write_bytes(data)
+    # Killed while the finished frames are unpacked, and while they are packed again.
+    for number in (0, 1, 4, 25):
+        run_until_killed(number, lambda: run(*words, "--resume"))
+        assert run("status", out).exit_code == 1
     done(*words, "--resume")
     assert contents(out) == expected
     assert names(out) == [*shard_names(1, 1), "shards.json"]

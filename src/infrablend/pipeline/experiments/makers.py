@@ -72,7 +72,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
         source.dataset,
         job.out,
         seed=request.seed,
-        settings={**spec.settings, "output.formats": ["coco"]},
+        settings={**spec.settings, "output.formats": ["coco"], "output.layout": "files"},
         reading=Reading(splits=spec.splits, options=source.reader_options),
         execution=execution,
     )

@@ -10,7 +10,7 @@ from infrablend import __version__
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import load_recipe
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import NOT_IN_KEY, Recipe
 
 
 def recipe_inputs(spec: Generate) -> dict[str, Any]:
@@ -30,6 +30,6 @@ def deciding_fields(recipe: Recipe) -> dict[str, Any]:
 
     Because defaults are left out, a field that a later version adds does not invalidate finished stages.
     """
-    left_out: Any = {"description": True, "name": True, "output": {"formats"}}
+    left_out: Any = {"description": True, "name": True, "output": NOT_IN_KEY}
     found: dict[str, Any] = json.loads(recipe.model_dump_json(exclude=left_out, exclude_defaults=True))
     return {k: v for k, v in found.items() if v != {}}
