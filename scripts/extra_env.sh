@@ -35,16 +35,6 @@ if [ "$what" = browser ] && ! command -v chromium >/dev/null; then
   fi
 fi
 
-# The accessibility checker that the tests run in the pages; npm's own settings decide where it comes from.
-axe=build/axe/package/axe.min.js
-axe_sha=29348999450cdf2849a8e70b7912fc2da85a849da39c0d0d5394f51d4a9ed95c
-if [ "$what" = browser ] && [ ! -f "$axe" ] && command -v npm >/dev/null; then
-  mkdir -p build/axe
-  if ! (cd build/axe && npm pack --silent axe-core@4.14.1 && tar xzf axe-core-4.14.1.tgz) >build/axe.log 2>&1 ||
-     ! printf '%s  %s\n' "$axe_sha" "$axe" | sha256sum --quiet --check - >>build/axe.log 2>&1
-  then rm -rf build/axe; say "axe-core is not available (see build/axe.log): its test will be skipped"; fi
-fi
-
 inputs=(requirements/project.txt "requirements/$what.txt" scripts/extra_env.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"

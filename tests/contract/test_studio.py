@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from infrablend.pipeline.review import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 60_000
-AXE = Path(__file__).resolve().parents[2] / "build" / "axe" / "package" / "axe.min.js"
 
 
 @contextmanager
@@ -178,8 +178,6 @@ def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> Non
 def test_axe_finds_no_serious_issue(
     chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    if not AXE.is_file():
-        pytest.skip("NEEDS AXE: `make tools` with npm fetches axe-core; accessibility is not tested without it")
     run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
     (run / "review.json").write_text('{"frames": {"test/a_c0": {"verdict": "accept"}}}')
     other = write_run(tmp_path / "other", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "ab"})
@@ -205,8 +203,6 @@ def test_axe_finds_no_serious_issue(
 def test_axe_finds_no_serious_issue_in_the_report_of_a_run(
     chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    if not AXE.is_file():
-        pytest.skip("NEEDS AXE: `make tools` with npm fetches axe-core; accessibility is not tested without it")
     data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
     flat = Execution(renderer="flat", in_process=True)
     api.generate("hit-uav-drone", data, run, limit=2, execution=flat)
@@ -221,7 +217,7 @@ def test_axe_finds_no_serious_issue_in_the_report_of_a_run(
 
 def serious_issues(page: Any) -> list[tuple[str, str]]:
     """Return what axe finds in a page: rule, and the first element."""
-    page.evaluate(AXE.read_text("utf-8"))
+    page.evaluate(resources.files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
     found = page.evaluate("async () => (await axe.run()).violations")
     return [(i["id"], i["nodes"][0]["html"][:200]) for i in found if i["impact"] in ("serious", "critical")]
 

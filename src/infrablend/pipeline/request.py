@@ -118,6 +118,9 @@ class RunRequest:
     shard: ShardRequest | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "data", Path(self.data))  # texts work, too
+        if self.out is not None:
+            object.__setattr__(self, "out", Path(self.out))
         require_whole("seed", self.seed)
         require_existing(self.existing)
         if self.execution.in_process and self.execution.renderer == "blender":

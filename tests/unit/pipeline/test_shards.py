@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from infrablend import api
 from infrablend.core import checked_files, spool
 from infrablend.core.output import OutputFolder
 from infrablend.errors import ArgumentError
+from infrablend.pipeline.request import Execution
 from infrablend.pipeline.shard import Shard, ShardRequest
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
@@ -133,6 +135,14 @@ def test_two_jobs_on_one_shard(dataset, tmp_path):
         assert ended.exit_code == 2
         assert "another process is writing this shard" in ended.output
         make_shards(dataset, tmp_path / "out", 3, only=range(3, 4))  # others go on
+
+
+def test_shard_with_folders_as_texts(dataset, tmp_path):
+    flat = Execution(renderer="flat", in_process=True)
+    out = str(tmp_path / "out")
+    request = api.RunRequest("hit-uav-drone", str(dataset), out, execution=flat, shard=ShardRequest(1, 3))  # type: ignore[arg-type]
+    report = api.generate_shard(request)
+    assert report.counts["frames"] and (tmp_path / "out" / "shard-00001-of-00003").is_dir()
 
 
 def test_temporary_plans_of_killed_jobs_are_removed(dataset, tmp_path):

@@ -1,0 +1,134 @@
+"""Measure a run of many small frames without rendering: plan, shards, merge and check, each in processes of its own.
+
+`bench/scale.py [--frames N,...] [--shard-frames M] [--json FILE]` makes backgrounds of 64 x 64 px, plans N frames of
+them, makes packed shards of M frames with the flat renderer, merges them and checks the result. For each step it prints
+the CPU milliseconds per frame and the largest memory of any process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+CONFIGURATIONS = 100
+SETTINGS = (
+    f"configurations={CONFIGURATIONS}", "output.layout=shards", "output.formats=[coco,yolo]",
+    "camera.pitch={fixed_deg: 60}", "camera.size_px=[64, 64]", "objects.0.count=1",
+)  # fmt: skip
+_START = """
+import sys
+from pathlib import Path
+from infrablend import api
+data, out, merged, number, size, *settings = sys.argv[1:]
+flat = api.Execution(renderer="flat", in_process=True)
+"""
+_REQUEST = """
+request = api.RunRequest("hit-uav-drone", Path(data), Path(out), settings=settings, execution=flat, existing="resume",
+                         shard=api.ShardRequest(int(number), size=int(size)))
+"""
+STEPS = {
+    "plan": _START + 'api.plan("hit-uav-drone", data, out, settings=settings, execution=flat)',
+    "shard": _START + _REQUEST + "api.generate_shard(request)",
+    "status": _START + "print(len(api.status(out)))",
+    "merge": _START + "api.merge([out], merged)",
+    "check": _START + "assert api.check(merged).ok",
+}
+
+
+@dataclass
+class Used:
+    """What the processes of a step used.
+
+    Attributes:
+        cpu_s: CPU seconds, together.
+        peak_mb: Largest resident memory of one process, MiB.
+    """
+
+    cpu_s: float = 0.0
+    peak_mb: float = 0.0
+
+
+def main() -> None:
+    """Print a JSON object per number of frames."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", default="2000,8000,32000")
+    parser.add_argument("--shard-frames", type=int, default=1000)
+    parser.add_argument("--json", type=Path, help="file to add the results to")
+    options = parser.parse_args()
+    for frames in (int(n) for n in options.frames.split(",")):
+        with tempfile.TemporaryDirectory(prefix="scale-") as folder:
+            result = measure(Path(folder), frames, options.shard_frames)
+        print(json.dumps(result), flush=True)
+        if options.json is not None:
+            with options.json.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(result) + "\n")
+
+
+def measure(folder: Path, frames: int, shard_frames: int) -> dict[str, Any]:
+    """Return what each step used for this number of frames."""
+    data, out, merged = folder / "data", folder / "out", folder / "merged"
+    write_backgrounds(data, -(-frames // CONFIGURATIONS))
+    shards = -(-frames // shard_frames)
+    used = {name: Used() for name in STEPS}
+
+    def step(name: str, number: int = 1) -> None:
+        words = [str(w) for w in (data, out, merged, number, shard_frames)]
+        run(STEPS[name], [*words, *(SETTINGS if name in ("plan", "shard") else ())], used[name])
+
+    step("plan")
+    for number in range(1, shards + 1):
+        step("shard", number)
+    entries = len(list(out.iterdir())) - 1  # without the shared plan
+    packed = sum(p.stat().st_size for p in out.iterdir())
+    step("status")
+    step("merge")
+    shutil.rmtree(out)
+    step("check")
+    found = sum(1 for _ in (merged / "images").rglob("*.png"))
+    assert found == frames, f"{found} pictures; expected {frames}"
+    return {
+        "frames": frames,
+        "shards": shards,
+        "entries_per_shard": entries / shards,
+        "bytes_per_frame": round(packed / frames),
+        **{
+            name: {"cpu_ms_per_frame": round(1000 * u.cpu_s / frames, 3), "peak_mb": round(u.peak_mb, 1)}
+            for name, u in used.items()
+        },
+    }
+
+
+def write_backgrounds(folder: Path, count: int) -> None:
+    """Write pictures of 64 x 64 px with smooth noise."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        grain = cv2.resize(rng.normal(110, 25, (8, 8)), (64, 64), interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(folder / f"{number:06}.png"), np.clip(grain, 16, 235).astype(np.uint8))
+
+
+def run(program: str, words: Sequence[str], used: Used) -> None:
+    """Run a Python program to its end, and add what it used."""
+    process = subprocess.Popen([sys.executable, "-c", program, *words], stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"a step ended with {process.returncode}")
+    used.cpu_s += usage.ru_utime + usage.ru_stime
+    used.peak_mb = max(used.peak_mb, usage.ru_maxrss / 1024)
+
+
+if __name__ == "__main__":
+    main()
