@@ -199,6 +199,13 @@ SCENARIOS: dict[str, Scenario] = {
             share=0.06,
         ),
         Scenario(
+            "generate --shard, packed",
+            _coco,
+            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2", "--set", "output.layout=shards"),
+            (RESUME, OVERWRITE),
+            share=0.06,
+        ),
+        Scenario(
             "merge",
             write_shards,
             lambda lab: ["-q", "merge", lab / "in" / "shards", lab / "out"],

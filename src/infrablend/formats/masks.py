@@ -292,7 +292,7 @@ def _read_object(
         problems.append(Problem(where, "annotation-malformed", json.dumps(row)[:80], "a new id and a box_xyxy"))
         return None
     seen.add(number)
-    if row.get("category") not in names:
+    if not isinstance(row.get("category"), str) or row["category"] not in names:
         found, expected = f"category {row.get('category')!r}", f"one of {', '.join(sorted(names))}"
         problems.append(Problem(where, "category-unknown", found, expected, f"add it to {CATEGORIES_FILE}"))
         return None

@@ -81,6 +81,7 @@ TABLE = "masks/train/0_60_30_0_00001.json"
         (lambda d: edit_object(d / TABLE, 0, box_xyxy=[1, 2, 3]), "annotation-malformed", 2),
         (lambda d: edit_object(d / TABLE, 0, box_xyxy=[5, 5, 2, 9]), "box-empty", 2),
         (lambda d: edit_object(d / TABLE, 0, category="lorry"), "category-unknown", 2),
+        (lambda d: edit_object(d / TABLE, 0, category=["Car"]), "category-unknown", 2),
         (lambda d: edit(d / TABLE, file_name="../x.jpg"), "name-climbs", None),
         (lambda d: edit(d / TABLE, file_name="none.jpg"), "image-missing", None),
         (lambda d: edit(d / TABLE, width=0), "annotation-layout", None),
