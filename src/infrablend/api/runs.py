@@ -21,7 +21,7 @@ from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.shard import ShardRequest
-from infrablend.pipeline.sharded_run import ShardedRun, ShardState
+from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState
 from infrablend.pipeline.submission.request import Scheduler, Submission
 from infrablend.pipeline.submission.submit import submission_text as make_submission_text
 from infrablend.pipeline.submission.submit import submit_jobs
@@ -87,7 +87,7 @@ def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -
 
 def merge(
     sources: Sequence[str | Path], out: str | Path, *, data: str | Path | None = None, partial: bool = False,
-    existing: Existing = "refuse", on_progress: OnProgress | None = None,
+    layout: Layout = "files", existing: Existing = "refuse", on_progress: OnProgress | None = None,
 ) -> RunReport:  # fmt: skip
     """Write one run from finished shards, with the bytes of an undivided run.
 
@@ -96,13 +96,15 @@ def merge(
         out: Folder to write.
         data: Folder of the backgrounds, if it has moved.
         partial: Merge the finished shards only.
+        layout: `files`, or `shards` for one packed shard (needs `infrablend[shards]`).
         existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
     """
     folder = None if data is None else Path(data)
     return merge_shards(
-        [Path(s) for s in sources], Path(out), folder, partial=partial, existing=existing, on_progress=on_progress
-    )
+        [Path(s) for s in sources], Path(out), folder,
+        partial=partial, layout=layout, existing=existing, on_progress=on_progress,
+    )  # fmt: skip
 
 
 def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:

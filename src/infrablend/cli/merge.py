@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,13 @@ if TYPE_CHECKING:
     from infrablend.cli.session import Session
 
 
+class Layout(StrEnum):
+    """Layout of the merged run."""
+
+    FILES = "files"
+    SHARDS = "shards"
+
+
 def merge(
     ctx: typer.Context,
     sources: Annotated[list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run.")],
@@ -21,6 +29,9 @@ def merge(
     partial: Annotated[
         bool, typer.Option("--partial", help="Merge the finished shards, although others are not.")
     ] = False,
+    layout: Annotated[
+        Layout, typer.Option(help="Layout of DST: a file per picture, or one packed shard (extra infrablend[shards]).")
+    ] = Layout.FILES,
     data: DataOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Finish the interrupted merge in DST.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in DST.")] = False,
@@ -36,5 +47,13 @@ def merge(
     from infrablend.cli.progress import shown_progress
 
     with shown_progress(session, "merging") as on_progress:
-        report = api.merge(sources, dst, data=data, partial=partial, existing=existing, on_progress=on_progress)
+        report = api.merge(
+            sources,
+            dst,
+            data=data,
+            partial=partial,
+            layout=layout.value,
+            existing=existing,
+            on_progress=on_progress,
+        )
     show_run(report, session)

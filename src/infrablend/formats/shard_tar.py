@@ -110,6 +110,7 @@ class TarWriter:
         info = tarfile.TarInfo(f"{key}.{suffix}")  # time, owner and group are 0, and their names empty
         info.size, info.mode = len(data), 0o644
         self._tar.addfile(info, BytesIO(data))
+        self._tar.members.clear()  # type: ignore[attr-defined]  # the list of all files would grow with the tar
         return int(self._tar.offset) - -(-len(data) // _BLOCK) * _BLOCK
 
 
@@ -142,7 +143,8 @@ def packed_frames(path: Path) -> Iterator[PackedFrame]:
     try:
         with open_regular(path) as stream, tarfile.open(fileobj=stream, mode="r|") as tar:
             group: dict[str, bytes] = {}
-            for info in tar:
+            while (info := tar.next()) is not None:
+                tar.members.clear()  # type: ignore[attr-defined]  # as in `TarWriter`
                 folder, slash, name = info.name.rpartition("/")
                 stem, _, suffix = name.partition(".")
                 if not info.isreg() or info.size > LARGEST_READ_BYTES or suffix in group:

@@ -24,6 +24,7 @@ from infrablend.core.run_layout import (
     PICTURE_TABLES,
     RUN_FILE,
     SCENES,
+    SHARDS_FILE,
     RunLayout,
 )
 from infrablend.errors import OutputError, Problem
@@ -114,6 +115,11 @@ class RunFolder(RunLayout):
         Raises:
             OutputError: The record does not exist or cannot be read.
         """
+        if not os.path.lexists(self.run_file) and os.path.lexists(self.root / SHARDS_FILE):
+            raise OutputError(
+                f"{self.root}: found shards of a run, expected a run. Merge the shards first: "
+                f"infrablend merge {self.root} DST"
+            )
         return read_run_file(self.run_file)
 
     def write_run(self, data: dict[str, Any]) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+from infrablend.core.arguments import require_choice
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.output import Existing, require_apart
@@ -22,8 +23,9 @@ from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.shard_archive import run_archived, unfinished_run
 from infrablend.pipeline.shard_source import ShardSource
-from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan
+from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState, SharedPlan
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ def merge_shards(
     data: Path | None = None,
     *,
     partial: bool = False,
+    layout: Layout = "files",
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
@@ -62,6 +65,7 @@ def merge_shards(
         out: Folder to write.
         data: Folder of the backgrounds, if it has moved.
         partial: Merge the finished shards only; the result is that of a run of their frames.
+        layout: Layout of the result: `files`, a run, or `shards`, one packed shard.
         existing: What to do if `out` already contains a run; `resume` finishes an interrupted merge.
         on_progress: Called after each frame.
 
@@ -71,6 +75,7 @@ def merge_shards(
         OtherSettingsError: The shards belong to different runs, or the backgrounds have changed.
         Interrupted: The user stopped; `resume` continues.
     """
+    require_choice("layout", layout, get_args(Layout))
     shared, shards = _finished_shards(sources, partial)
     for source in sources:
         _require_apart(source, out)
@@ -91,14 +96,18 @@ def merge_shards(
         plan = replace(recorded.select(tuple(places)).plan(data), run=plan.run)
     execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
-    frames = FrameSource(
-        _ShardFrames(places, failures, RunFolder(out), checked),
-        shared.levels,
-        recorded.machine,
-        recorded.packages,
-        checked,
-    )
-    return run_plan(plan, out, execution, existing, on_progress, source=frames)
+    target = ShardedRun(out)
+    files = target.shard_files(Shard(1, 1))
+    folder = RunFolder(out) if layout == "files" else unfinished_run(files)
+    executor = _ShardFrames(places, failures, folder, checked)
+    frames = FrameSource(executor, shared.levels, recorded.machine, recorded.packages, checked)
+    if layout == "files":
+        return run_plan(plan, out, execution, existing, on_progress, source=frames)
+    output = plan.recipe.output.model_copy(update={"layout": "shards"})
+    recipe = plan.recipe.model_copy(update={"output": output})
+    plan = replace(plan, recipe=recipe, levels=shared.levels, shard=Shard(1, 1))
+    target.share_plan(plan, 1, shared.renderer)
+    return run_archived(plan, files, execution, existing, on_progress, frames)
 
 
 def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan, list[_Finished]]:

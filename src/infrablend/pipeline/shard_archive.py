@@ -36,7 +36,7 @@ from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record, parse_record
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.shard_damage import damage_of
 from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
 
@@ -56,6 +56,7 @@ def run_archived(
     execution: Execution,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
+    source: FrameSource | None = None,
 ) -> RunReport:
     """Render the frames of a shard, and pack them.
 
@@ -65,6 +66,7 @@ def run_archived(
         execution: Workers, device and renderer.
         existing: What to do if the shard has been started; `resume` leaves a shard that is whole as it is.
         on_progress: Called after each frame.
+        source: Where to take finished frames from; None renders them.
 
     Raises:
         MissingDependencyError: pyarrow is not installed.
@@ -84,7 +86,7 @@ def run_archived(
                     return _report(files, found)
                 if not os.path.lexists(unfinished_run(files).root):
                     _unpack(files, found)
-            report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress)
+            report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress, source=source)
             _pack(plan, unfinished_run(files), packed, report.counts["frames"])
             publish(packed, files)
             shutil.rmtree(unfinished_run(files).root, ignore_errors=True)

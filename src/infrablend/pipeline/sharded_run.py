@@ -235,7 +235,8 @@ class ShardedRun:
             if any(not n.partition(".")[0].endswith(f"-of-{count:05d}") for n in found):
                 raise folder.refuse_not_ours()
             folder.make_writable()
-            shared = replace(wanted, levels=dataset_levels(plan) if plan.needs_levels else None)
+            known_levels = plan.levels or dataset_levels(plan) if plan.needs_levels else None
+            shared = replace(wanted, levels=known_levels)
             if alone:
                 self._remove_leftovers()
             # A name of its own: where the file system has no locks, several jobs may write the same bytes at once.
@@ -376,7 +377,8 @@ def run_shards(
 
     def shifted(progress: Progress) -> None:
         if on_progress is not None:
-            on_progress(replace(progress, done=before + progress.done, total=total))
+            done, rate = before + progress.done, progress.frames_per_s
+            on_progress(replace(progress, done=done, total=total, eta_s=(total - done) / rate if rate else None))
 
     if len(shards) < shards[0].count:
         plan = replace(plan, problems=())  # those of the data are reported once, by merging

@@ -64,6 +64,14 @@ def test_shards_of_both_layouts_merge_to_the_bytes_of_one_run(dataset, tmp_path)
     assert hashes(tmp_path / "merged") == expected
     assert json.loads((tmp_path / "whole/run.json").read_text())["levels"]
 
+    # One packed shard of all of them has the bytes of an undivided packed run.
+    done("merge", packed, files, tmp_path / "repacked", "--layout", "shards")
+    done(*command(dataset, tmp_path / "one", *PACKED))
+    assert contents(tmp_path / "repacked") == contents(tmp_path / "one")
+    assert names(tmp_path / "repacked") == [*shard_names(1, 1), "shards.json"]
+    done("merge", tmp_path / "repacked", tmp_path / "unpacked")
+    assert hashes(tmp_path / "unpacked") == expected
+
     # Finished shards stay as they are, and the same frames give the same bytes.
     before = contents(packed)
     again = run(*command(dataset, packed, *PACKED, "--shard", "3/3"))
@@ -271,6 +279,7 @@ def test_commands_read_shards(dataset, tmp_path):
             assert o.mask == p.mask
     assert "out: shards, 12 images" in done("check", out).stdout
     done("inspect", out)
+    assert "Merge the shards first" in run("exclude", out, "test/x").output
     for number, source in enumerate((out, tmp_path / "merged")):
         done("convert", source, tmp_path / f"coco{number}", "--to", "coco")
         done("split", source, tmp_path / f"split{number}", "--by", "gap", "--to", "yolo")
