@@ -39,7 +39,7 @@ def status(
         lines = [table(facts({"shards": len(states), **counts, **frames}))]
         rest = [s for s in states if s.state != "done"]
         for s in rest[:_SHOWN]:
-            lines.append(f"shard {s.shard}: {s.state}, {s.finished} of {s.frames} frames")
+            lines.append(f"shard {s.shard}: {s.state}, {s.damage or f'{s.finished} of {s.frames} frames'}")
             lines += [f"  {s.command}"] * bool(s.command)
         lines += [f"... and {len(rest) - _SHOWN} more (--json lists all)"] * (len(rest) > _SHOWN)
         print_result("\n".join(lines))

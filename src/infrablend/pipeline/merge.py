@@ -150,7 +150,7 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
 
 
 def _unfinished(shard: Shard, run: ShardedRun, state: ShardState | None) -> Problem:
-    found = "missing" if state is None else f"{state.state}: {state.finished} of {state.frames} frames"
+    found = "missing" if state is None else state.describe()
     return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", run.command(shard))
 
 

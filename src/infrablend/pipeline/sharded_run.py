@@ -142,6 +142,7 @@ class ShardState:
         finished: Number of frames that are finished.
         failed: Number of frames that failed, or whose background was skipped.
         command: Command that makes or finishes it; empty if it is done or running.
+        damage: What is wrong with the files of a packed shard that was finished; empty if nothing is.
     """
 
     shard: Shard
@@ -150,6 +151,11 @@ class ShardState:
     finished: int = 0
     failed: int = 0
     command: str = ""
+    damage: str = ""
+
+    def describe(self) -> str:
+        """Return the state in words."""
+        return f"{self.state}: {self.damage or f'{self.finished} of {self.frames} frames'}"
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -160,6 +166,7 @@ class ShardState:
             "finished": self.finished,
             "failed": self.failed,
             **({"command": self.command} if self.command else {}),
+            **({"damage": self.damage} if self.damage else {}),
         }
 
 
@@ -322,12 +329,12 @@ class ShardedRun:
         claimed = folder.output.is_claimed()
         counts = record.get("counts")
         finished = counts.get("frames") if isinstance(counts, Mapping) else None
-        whole = not packed or damage_of(files, record, digests=False) is None
-        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed and whole:
+        damage = damage_of(files, record, digests=False) if packed and record else None
+        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed and damage is None:
             state: State = "done" if finished == planned else "failed"
             return ShardState(shard, state, planned, finished, planned - finished)
-        made = unfinished_run(files) if packed else folder
-        return ShardState(shard, "running" if claimed else "stopped", planned, len(made.records()))
+        made = len((unfinished_run(files) if packed else folder).records())
+        return ShardState(shard, "running" if claimed else "stopped", planned, made, damage=damage or "")
 
 
 def run_shard(
