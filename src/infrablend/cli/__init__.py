@@ -30,6 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         build_app()(args=sys.argv[1:] if argv is None else list(argv), prog_name="infrablend")
     except SystemExit as e:
         return e.code if isinstance(e.code, int) else int(e.code is not None)
+    except KeyboardInterrupt:  # before the command has begun
+        sys.stderr.write("interrupted\n")
+        return 130
     finally:
         if in_main_thread:
             signal.signal(signal.SIGTERM, before or signal.SIG_DFL)

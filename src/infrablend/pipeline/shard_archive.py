@@ -42,7 +42,7 @@ from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
 
 log = logging.getLogger(__name__)
 
-_RUN = "run"
+_RUN, _PACKED_RUN = "run", "packed-run"
 
 
 def unfinished_run(files: ShardFiles) -> RunFolder:
@@ -77,23 +77,32 @@ def run_archived(
     with work.claimed():
         try:
             packed = ShardFiles(work.root, files.name)
+            shutil.rmtree(work.root / _PACKED_RUN, ignore_errors=True)
             if packed.marker.exists() and existing != "refuse":  # a kill while the files were moved
                 publish(packed, files)
             found = _finished(files, existing)
             if found is not None and existing == "resume":
                 if found.get("counts", {}).get("frames") == len(plan.frames):
-                    shutil.rmtree(unfinished_run(files).root, ignore_errors=True)
+                    _discard_run(files)
                     return _report(files, found)
                 if not os.path.lexists(unfinished_run(files).root):
                     _unpack(files, found)
             report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress, source=source)
             _pack(plan, unfinished_run(files), packed, report.counts["frames"])
             publish(packed, files)
-            shutil.rmtree(unfinished_run(files).root, ignore_errors=True)
+            _discard_run(files)
         finally:
             with contextlib.suppress(OSError):  # not empty: to be resumed
                 work.root.rmdir()
     return replace(report, out=files.folder, record_file=files.marker)
+
+
+def _discard_run(files: ShardFiles) -> None:
+    """Delete the frames of a packed shard; after a kill, none of them are taken for a run that can be continued."""
+    run = unfinished_run(files).root
+    with contextlib.suppress(OSError):
+        if run.is_dir():
+            shutil.rmtree(run.rename(run.with_name(_PACKED_RUN)), ignore_errors=True)
 
 
 def publish(packed: ShardFiles, target: ShardFiles) -> None:

@@ -192,6 +192,27 @@ def test_a_kill_before_any_rename_is_finished(dataset, tmp_path, monkeypatch):
         assert names(out) == listed
 
 
+@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
+def test_a_kill_while_packed_frames_are_deleted_is_finished(small, tmp_path, monkeypatch, option):
+    out = tmp_path / "out"
+    words = [*small, "--shard", "1/2"]
+    rmtree = shutil.rmtree
+
+    def half(path: Path, *rest: object, **options: object) -> None:
+        if Path(path).name == "packed-run" and Path(path).exists():
+            rmtree(Path(path) / "log")
+            raise KeyboardInterrupt
+        rmtree(path, *rest, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", half)
+        assert run(*words).exit_code == 130
+    expected = contents(out)
+    assert (out / "shard-00001-of-00002" / "packed-run" / "scenes").is_dir()
+    done(*words, option)
+    assert contents(out) == expected and names(out) == [*shard_names(1, 2), "shards.json"]
+
+
 def test_damaged_shards_are_named_and_made_again(small, tmp_path):
     out = tmp_path / "out"
     for number in (1, 2):
