@@ -26,7 +26,7 @@ from infrablend.pipeline.review import REVIEW_FILE
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.models import choose_model, write_models
-from tests.attack.scenarios import EXPERIMENT, Words, done, generate_words, new_lab, write_shards
+from tests.attack.scenarios import EXPERIMENT, PACKED, Words, done, generate_words, new_lab, write_shards
 from tests.attack.trees import contents, differences, snapshot
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import WEIRD_JSON, WEIRD_WORDS, mutate
@@ -296,6 +296,12 @@ def _finished_merge(lab: Path) -> None:
     _with_mine(lab)
 
 
+def _finished_packed_merge(lab: Path) -> None:
+    write_shards(lab, *PACKED)
+    done(lab, "-q", "merge", lab / "in" / "shards", lab / "out")
+    _with_mine(lab)
+
+
 def _reviewed_run(lab: Path) -> None:
     """Write a run, and a review of its frames beside it."""
     _finished_run(lab)
@@ -439,7 +445,20 @@ INPUTS: tuple[Input, ...] = (
             ["-q", "status", lab / "in" / "shards"],
             ["-q", "merge", lab / "in" / "shards", lab / "out", "--overwrite"],
         ],
-        0.04,
+        0.02,
+        _same_output,
+    ),
+    Input(
+        "packed shards",
+        _finished_packed_merge,
+        _break_files("in/shards"),
+        lambda lab: [
+            ["-q", "status", lab / "in" / "shards"],
+            ["-q", "check", lab / "in" / "shards"],
+            ["-q", "merge", lab / "in" / "shards", lab / "out", "--overwrite"],
+            ["-q", "inspect", lab / "in" / "shards", "--json"],
+        ],
+        0.02,
         _same_output,
     ),
     Input(

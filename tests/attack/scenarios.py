@@ -93,11 +93,14 @@ def _run(lab: Path) -> None:
     done(lab, *generate_words(lab, lab / "in" / "run"))
 
 
-def write_shards(lab: Path) -> None:
+PACKED = ("--set", "output.layout=shards")
+
+
+def write_shards(lab: Path, *words: object) -> None:
     """Write both shards of a run to `in/shards`."""
     _coco(lab)
     for number in (1, 2):
-        done(lab, *generate_words(lab, lab / "in" / "shards", "--shard", f"{number}/2"))
+        done(lab, *generate_words(lab, lab / "in" / "shards", "--shard", f"{number}/2", *words))
 
 
 def _pictures(lab: Path) -> None:
@@ -201,7 +204,7 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(
             "generate --shard, packed",
             _coco,
-            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2", "--set", "output.layout=shards"),
+            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2", *PACKED),
             (RESUME, OVERWRITE),
             share=0.06,
         ),
