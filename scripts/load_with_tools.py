@@ -92,6 +92,8 @@ def with_datumaro(format_: str, folder: Path) -> list[dict[str, Any]]:
 
 def with_datasets(format_: str, folder: Path) -> list[dict[str, Any]]:
     """Return the folder loaded by `datasets.load_dataset("imagefolder", ...)`."""
+    if format_ == "shards":
+        return shards_with_datasets(folder)
     if format_ != "huggingface":
         raise KeyError(format_)
     import tempfile
@@ -121,6 +123,34 @@ def with_datasets(format_: str, folder: Path) -> list[dict[str, Any]]:
                 stem = Path(image.filename).stem
                 name = {"validation": "val"}.get(split, split)
                 loaded.append({"split": name, "stem": stem, "size_wh": list(image.size), "objects": objects})
+    return loaded
+
+
+def shards_with_datasets(folder: Path) -> list[dict[str, Any]]:
+    """Return packed shards loaded by the builders `webdataset` and `parquet`, which must agree."""
+    import tempfile
+
+    import datasets
+    from pycocotools import mask
+
+    datasets.disable_progress_bars()
+    loaded = []
+    with tempfile.TemporaryDirectory() as cache:
+        tars, tables = (sorted(map(str, folder.glob(f"*.{end}"))) for end in ("tar", "parquet"))
+        frames = datasets.load_dataset("webdataset", data_files={"train": tars}, cache_dir=cache)["train"]
+        rows = datasets.load_dataset("parquet", data_files={"train": tables}, cache_dir=cache)["train"]
+        assert [f["__key__"] for f in frames] == [r["key"] for r in rows]
+        for frame, row in zip(frames, rows, strict=True):
+            label, objects = frame["json"], []
+            for one, same in zip(label["objects"], row["objects"], strict=True):
+                assert one["box_xyxy"] == same["box_xyxy"]
+                area = int(mask.area(one["mask"])) if one["mask"] else None
+                assert (one["mask"] or {}).get("counts") == same["mask"]
+                objects.append([one["category"], *one["box_xyxy"], one["corners_xy"], area])
+            size = list(frame["jpg"].size)
+            assert size == [row["width"], row["height"]]
+            stem = Path(label["file_name"]).stem
+            loaded.append({"split": row["split"], "stem": stem, "size_wh": size, "objects": objects})
     return loaded
 
 

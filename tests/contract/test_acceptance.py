@@ -15,6 +15,7 @@ from infrablend import api
 from infrablend.core.boxes import box_of_points, polygon_area
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.format_table import NATIVE, find_writer, written_names
+from infrablend.pipeline.request import RunRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 # What a library keeps of a coordinate: Datumaro two decimals, Supervision 32 bits.
@@ -143,6 +144,26 @@ def test_hugging_face_loads_every_label_of_a_run_and_of_its_folder(load, run: Pa
             assert (found[5] is None) == (given.corners_xy is None)
             if given.corners_xy is not None:
                 np.testing.assert_allclose(found[5], given.corners_xy, rtol=0, atol=1e-6)
+
+
+def test_hugging_face_loads_every_label_of_packed_shards(load, run: Path, tmp_path: Path) -> None:
+    """The builders for WebDataset and Parquet, and the labels of the run with a file per frame."""
+    pytest.importorskip("pyarrow")
+    request = RunRequest(
+        "hit-uav-drone",
+        run.parent / "data",
+        tmp_path,
+        settings={"labels.remove_covered": 1.0, "output.layout": "shards"},
+        execution=api.Execution(renderer="flat", in_process=True),
+        shard=api.ShardRequest(size=3),
+    )
+    assert api.generate_shard(request).ok
+    images = list(api.read_dataset(run, api.Reading(format="coco")).images)
+    loaded = load("datasets", "shards", tmp_path)
+    compare(images, loaded, "datasets", ignored=True)
+    for image in images:
+        for given, found in zip(image.instances, loaded[image.split, Path(image.name).stem]["objects"], strict=True):
+            assert found[6] == (None if given.mask is None else given.mask.area_px)
 
 
 def test_datumaro_loads_every_rotated_box_and_mask_of_cvats_xml(load, run: Path) -> None:
