@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.api.datasets import read_dataset
+from infrablend.core.addresses import require_folder
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
@@ -100,6 +101,9 @@ def merge(
         existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
     """
+    for name, given in [*(("sources", s) for s in sources), ("out", out), ("data", data)]:
+        if given is not None:
+            require_folder(name, given)
     folder = None if data is None else Path(data)
     return merge_shards(
         [Path(s) for s in sources], Path(out), folder,
@@ -114,6 +118,7 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
         out: The folder.
         wait: Wait until every shard is done or failed; the folder may be missing until the first shard starts.
     """
+    require_folder("out", out)
     run = ShardedRun(Path(out))
     return run.wait() if wait else run.states()
 

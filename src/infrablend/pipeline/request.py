@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import psutil
 
+from infrablend.core.addresses import require_folder
 from infrablend.core.arguments import require_choice, require_whole
 from infrablend.core.cores import available_cores
 from infrablend.core.output import Existing, require_existing
@@ -121,6 +122,8 @@ class RunRequest:
         object.__setattr__(self, "data", Path(self.data))  # texts work, too
         if self.out is not None:
             object.__setattr__(self, "out", Path(self.out))
+            require_folder("out", self.out)
+        require_folder("data", self.data)
         require_whole("seed", self.seed)
         require_existing(self.existing)
         if self.execution.in_process and self.execution.renderer == "blender":
