@@ -144,7 +144,7 @@ class PaperCamera(Camera):
 
 
 class FlightHeight(Strict):
-    """True over stated height in pictures of one time of day, or taken below a height."""
+    """True over stated height in pictures of one time of day, or taken below a height or at a low angle."""
 
     factor: Annotated[float, Field(ge=0.2, le=5)]
     """True over stated height."""
@@ -152,6 +152,9 @@ class FlightHeight(Strict):
     """Time of day of these pictures; any by default."""
     below_m: float | None = Field(None, gt=0)
     """These pictures are stated to be taken below this height, metres; any height by default."""
+    below_pitch_deg: float | None = Field(None, gt=-90, le=90)
+    """These pictures are stated to have a smaller depression angle than this; any angle by default. Where names round
+    angles, a level view is farther away than it seems."""
 
 
 class StatedHeights(Strict):

@@ -190,7 +190,8 @@ class FrameComposer:
         """Return what is known about the picture's stated height, by its origin."""
         known = PRIORS.get(str(source.extra.get("altitude_from")))
         if known is None and isinstance(self._recipe, MetricSections):
-            return prior_of(self._recipe.camera.stated_heights, source.altitude_m, source.time_of_day)
+            heights = self._recipe.camera.stated_heights
+            return prior_of(heights, source.altitude_m, source.pitch_deg, source.time_of_day)
         return known or FROM_TABLE
 
     def _match(

@@ -53,17 +53,25 @@ PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser"
 the relief between there and here is unknown, or from the laser range finder."""
 
 
-def prior_of(heights: StatedHeights, stated_m: float | None, time_of_day: str | None) -> HeightPrior:
+def prior_of(
+    heights: StatedHeights, stated_m: float | None, pitch_deg: float | None, time_of_day: str | None
+) -> HeightPrior:
     """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
     factor = heights.factor
     for flight in heights.by_flight:
-        if flight.time_of_day not in (None, time_of_day):
-            continue
-        if flight.below_m is None or (stated_m is not None and stated_m < flight.below_m):
+        if (
+            flight.time_of_day in (None, time_of_day)
+            and _is_below(stated_m, flight.below_m)
+            and _is_below(pitch_deg, flight.below_pitch_deg)
+        ):
             factor = flight.factor
             break
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
     return HeightPrior(factor, heights.spread, (low, high), heights.references, heights.box_looseness)
+
+
+def _is_below(value: float | None, limit: float | None) -> bool:
+    return limit is None or (value is not None and value < limit)
 
 
 @dataclass(frozen=True)

@@ -95,15 +95,13 @@ def test_without_anchors_the_nominal_factor_holds_and_outliers_are_bounded():
 
 
 def test_heights_are_corrected_as_the_recipe_states_for_its_dataset():
-    low = FlightHeight(factor=1.8, time_of_day="night", below_m=75)
+    low = FlightHeight(factor=1.8, time_of_day="night", below_m=75, below_pitch_deg=70)
     heights = StatedHeights(factor=1.3, by_flight=(low, FlightHeight(factor=1.5, time_of_day="day")), box_looseness=1.2)
-    factors = [
-        prior_of(heights, *flight).factor for flight in ((60, "night"), (80, "night"), (60, "day"), (None, None))
-    ]
-    assert factors == [1.8, 1.3, 1.5, 1.3]
-    prior = prior_of(heights, 60, "night")
+    flights = ((60, 60, "night"), (80, 60, "night"), (60, 80, "night"), (60, 90, "day"), (None, None, None))
+    assert [prior_of(heights, *flight).factor for flight in flights] == [1.8, 1.3, 1.3, 1.5, 1.3]
+    prior = prior_of(heights, 60, 60, "night")
     assert calibrate(hit_uav_camera(60, 60), 60, [], prior).factor == pytest.approx(1.8)
-    assert prior_of(StatedHeights(), 60, "night") == FROM_TABLE
+    assert prior_of(StatedHeights(), 60, 60, "night") == FROM_TABLE
 
 
 def test_loose_boxes_do_not_make_the_camera_lower():
@@ -115,7 +113,7 @@ def test_loose_boxes_do_not_make_the_camera_lower():
         centre, half = (label.box_xyxy[:2] + label.box_xyxy[2:]) / 2, (label.box_xyxy[2:] - label.box_xyxy[:2]) / 2
         loose.append(Instance(label.category, np.concatenate([centre - 1.2 * half, centre + 1.2 * half])))
     exact = calibrate(hit_uav_camera(60, 80), 80, labels)
-    prior = prior_of(StatedHeights(references=("car",), box_looseness=1.2), 80, "day")
+    prior = prior_of(StatedHeights(references=("car",), box_looseness=1.2), 80, 60, "day")
     found = calibrate(hit_uav_camera(60, 80), 80, [*loose, *people], prior)
     assert found.anchors == {"car": len(loose)} and not found.at_limit
     assert found.factor == pytest.approx(exact.factor, rel=0.02)
