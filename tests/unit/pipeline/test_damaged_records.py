@@ -159,13 +159,22 @@ def test_fields_of_a_frame_record_of_another_type_are_named(
 
     def edit(record: dict[str, Any]) -> None:
         record.update(values)
-        del record["record_sha256"]  # as in records of earlier versions
+        del record["record_sha256"], record["run"]  # as in records of earlier versions
 
     change(file, edit)
     named(run("report", made), file.name, name)
     named(run("check", made), file.name, name)
     done(*generate(data, made, "--resume"))
     done("check", made)
+
+
+def test_a_frame_record_without_its_digest_is_made_again(made: Path, data: Path) -> None:
+    file = next((made / "scenes").rglob("*.json"))
+    before = file.read_bytes()
+    file.write_text(file.read_text().replace('"record_sha256"', '"record_sha257"'))
+    named(run("check", made), file.name, "it has no record_sha256")
+    done(*generate(data, made, "--resume"))
+    assert file.read_bytes() == before
 
 
 # -- stages of experiments
