@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.core.addresses import require_folder
+from infrablend.core.addresses import require_folder, without_user
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.request import RunRequest
 
@@ -44,3 +44,15 @@ def test_every_command_refuses_and_writes_and_tells_nothing(tmp_path: Path, monk
         api.merge([tmp_path], ADDRESS)
     assert not any("secret" in str(e.value) for e in (out, data, status, source, target))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("generate --out s3://user:secret@bucket/x --seed 1", "generate --out s3://...@bucket/x --seed 1"),
+        ("fetch hit-uav --url https://me:se@cret@host/a.zip", "fetch hit-uav --url https://...@host/a.zip"),
+        ("--data a@b/c C:/x@y s3://bucket/a@b", "--data a@b/c C:/x@y s3://bucket/a@b"),
+    ],
+)
+def test_passwords_in_addresses_are_not_shown(text: str, shown: str) -> None:
+    assert without_user(text) == shown

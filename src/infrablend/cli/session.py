@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.cli.exits import printable
+from infrablend.core.addresses import without_user
 from infrablend.core.log_file import LogFileHandler
 from infrablend.core.user_folders import state_folder
 from infrablend.errors import ArgumentError
@@ -88,7 +89,7 @@ def open_session(verbose: bool, quiet: bool, log: Path | None) -> Iterator[Sessi
         root.addHandler(h)
     logging.captureWarnings(True)
     try:
-        logger.info("infrablend %s", " ".join(sys.argv[1:]))
+        logger.info("infrablend %s", without_user(" ".join(sys.argv[1:])))
         yield Session(console, log_path, quiet)
     finally:
         logging.captureWarnings(False)

@@ -11,6 +11,14 @@ from infrablend.errors import ArgumentError
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:)/")
 
 
+_USER = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})[^/\s]*@")
+
+
+def without_user(text: str) -> str:
+    """Return a text in which addresses such as `s3://name:password@bucket` have `...` for name and password."""
+    return _USER.sub(r"\1...@", text)
+
+
 def require_folder(name: str, path: str | Path) -> None:
     """Check that an argument is no address, which would be taken for a folder named `s3:` in the working directory.
 
