@@ -320,7 +320,8 @@ class Placement(Strict):
     """Where objects go, and which placements are accepted."""
 
     attempts: int = Field(200, ge=1, le=100_000)
-    """Largest number of draws per object; after that the object is left out of the frame, and counted."""
+    """Largest number of draws per object; after that the object is left out of the frame, and counted. Each object in a
+    row that found no place halves it for the next one of its kind, down to a twentieth."""
     min_inside: float = Field(0.5, ge=0, le=1)
     """Least share of the object's projected area that must be inside the frame."""
     min_depth_m: float = Field(0.3, ge=0.05, le=1000)

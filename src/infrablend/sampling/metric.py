@@ -33,6 +33,7 @@ from infrablend.sampling.placement import (
     DrawStatistics,
     PlacementRequest,
     Pose,
+    attempts_after,
     boxes_of,
     examine,
     overlaps,
@@ -191,8 +192,11 @@ def place_metric(
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
     real = _real_ground(recipe, site)
     poses: list[Pose | None] = []
+    missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
     for number, item in enumerate(wanted):
         found = None
+        in_a_row = missed.get(id(item.kind), 0)
+        attempts = attempts_after(in_a_row, rules.attempts)
         group = _kind(item).group
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
@@ -200,14 +204,14 @@ def place_metric(
         wanted_ground = None if real is None or not item.model.stands else (draw_aim(real, rng), _outline(item))
         hiding = None if item.visible_aim is None else site.hiding
         examined = 0
-        for attempt in range(rules.attempts):
+        for attempt in range(attempts):
             tally.attempts += 1
-            company = bool(mates) and attempt < _IN_COMPANY * rules.attempts
+            company = bool(mates) and attempt < _IN_COMPANY * attempts
             pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
-            if attempt >= _HIDDEN * rules.attempts or examined == _HIDING_PLACES:
+            if attempt >= _HIDDEN * attempts or examined == _HIDING_PLACES:
                 hiding = None
             if hiding is not None:
                 if not _has_structure(hiding, camera, pose, item):
@@ -218,7 +222,7 @@ def place_metric(
                 # Before the exact checks, which cost far more.
                 aim, outline = wanted_ground
                 ground = ground_around(site, _rough_box(camera, pose, outline, item.scale), annotated)
-                if ground is None or not aim.accepts(ground, attempt / rules.attempts, company):
+                if ground is None or not aim.accepts(ground, attempt / attempts, company):
                     tally.reject("unlike_real_ground")
                     continue
             world = item.in_world(pose)
@@ -247,6 +251,7 @@ def place_metric(
             tally.reject(reason)
         if found is None:
             tally.leave_out("no_place")
+        missed[id(item.kind)] = 0 if found else in_a_row + 1
         poses.append(found)
     return poses
 

@@ -21,6 +21,8 @@ from infrablend.core.raster import inside_fraction, project_triangles
 
 # Largest share of an object's box that may overlap a box it has to avoid.
 MAX_OVERLAP = 0.02
+# Share of the attempts that each object gets, however many of its kind before it found no place.
+_FEWEST_ATTEMPTS = 0.05
 
 Pose = tuple[float, float, float, float]  # x_m, y_m, z_m, yaw_rad
 
@@ -126,6 +128,7 @@ def place_as_paper(
     camera = draw_camera()
     tally.first_distance_m = camera.distance_m
     poses: list[Pose | None] = []
+    missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
     for number, item in enumerate(wanted):
         pose = draw_pose(item.kind)
         if rules.on_miss == "keep":
@@ -133,7 +136,8 @@ def place_as_paper(
             poses.append(pose)
             continue
         accepted = False
-        for attempt in range(rules.attempts):
+        in_a_row = missed.get(id(item.kind), 0)
+        for attempt in range(attempts_after(in_a_row, rules.attempts)):
             if attempt:
                 if rules.on_miss == "redraw" and number == 0:
                     camera, pose = draw_camera(), draw_pose(item.kind)
@@ -153,8 +157,18 @@ def place_as_paper(
             tally.reject(reason)
         if not accepted:
             tally.leave_out("no_place")
+        missed[id(item.kind)] = 0 if accepted else in_a_row + 1
         poses.append(pose if accepted else None)
     return camera, poses
+
+
+def attempts_after(missed: int, attempts: int) -> int:
+    """Return how many draws an object gets after `missed` objects of its kind in a row that found no place.
+
+    Half as many for each of them, down to a twentieth: a picture too small or too full for the objects asked for does
+    not cost all attempts for each of them. A place found restores them.
+    """
+    return max(attempts >> missed, math.ceil(_FEWEST_ATTEMPTS * attempts))
 
 
 def examine(

@@ -185,6 +185,17 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
     assert covered.draws["absent"] == {"no_place": 6}
 
 
+def test_the_search_for_places_is_bounded_in_a_picture_that_is_full():
+    """Sixty objects without a place took 12,000 draws: 100 CPU seconds in a picture of 64 x 48 px."""
+    recipe = load_recipe("hit-uav-person", ["objects.0.count=60", "camera.calibrate=false"])
+    full = draw(recipe, labels=[Instance("Car", np.array([0.0, 0, 640, 512]))])
+    assert full.draws["absent"] == {"no_place": 60}
+    assert full.draws["attempts"] == 200 + 100 + 50 + 25 + 12 + 55 * 10
+    # Where places are rare but there, a miss does not keep later objects out.
+    rare = draw(recipe, labels=[Instance("Car", np.array([0.0, 0, 560, 512]))])
+    assert len(rare.objects) >= 10
+
+
 def test_people_do_not_overlap_trees():
     rng = np.random.default_rng(0)
     rough = FLAT.copy()

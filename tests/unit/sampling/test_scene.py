@@ -80,6 +80,13 @@ def test_a_place_that_cannot_be_found_is_counted():
     assert s.objects == ()
     assert s.draws["absent"] == {"no_place": 1}
     assert s.draws["rejected"] == {"outside_frame": 5}
+    several = sample_scene(
+        key(),
+        load_recipe("hit-uav-drone", {"objects.0.x_m": [500, 501], "placement.attempts": 5, "objects.0.count": 4}),
+        MODELS,
+        0,
+    ).spec
+    assert several.draws["rejected"] == {"outside_frame": 5 + 2 + 1 + 1}
 
 
 def test_several_objects_and_empty_frames():
