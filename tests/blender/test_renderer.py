@@ -97,7 +97,7 @@ def test_crop_equals_that_part_of_the_full_frame(blender, monkeypatch):
 
 
 def test_same_scene_same_bytes_and_other_seed_other_noise(blender):
-    s, mesh = scene([thing(ior=1.5, emissivity=0.9)], samples=0), box_mesh()
+    s, mesh = scene([thing(ior=1.5, emissivity=0.9)], samples=16), box_mesh()
     a, b = (blender.render(place(s, [mesh])) for _ in range(2))
     assert a.radiance.tobytes() == b.radiance.tobytes()
     assert a.coverage.tobytes() == b.coverage.tobytes()

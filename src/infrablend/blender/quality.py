@@ -22,8 +22,9 @@ class Sampling:
     pattern: str = "AUTOMATIC"
 
 
-# `quality: matched`. The inside of a body is smooth and needs 16 samples, its outline needs more. `make bench` compares
-# this setting with 2,048 samples; docs/explanation/quality.md lists the alternatives.
+# `quality: matched` in the physical look, and for objects that reach behind the camera; `rendering.emission` draws the
+# rest without Cycles. The inside of a body is smooth and needs 16 samples, its outline needs more:
+# docs/explanation/quality.md lists the alternatives.
 MATCHED = Sampling(128, 0.006, 8, "TABULATED_SOBOL")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import tempfile
 import time
@@ -21,22 +20,24 @@ from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec
-from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import Device, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
+from infrablend.rendering.crop import crop_of
+from infrablend.rendering.emission import only_emits, render_emission
 from infrablend.rendering.glow import ground_radiance
+from infrablend.rendering.surfaces import ZERO_C_K, surface_values
 
-ZERO_C_K = 273.15
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
 PHYSICAL_BOUNCES = 2
-# One pixel more than the projected outline, so that rounding loses nothing.
-CROP_MARGIN_PX = 1
 
 
 class BlenderRenderer:
-    """Renders with Cycles, cropped to the objects. Cropping is exact: Cycles samples by absolute pixel position."""
+    """Renders with Cycles, cropped to the objects. Cropping is exact: Cycles samples by absolute pixel position.
+
+    Scenes without a given number of samples, in which surfaces only emit, need no path tracing: `rendering.emission`.
+    """
 
     def __init__(
         self,
@@ -79,6 +80,8 @@ class BlenderRenderer:
         """Render a scene, cropped to what its objects cover; a scene without objects gives an empty crop."""
         spec, objects = scene.spec, scene.objects
         w, h = spec.camera.size_wh
+        if not spec.samples and not self._whole_frame and only_emits(scene):
+            return render_emission(scene)
         started = time.perf_counter()
         crop = (0, 0, w, h) if self._whole_frame else crop_of(scene)
         if crop is None:
@@ -212,28 +215,8 @@ class BlenderRenderer:
         return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
 
 
-def crop_of(scene: PlacedScene) -> tuple[int, int, int, int] | None:
-    """Return the smallest pixel rectangle x0, y0, x1, y1 that contains all objects in the frame; None if none is."""
-    w, h = scene.spec.camera.size_wh
-    lows, highs = [], []
-    for placed in scene.objects:
-        xy, depth = placed.xy, placed.depth_m
-        if (depth <= 0.01).any():
-            if (depth <= 0.01).all():
-                continue
-            return (0, 0, w, h)  # reaches behind the camera, so its outline is unbounded
-        lows.append(xy.min(axis=0))
-        highs.append(xy.max(axis=0))
-    if not lows:
-        return None
-    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-    x0, y0 = (max(0, math.floor(v) - CROP_MARGIN_PX) for v in low)
-    x1, y1 = min(w, math.ceil(high[0]) + CROP_MARGIN_PX), min(h, math.ceil(high[1]) + CROP_MARGIN_PX)
-    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
-
-
 def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> None:
-    spec, mesh, world_m = placed.spec, placed.mesh, placed.world_m
+    mesh, world_m = placed.mesh, placed.world_m
     count = len(mesh.triangles)
     data.vertices.add(len(world_m))
     data.vertices.foreach_set("co", np.ascontiguousarray(world_m, np.float32).ravel())
@@ -242,57 +225,6 @@ def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> 
     data.polygons.add(count)
     data.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
     data.polygons.foreach_set("use_smooth", np.ascontiguousarray(mesh.smooth))
-    states = [spec.parts[name] for name in mesh.part_names]
-    temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
-    glow = np.repeat(np.array([s.glow for s in states])[mesh.part_of_triangle], 3)
-    columns = {
-        "temperature_c": _corner_values(mesh, temperature_c, mesh.smooth)
-        + np.where(glow, 0, _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()])
-        + placed.sun_rise_k.astype(np.float32),
-        "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), mesh.smooth),
-        "ior": _corner_values(mesh, np.array([s.ior for s in states])),
-        "label": _corner_values(mesh, np.array([float(s.label) for s in states])),
-    }
-    if scene.appearance.mode == "physical":
-        columns["roughness"] = _corner_values(mesh, np.array([s.roughness for s in states]))
-        columns["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
-    opacity = np.array([s.opacity for s in states])
-    if (opacity < 1).any():
-        # Opacity is averaged among translucent parts only: labels count opaque parts in full.
-        columns["opacity"] = _corner_values(mesh, opacity, mesh.smooth & (opacity < 1)[mesh.part_of_triangle])
-    for name, values in columns.items():
+    for name, values in surface_values(placed, scene).items():
         data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
     data.update()
-
-
-def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
-    """Return the (3T,) value per face corner, averaged over the triangles `blend` (T,) that share a vertex.
-
-    Averaging blends neighbouring parts of one skin (flank, leg) into each other. Parts that are separate bodies share
-    no vertices and stay sharp.
-    """
-    per_triangle = of_part[mesh.part_of_triangle]
-    corners = np.repeat(per_triangle, 3)
-    if blend is not None and blend.any():
-        smooth = np.repeat(blend, 3)
-        at = mesh.triangles.ravel()[smooth]
-        size = len(mesh.vertices_m)
-        total = np.bincount(at, corners[smooth], size)
-        number = np.bincount(at, minlength=size)
-        corners[smooth] = (total / np.maximum(number, 1))[at]
-    return corners.astype(np.float32)
-
-
-def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
-    """Return a (V,) temperature pattern in [-amplitude, amplitude] that varies slowly over the body.
-
-    No real surface has a uniform temperature. The pattern is a mean of plane waves of about half the body's length, in
-    object coordinates, with phases from the scene's seed.
-    """
-    phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
-    extent = max(float(mesh.size_m.max()), 1e-9)
-    waves = np.cos(mesh.vertices_m @ (_WAVES.T * (2 * np.pi / extent)) + phase)
-    return np.asarray(amplitude_k * waves.mean(axis=1), np.float32)
-
-
-_WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])

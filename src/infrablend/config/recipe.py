@@ -648,7 +648,8 @@ class Render(Strict):
     """Path tracing."""
 
     quality: Literal["matched", "paper"] = "matched"
-    """`paper`: exactly 640 samples per pixel; `matched`: as few as the documented error bars allow."""
+    """`paper`: exactly 640 samples per pixel; `matched`: as few as the documented error bars allow; in the
+    artistic look, where no light travels between surfaces, they are sampled on a lattice without Cycles."""
     samples: int | None = Field(None, ge=1, le=65_536)
     """Samples per pixel; overrides `quality`."""
 

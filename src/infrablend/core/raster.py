@@ -212,6 +212,50 @@ def _fragments(
     return index, z_start[which] + along * z_step[which], t[which]
 
 
+@dataclass(frozen=True, eq=False)
+class Fragments:
+    """Samples inside triangles: one entry per triangle and sample, triangle by triangle and row by row.
+
+    Attributes:
+        index: Flat index of the sample.
+        inverse_depth: 1 / depth of the triangle there.
+        triangle: The triangle.
+    """
+
+    index: NDArray[np.int64]
+    inverse_depth: FloatArray
+    triangle: NDArray[np.intp]
+
+    def take(self, numbers: NDArray[np.intp]) -> Fragments:
+        """Return the fragments with these numbers, in their order."""
+        return Fragments(self.index[numbers], self.inverse_depth[numbers], self.triangle[numbers])
+
+
+def fragments_of(
+    triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid, chosen: NDArray[np.intp]
+) -> Fragments:
+    """Return the fragments of chosen triangles, among (T, 3, 2) in pixels, with 1 / depth (T, 3) at the corners."""
+    index, z, triangle = _fragments(triangles_xy[chosen], inverse_depth[chosen], grid)
+    return Fragments(index, z, chosen[triangle])
+
+
+def nearest_fragments(fragments: Fragments, grid: SampleGrid) -> tuple[Fragments, FloatArray]:
+    """Return the nearest fragment of each sample, and (rows * columns,) its 1 / depth, 0 where there is none.
+
+    Of fragments at the same depth the first triangle's counts.
+    """
+    rows, columns = grid.shape_hw
+    nearest = np.zeros(rows * columns)
+    np.maximum.at(nearest, fragments.index, fragments.inverse_depth)
+    best = np.flatnonzero(fragments.inverse_depth >= nearest[fragments.index])
+    if len(best) > np.count_nonzero(nearest):
+        at = fragments.index[best]
+        first = np.empty(len(nearest), np.intp)
+        first[at[::-1]] = best[::-1]  # of several values for one sample, the last one stays
+        best = best[first[at] == best]
+    return fragments.take(best), nearest
+
+
 def nearest_inverse_depth(triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid) -> FloatArray:
     """Return the (rows, columns) largest 1 / depth of the triangles at each sample, 0 where there is none."""
     rows, columns = grid.shape_hw

@@ -1,0 +1,103 @@
+"""Values of an object's surfaces at the corners of its faces; every renderer that interpolates them uses these.
+
+Arrays have one value per face corner, (3T,), in the order of `mesh.triangles.ravel()`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.core.placed import PlacedObject
+from infrablend.core.scene import SceneSpec
+
+ZERO_C_K = 273.15
+_WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
+
+
+def surface_values(placed: PlacedObject, scene: SceneSpec) -> dict[str, NDArray[np.float32]]:
+    """Return `temperature_c`, `emissivity`, `ior` and `label` at the face corners of an object.
+
+    In the physical look also `roughness` and `metal`; for objects with translucent parts also `opacity`.
+    """
+    spec, mesh = placed.spec, placed.mesh
+    states = [spec.parts[name] for name in mesh.part_names]
+    temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
+    glow = np.repeat(np.array([s.glow for s in states])[mesh.part_of_triangle], 3)
+    values = {
+        "temperature_c": _corner_values(mesh, temperature_c, mesh.smooth)
+        + np.where(glow, 0, _pattern(mesh, scene.appearance.texture_k, scene.render_seed)[mesh.triangles.ravel()])
+        + placed.sun_rise_k.astype(np.float32),
+        "emissivity": _corner_values(mesh, np.array([s.emissivity for s in states]), mesh.smooth),
+        "ior": _corner_values(mesh, np.array([s.ior for s in states])),
+        "label": _corner_values(mesh, np.array([float(s.label) for s in states])),
+    }
+    if scene.appearance.mode == "physical":
+        values["roughness"] = _corner_values(mesh, np.array([s.roughness for s in states]))
+        values["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
+    opacity = np.array([s.opacity for s in states])
+    if (opacity < 1).any():
+        # Opacity is averaged among translucent parts only: labels count opaque parts in full.
+        values["opacity"] = _corner_values(mesh, opacity, mesh.smooth & (opacity < 1)[mesh.part_of_triangle])
+    return values
+
+
+def corner_normals(
+    vertices: FloatArray, triangles: IntArray, smooth: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the face normals (T, 3), and the normals at the face corners (T, 3, 3), that shading interpolates.
+
+    As in Blender, the normal of a smooth corner is the mean of the smooth faces around its vertex, weighted by their
+    angles there. Faces without area have a normal of zero.
+    """
+    near_zero = np.ascontiguousarray((vertices - vertices[0]).T, np.float32)
+    a, b, c = (near_zero[:, triangles[:, k]] for k in range(3))
+    ab, bc, ca = b - a, c - b, a - c
+    face = _unit(np.stack([ca[i] * ab[j] - ca[j] * ab[i] for i, j in ((1, 2), (2, 0), (0, 1))]))
+    corners = np.repeat(face.T[:, None], 3, axis=1)
+    if smooth.any():
+        ab, bc, ca = (_unit(edge[:, smooth]) for edge in (ab, bc, ca))
+        pairs = ((ca, ab), (ab, bc), (bc, ca))
+        cosines = np.stack([-(p[0] * q[0] + p[1] * q[1] + p[2] * q[2]) for p, q in pairs], axis=1)
+        angles = np.arccos(np.clip(cosines, -1, 1))
+        at = triangles[smooth].ravel()
+        sums = [np.bincount(at, (n[smooth, None] * angles).ravel(), len(vertices)) for n in face]
+        corners[smooth] = _unit(np.stack(sums).astype(np.float32)).T[triangles[smooth]]
+    return face.T, corners
+
+
+def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return vectors (3, N) of length 1; zeros stay zeros."""
+    length = np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2])
+    return np.asarray(vectors / np.maximum(length, np.float32(1e-30)))
+
+
+def _corner_values(mesh: Mesh, of_part: FloatArray, blend: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+    """Return the (3T,) value per face corner, averaged over the triangles `blend` (T,) that share a vertex.
+
+    Averaging blends neighbouring parts of one skin (flank, leg) into each other. Parts that are separate bodies share
+    no vertices and stay sharp.
+    """
+    per_triangle = of_part[mesh.part_of_triangle]
+    corners = np.repeat(per_triangle, 3)
+    if blend is not None and blend.any():
+        smooth = np.repeat(blend, 3)
+        at = mesh.triangles.ravel()[smooth]
+        size = len(mesh.vertices_m)
+        total = np.bincount(at, corners[smooth], size)
+        number = np.bincount(at, minlength=size)
+        corners[smooth] = (total / np.maximum(number, 1))[at]
+    return corners.astype(np.float32)
+
+
+def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
+    """Return a (V,) temperature pattern in [-amplitude, amplitude] that varies slowly over the body.
+
+    No real surface has a uniform temperature. The pattern is a mean of plane waves of about half the body's length, in
+    object coordinates, with phases from the scene's seed.
+    """
+    phase = np.random.Generator(np.random.PCG64(seed)).uniform(0, 2 * np.pi, len(_WAVES))
+    extent = max(float(mesh.size_m.max()), 1e-9)
+    waves = np.cos(mesh.vertices_m @ (_WAVES.T * (2 * np.pi / extent)) + phase)
+    return np.asarray(amplitude_k * waves.mean(axis=1), np.float32)

@@ -1,0 +1,167 @@
+"""The lattice that draws the artistic look is held to converged renders of Cycles."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from infrablend.assets.catalogue import list_models, load_model
+from infrablend.core.camera import CameraSpec
+from infrablend.core.mesh import Mesh, make_mesh
+from infrablend.core.placed import PlacedScene, place
+from infrablend.core.rng import stream
+from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
+from infrablend.rendering import emission
+from infrablend.rendering.emission import only_emits, render_emission
+
+from .conftest import box_mesh, scene, thing
+
+SPAN_GREY = 200.0
+
+
+def traced(blender, placed: PlacedScene, samples: int = 384):
+    return blender.render(dataclasses.replace(placed, spec=dataclasses.replace(placed.spec, samples=samples)))
+
+
+def differences(result, reference) -> np.ndarray:
+    """Grey levels between two pictures over a background of 30 %, at all pixels that the reference covers."""
+    assert result.offset_xy == reference.offset_xy and result.alpha.shape == reference.alpha.shape
+    a, b = (SPAN_GREY * (r.radiance + (1 - r.alpha) * 0.3) for r in (result, reference))
+    return np.abs(a - b)[reference.alpha > 0]
+
+
+def model_scene(name: str, size_px: float, number: int = 0) -> PlacedScene:
+    """A model in a random shape and pose, with a texture."""
+    rng, model = stream(7, "emission", name, number), load_model(name)
+    params = model.sample(rng, {})
+    mesh = model.build(params)
+    parts = {
+        part: PartState(
+            285.0 + rng.uniform(*role.delta_t_k),
+            rng.uniform(*role.emissivity),
+            role.label,
+            role.ior,
+            opacity=role.opacity,
+        )
+        for part, role in sorted(model.parts.items())
+        if part in mesh.part_names
+    }
+    distance_m = 900 * float(mesh.size_m.max()) / size_px
+    camera = CameraSpec(distance_m, rng.uniform(-0.3, 1.5), rng.uniform(-0.2, 0.2), 50.0, 36.0, (640, 512))
+    spec = ObjectSpec(name, model.category, params, parts, (0.0, 0.0, 0.0), rng.uniform(0, 6.28))
+    look = Appearance("artistic", 271.0, 309.0, 275.0, 1.5)
+    return place(SceneSpec(f"t/{name}", "t", "t", 0, camera, (spec,), 285.0, look, 0, number, {}), [mesh])
+
+
+@pytest.mark.parametrize("name", list_models())
+def test_a_fine_lattice_converges_to_cycles(blender, monkeypatch, name):
+    """What remains is the noise of Cycles: shading, normals, depth and coverage are the same."""
+    placed = model_scene(name, 60)
+    monkeypatch.setattr(emission, "SUPERSAMPLE", (20, 20))
+    fine, reference = render_emission(placed), traced(blender, placed, 1024)
+    wrong = differences(fine, reference)
+    assert wrong.mean() < 0.25 and np.percentile(wrong, 99) < 2 and wrong.max() < 5
+    assert np.abs(fine.coverage - reference.coverage).max() < 0.04
+
+
+def test_pictures_stay_within_the_limits(blender):
+    """The limits of docs/explanation/quality.md, pooled over all models, for objects of twice the contrast."""
+    wrong = []
+    for number, name in enumerate(list_models()):
+        placed = model_scene(name, (25, 50, 100)[number % 3], 1)
+        wrong.append(differences(blender.render(placed), traced(blender, placed)))
+    pooled = np.concatenate(wrong)
+    assert pooled.mean() < 0.5
+    assert np.percentile(pooled, 99) < 4
+
+
+def sheet(z: float, part: str, width: float = 1.6) -> tuple[str, np.ndarray, np.ndarray, bool]:
+    x = width / 2
+    v = np.array([[-x, -x, z], [x, -x, z], [x, x, z], [-x, x, z]])
+    return part, v, np.array([[0, 1, 2], [0, 2, 3]], np.int32), False
+
+
+def layered() -> Mesh:
+    body = box_mesh()
+    return make_mesh(
+        [
+            sheet(0.8, "upper", 1.0),
+            ("body", body.vertices_m, body.triangles, False),
+            sheet(0.5, "lower"),
+            sheet(-0.6, "below", 2.4),
+        ]
+    )
+
+
+@pytest.mark.parametrize("pitch_rad", [1.2, 0.2, -0.7])
+def test_translucent_layers_in_any_order(blender, pitch_rad):
+    """Sheets before, behind and across a body, from above and from below (where they show their backs)."""
+    states = {
+        "body": PartState(300.0, 0.9, True, 1.5),
+        "upper": PartState(282.0, 0.9, False, 1.5, opacity=0.3),
+        "lower": PartState(304.0, 0.8, False, 1.0, opacity=0.6),
+        "below": PartState(278.0, 0.9, False, 1.5, opacity=0.5),
+    }
+    spec = ObjectSpec("a", "a", {}, states, (0.0, 0.0, 0.0), 0.3)
+    other = thing(0.4, 0.2, 0.3, yaw=1.0, kelvin=290.0, emissivity=0.7, ior=1.4)
+    placed = place(
+        scene([spec, other], pitch_rad=pitch_rad, distance_m=16.0, samples=0), [layered(), box_mesh((0.6, 0.5, 0.9))]
+    )
+    drawn, reference = blender.render(placed), traced(blender, placed, 1024)
+    inside = reference.alpha > 0
+    assert (np.abs(drawn.alpha - reference.alpha)[inside] < 0.002).mean() > 0.8  # all but the outlines
+    np.testing.assert_allclose(drawn.coverage.sum(axis=(1, 2)), reference.coverage.sum(axis=(1, 2)), rtol=0.01)
+    wrong = differences(drawn, reference)
+    assert np.median(wrong) < 0.05 and wrong.mean() < 0.5
+
+
+def test_surfaces_seen_from_behind_and_at_all_angles(blender):
+    """A smooth open tube shows its inside, and both sides reach grazing angles."""
+    n = 40
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    ring = np.stack([0.5 * np.cos(t), 0.5 * np.sin(t), np.zeros(n)], 1)
+    v = np.concatenate([ring - [0, 0, 0.7], ring + [0, 0, 0.7]])
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = np.concatenate([np.stack([i, j, n + i], 1), np.stack([j, n + j, n + i], 1)]).astype(np.int32)
+    tube = make_mesh([("body", v, faces, True)])
+    for pitch_rad in (0.1, 0.6, 1.4):
+        placed = place(scene([thing(ior=1.5)], pitch_rad=pitch_rad, distance_m=12.0, samples=0, texture_k=2.0), [tube])
+        drawn, reference = blender.render(placed), traced(blender, placed, 1024)
+        both = (drawn.alpha > 0.999) & (reference.alpha > 0.999)
+        assert both.sum() > 150
+        assert np.percentile(np.abs(drawn.radiance - reference.radiance)[both], 90) < 3e-3
+
+
+def test_large_objects_are_drawn_in_bands_with_the_same_bytes(monkeypatch):
+    placed = model_scene("drone", 150)
+    whole = render_emission(placed)
+    for limit in (3_000, 400_000_000):
+        monkeypatch.setattr(emission, "BAND_FRAGMENTS", limit)
+        banded = render_emission(placed)
+        for name in ("radiance", "alpha", "coverage"):
+            assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()
+
+
+def test_who_draws_what(blender, monkeypatch):
+    """Cycles draws the physical look, a given number of samples, and what reaches behind the camera."""
+
+    class DrawnError(Exception):
+        pass
+
+    def stop(_):
+        raise DrawnError
+
+    monkeypatch.setattr("infrablend.blender.renderer.render_emission", stop)
+    mesh = box_mesh()
+    plain = place(scene([thing()], samples=0), [mesh])
+    with pytest.raises(DrawnError):
+        blender.render(plain)
+    assert blender.render(place(scene([thing()], samples=4), [mesh])).alpha.any()
+    weather = Weather(283.15, 276.15, 0.0, 276.15, 285.15)
+    physical = dataclasses.replace(
+        plain.spec, appearance=dataclasses.replace(plain.spec.appearance, mode="physical"), weather=weather
+    )
+    assert blender.render(place(physical, [mesh])).alpha.any()
+    around = place(scene([thing()], samples=0, distance_m=0.2), [mesh])
+    assert not only_emits(around)
+    assert blender.render(around).alpha.any()
