@@ -1,7 +1,8 @@
 """Run measurements in child processes, each on its own processor core, with Blender's output in a log file.
 
 A separate process gives each measurement the same initial state, and its own count of CPU time and memory. It has one
-core because Cycles' main thread waits by spinning: on a second core it would waste CPU time.
+core because Cycles' main thread waits by spinning: on a second core it would waste CPU time. Libraries start no threads
+of their own, as in the workers of a run.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
+
+from infrablend.execution.worker import ONE_THREAD
 
 
 class ChildError(RuntimeError):
@@ -52,6 +55,7 @@ class Child:
 def start(function: Callable[..., Any], *args: Any, core: int, log: Path) -> Child:
     """Run a module-level `function(*args)` in a new process on one core."""
     log.parent.mkdir(parents=True, exist_ok=True)
+    os.environ.update(ONE_THREAD)  # read by libraries when the child imports them
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(theirs, core, str(log), function, args), daemon=True)

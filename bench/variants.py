@@ -15,6 +15,7 @@ from children import Stopwatch
 from numpy.typing import NDArray
 from scenes import Work
 
+import infrablend.pipeline.extensions as extensions
 import infrablend.pipeline.frame as pipeline
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import percentile_mapping
@@ -128,17 +129,18 @@ def time_program(work: Work) -> list[dict[str, Any]]:
     return rows
 
 
-# Stages of a frame, by the names that pipeline.frame calls; the renderer reports its own parts.
+# Stages of a frame, by the module and the name that it calls; the renderer reports its own parts.
 STAGES = {
-    "load_background": "decode background",
-    "sample_scene": "draw scene, build shape",
-    "make_layer": "grey levels, blur",
-    "compose": "overlay",
-    "annotate": "labels",
-    "merge": "merge labels",
-    "encode_image": "encode picture",
-    "write_bytes": "write picture",
-    "write_record": "write record",
+    (extensions, "load_background"): "decode background",
+    (extensions, "sample_scene"): "draw scene, build shape",
+    (pipeline, "make_layer"): "grey levels, blur",
+    (pipeline, "compose"): "overlay",
+    (pipeline, "label_objects"): "labels",
+    (pipeline, "measure_inserts"): "contrast of inserts",
+    (pipeline, "merge"): "merge labels",
+    (pipeline, "encode_image"): "encode picture",
+    (pipeline, "write_bytes"): "write picture",
+    (pipeline, "write_record"): "write record",
 }
 
 
@@ -158,8 +160,8 @@ def split_program(work: Work) -> dict[str, float]:
 
     maker = FrameMaker(work.settings)
     maker(Task("warm", work.frames[0]))
-    for name, label in STAGES.items():
-        setattr(pipeline, name, timed(label, getattr(pipeline, name)))
+    for (module, name), label in STAGES.items():
+        setattr(module, name, timed(label, getattr(module, name)))
     renderer = maker._renderer
     renderer.render = timed("render", renderer.render)  # type: ignore[method-assign]
     watch = Stopwatch()
