@@ -110,7 +110,11 @@ def break_value(top: Any, choose: Choice) -> str:
         holder[key] = json.loads(json.dumps(other[name], default=str)) if _has(other, name) else None
         return f"{key!r} from {name!r}"
     if what == 3 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
-        holder[key] = holder[key] * choose.choice((-1, 0, 1e-9, 0.5, 1.5, 1000, 10**9))
+        factor = choose.choice((-1, 0, 1e-9, 0.5, 1.5, 1000, 10**9))
+        try:
+            holder[key] = holder[key] * factor
+        except OverflowError:  # a whole number that no float can hold
+            holder[key] = -holder[key]
         return f"{key!r}: {holder[key]!r}"
     holder[key] = choose.choice([*WEIRD_JSON, *WEIRD_WORDS])
     return f"{key!r}: {str(holder[key])[:40]!r}"
