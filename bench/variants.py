@@ -179,6 +179,9 @@ def split_program(work: Work) -> dict[str, float]:
 
 def time_label_files(plan: RunPlan, out: Path) -> float:
     """Measure the CPU seconds for the label files of all frames of the plan; their records must exist."""
+    # The first frame loads the modules of the formats; start-up is not counted.
+    first = replace(plan, frames=plan.frames[:1])
+    write_formats(first, RunFolder(out), read_frames(first, RunFolder(out)))
     watch = Stopwatch()
     with watch:
         write_formats(plan, RunFolder(out), read_frames(plan, RunFolder(out)))

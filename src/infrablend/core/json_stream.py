@@ -42,8 +42,12 @@ def json_chunks(
     """
 
     def text(part: Any) -> str:
-        kept = part if losses is None else finite(part, losses)
-        return json.dumps(kept, sort_keys=sort_keys, allow_nan=False, separators=separators)
+        try:
+            return json.dumps(part, sort_keys=sort_keys, allow_nan=False, separators=separators)
+        except ValueError:
+            if losses is None:
+                raise
+        return json.dumps(finite(part, losses), sort_keys=sort_keys, allow_nan=False, separators=separators)
 
     if isinstance(value, Streamed):
         yield "["

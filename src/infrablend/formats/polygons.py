@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -149,30 +151,36 @@ def _edge_ring(ring: NDArray[np.int32], stairs: bool) -> NDArray[np.float64]:
     mask lies on the right hand of every step and the outer edge on the left. A diagonal step cuts from the middle of
     one pixel's edge to the middle of the next one's, which keeps the area; with `stairs` it runs along both edges.
     """
-    pixels = [(int(x), int(y)) for x, y in ring[::-1]]
-    n = len(pixels)
-    if n == 1:
-        x, y = pixels[0]
-        return np.array([_inside(x, y, s) for s in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    points: list[tuple[int, int, float, float]] = []
-    for k, (x, y) in enumerate(pixels):
-        before, after = pixels[k - 1], pixels[(k + 1) % n]
-        # Signs alone: steps may be long after simplification.
-        step_in = (_sign(x - before[0]), _sign(y - before[1]))
-        step_out = (_sign(after[0] - x), _sign(after[1] - y))
-        points += [(x, y, *_inside(x, y, s)) for s in _sides(step_in, step_out, stairs)]
-    kept = [
-        b for a, b, c in zip(points[-1:] + points, points, points[1:] + points[:1], strict=False) if _bends(a, b, c)
-    ]
-    return np.array([p[2:] for p in kept or points])
+    pixels = ring[::-1].astype(np.float64)
+    if len(pixels) == 1:
+        return _inside(np.repeat(pixels, 4, axis=0), np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
+    # Signs alone: steps may be long after simplification.
+    step = np.sign(np.roll(pixels, -1, axis=0) - pixels).astype(int)
+    out = _EIGHTH[step[:, 1] + 1, step[:, 0] + 1]
+    turn, number = np.unique(np.stack([np.roll(out, 1), out], axis=1), axis=0, return_inverse=True)
+    sides = [_sides(eighth_in, eighth_out, stairs) for eighth_in, eighth_out in turn.tolist()]
+    count = np.array([len(s) for s in sides])
+    begin = (np.cumsum(count) - count)[number]
+    count = count[number]
+    along = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    side = np.array([xy for s in sides for xy in s])[np.repeat(begin, count) + along]
+    pixel = np.repeat(pixels, count, axis=0)
+    points = np.concatenate([pixel, _inside(pixel, side)], axis=1)
+    bends = _bends(np.roll(points, 1, axis=0).T, points.T, np.roll(points, -1, axis=0).T)
+    return np.asarray((points[bends] if bends.any() else points)[:, 2:])
 
 
 _COMPASS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))  # clockwise on screen
+# Number of a step on the compass, by its row and column, from -1.
+_EIGHTH = np.array([[5, 6, 7], [4, -1, 0], [3, 2, 1]])
 
 
-def _sides(step_in: tuple[int, int], step_out: tuple[int, int], stairs: bool) -> list[tuple[int, int]]:
-    """Return the sides and corners of a pixel along its outer edge, between two steps of a contour, clockwise."""
-    eighth_in, eighth_out = _COMPASS.index(step_in), _COMPASS.index(step_out)
+@lru_cache
+def _sides(eighth_in: int, eighth_out: int, stairs: bool) -> Sequence[tuple[int, int]]:
+    """Return the sides and corners of a pixel along its outer edge, between two steps of a contour, clockwise.
+
+    Steps are numbers on the compass.
+    """
     diagonal_in, diagonal_out = eighth_in % 2, eighth_out % 2
     turn = (eighth_out - eighth_in + 3) % 8 - 3  # eighths to the right, -3 to 4; a reversal goes around the outside
     # A diagonal step is a left turn along the edges of its two pixels: it ends an eighth to the left of itself and
@@ -188,22 +196,17 @@ def _sides(step_in: tuple[int, int], step_out: tuple[int, int], stairs: bool) ->
     return [_COMPASS[(side + e) % 8] for e in range(0, 2 * quarters + 1, 1 if with_corners else 2)]
 
 
-def _sign(value: int) -> int:
-    return (value > 0) - (value < 0)
+def _inside(pixels: NDArray[np.float64], sides: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Return the points of pixels (N, 2) nearest to a side or corner, `INSET_PX` inside; the centre where side is 0."""
+    return np.asarray(pixels + 0.5 + (0.5 - INSET_PX) * sides)
 
 
-def _inside(x: int, y: int, side: tuple[int, int]) -> tuple[float, float]:
-    """Return the point of pixel (x, y) nearest to a side or corner, `INSET_PX` inside; its centre where side is 0."""
-    reach = 0.5 - INSET_PX
-    return x + 0.5 + reach * side[0], y + 0.5 + reach * side[1]
+def _bends(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark where the contour turns at b: False if b is on the way from a to c, as a point and as a pixel.
 
-
-_Point = tuple[int, int, float, float]
-
-
-def _bends(a: _Point, b: _Point, c: _Point) -> bool:
-    """Return whether the contour turns at b: False if b is on the way from a to c, as a point and as a pixel."""
+    All are (4, N): column and row of the pixel, x and y of the point.
+    """
     pixel = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
     exact = (b[2] - a[2]) * (c[3] - b[3]) - (b[3] - a[3]) * (c[2] - b[2])
     onward = (b[2] - a[2]) * (c[2] - b[2]) + (b[3] - a[3]) * (c[3] - b[3])
-    return pixel != 0 or abs(exact) > 1e-9 or onward < 0
+    return np.asarray((pixel != 0) | (np.abs(exact) > 1e-9) | (onward < 0))

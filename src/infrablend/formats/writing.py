@@ -273,7 +273,7 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
 def _has_own_box(instance: Instance) -> bool:
     """Return whether the axis-aligned box differs from the bounds of the oriented one."""
     corners = instance.corners_xy
-    return corners is not None and not np.allclose(box_of_points(corners), instance.box_xyxy, rtol=0, atol=1e-6)
+    return corners is not None and not bool((np.abs(box_of_points(corners) - instance.box_xyxy) <= 1e-6).all())
 
 
 def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings) -> Problem | None:

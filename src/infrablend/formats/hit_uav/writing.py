@@ -179,7 +179,7 @@ def _oriented_numbers(instance: Instance, losses: Counter[str]) -> list[float]:
     source = instance.extra.get("obb")
     if source is not None:
         again = corners_of_cxcywha(np.array([source], np.float64))[0]
-        if np.allclose(again, corners, rtol=0, atol=1e-9):
+        if (np.abs(again - corners) <= 1e-9).all():
             return [float(v) for v in source]
     numbers = obb_from_corners(corners)
     losses["obb_not_rectangle"] += not is_rectangle(corners, numbers)
