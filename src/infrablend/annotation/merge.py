@@ -170,12 +170,21 @@ def covered_share(instance: Instance, cover: NDArray[np.bool_]) -> float:
     mask = instance.mask
     if mask is not None and mask.size_hw == cover.shape and mask.area_px:
         return float((mask.to_array() & cover).sum() / mask.area_px)
+    if not _near(instance, cover):
+        return 0.0
     pixels = box_pixels(instance, (cover.shape[0], cover.shape[1]))
     if pixels is None:
         return 0.0
     (top, left), inside = pixels
     under = cover[top : top + inside.shape[0], left : left + inside.shape[1]]
     return float((under & inside).sum() / inside.sum())
+
+
+def _near(instance: Instance, cover: NDArray[np.bool_]) -> bool:
+    """Return False if `cover` marks no pixel within one pixel of the object's box."""
+    box = instance.box_xyxy if instance.corners_xy is None else box_of_points(instance.corners_xy)
+    x0, y0, x1, y1 = (math.floor(v) for v in box)
+    return bool(cover[max(y0 - 1, 0) : max(y1 + 2, 0), max(x0 - 1, 0) : max(x1 + 2, 0)].any())
 
 
 def box_pixels(instance: Instance, size_hw: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:

@@ -48,8 +48,8 @@ def loft(
     flat = rings.reshape(-1, 3)[take]
     if wrap:
         return Solid(flat, triangles)
-    first = rings[0].mean(axis=0) if start is None else np.asarray(start, np.float64)
-    last = rings[-1].mean(axis=0) if end is None else np.asarray(end, np.float64)
+    first = rings[0].sum(axis=0) / n if start is None else np.asarray(start, np.float64)
+    last = rings[-1].sum(axis=0) / n if end is None else np.asarray(end, np.float64)
     return Solid(np.concatenate([flat, first[None], last[None]]), triangles)
 
 
@@ -106,14 +106,32 @@ def circle(n: int, exponent: float = 2.0) -> FloatArray:
 
 def rounded_rectangle(half_x: float, half_y: float, radius: float, steps: int = 3) -> FloatArray:
     """Return a (4 * (steps + 1), 2) outline, counter-clockwise; `steps` 1 gives plain chamfers."""
+    x, y = radius * _quarter(steps)
+    outline = np.empty((4, steps + 1, 2))
+    outline[0, :, 0], outline[0, :, 1] = x, y
+    outline[1, :, 0], outline[1, :, 1] = -y, x
+    outline[2, :, 0], outline[2, :, 1] = -x, -y
+    outline[3, :, 0], outline[3, :, 1] = y, -x
+    outline += np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])[:, None] * (half_x - radius, half_y - radius)
+    return outline.reshape(-1, 2)
+
+
+@lru_cache(maxsize=64)
+def _quarter(steps: int) -> FloatArray:
+    """Return cosines and sines (2, steps + 1) of the angles from 0 to 90 degrees."""
     a = np.linspace(0.0, np.pi / 2, steps + 1)
-    corner = radius * np.stack([np.cos(a), np.sin(a)], axis=1)
-    quarters = []
-    for sx, sy, turn in ((1, 1, 0), (-1, 1, 1), (-1, -1, 2), (1, -1, 3)):
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn]
-        turned = np.stack([c * corner[:, 0] - s * corner[:, 1], s * corner[:, 0] + c * corner[:, 1]], axis=1)
-        quarters.append(turned + np.array([sx * (half_x - radius), sy * (half_y - radius)]))
-    return np.concatenate(quarters)
+    return np.stack([np.cos(a), np.sin(a)])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the vector products (..., 3); `np.cross` takes several times longer for few vectors."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = ay * bz - az * by
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
+    return product
 
 
 def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: int = 1) -> Solid:
@@ -228,9 +246,9 @@ def sweep(
     step /= np.linalg.norm(step, axis=1, keepdims=True)
     tangent = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    side = np.cross(np.asarray(up, np.float64), tangent)
+    side = _cross(np.asarray(up, np.float64), tangent)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    rise = np.cross(tangent, side)
+    rise = _cross(tangent, side)
     w = np.broadcast_to(np.asarray(half_width, np.float64), len(p))
     h = w if half_height is None else np.broadcast_to(np.asarray(half_height, np.float64), len(p))
     start = end = None

@@ -131,6 +131,9 @@ def convex_hull_indices(points_xy: FloatArray) -> NDArray[np.intp]:
         if len(candidates) > 64:
             candidates = candidates[~_well_inside(points_xy[candidates], directions)]
     order = candidates[np.lexsort((points_xy[candidates, 1], points_xy[candidates, 0]))]
+    # Of points at the same place only the first and the last matter below.
+    step = (np.diff(points_xy[order], axis=0) != 0).any(axis=1)
+    order = order[np.append(True, step) | np.append(step, True)]
     xs, ys = points_xy[order, 0].tolist(), points_xy[order, 1].tolist()
 
     def chain(sequence: range) -> list[int]:

@@ -7,6 +7,7 @@ World: Z up, metres. Camera axes as in OpenCV: x right, y down, z forward. Pixel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +47,13 @@ class CameraSpec:
         """Focal length in pixels; pixels are square, the sensor width spans the image width."""
         return self.focal_length_mm / self.sensor_width_mm * self.size_wh[0]
 
-    @property
+    @cached_property
     def position_m(self) -> FloatArray:
         """(3,) camera centre in the world."""
         p = self.pitch_rad
         return self.distance_m * np.array([0.0, -np.cos(p), np.sin(p)])
 
-    @property
+    @cached_property
     def world_to_camera(self) -> FloatArray:
         """(3, 3) rotation; rows are the camera's x, y, z axes in world coordinates."""
         p, r = self.pitch_rad, self.roll_rad

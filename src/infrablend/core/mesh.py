@@ -67,18 +67,14 @@ def make_mesh(
         part_order: Order of the part names; by default the order of first appearance.
     """
     names = list(part_order) if part_order is not None else list(dict.fromkeys(p[0] for p in pieces))
-    vertices, triangles, parts, smooth = [], [], [], []
-    offset = 0
-    for name, v, t, is_smooth in pieces:
-        vertices.append(np.asarray(v, np.float64))
-        triangles.append(np.asarray(t, np.int32) + offset)
-        parts.append(np.full(len(t), names.index(name), np.int32))
-        smooth.append(np.full(len(t), is_smooth, np.bool_))
-        offset += len(v)
+    number = {name: n for n, name in enumerate(names)}
+    corners = np.array([len(v) for _, v, _, _ in pieces])
+    faces = [len(t) for _, _, t, _ in pieces]
+    first = np.repeat(np.cumsum(corners) - corners, faces).astype(np.int32)
     return Mesh(
-        np.concatenate(vertices),
-        np.concatenate(triangles).astype(np.int32),
-        np.concatenate(parts),
+        np.concatenate([np.asarray(v, np.float64) for _, v, _, _ in pieces]),
+        np.concatenate([np.asarray(t, np.int32) for _, _, t, _ in pieces]) + first[:, None],
+        np.repeat(np.array([number[name] for name, _, _, _ in pieces], np.int32), faces),
         tuple(names),
-        np.concatenate(smooth),
+        np.repeat(np.array([bool(is_smooth) for _, _, _, is_smooth in pieces]), faces),
     )
