@@ -142,6 +142,20 @@ def test_large_objects_are_drawn_in_bands_with_the_same_bytes(monkeypatch):
             assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()
 
 
+@pytest.mark.parametrize("name", list_models())
+def test_backs_of_solids_are_hidden(monkeypatch, name):
+    """Leaving out the backs of closed parts changes nothing but which of two touching surfaces counts."""
+    placed = model_scene(name, 80, 2)
+    (whole,) = placed.objects
+    mesh = dataclasses.replace(whole.mesh, closed_parts=frozenset())
+    assert whole.mesh.closed_parts >= set(mesh.part_names) - {n for n, s in whole.spec.parts.items() if s.opacity < 1}
+    monkeypatch.setattr(emission, "SUPERSAMPLE", (6, 6))
+    a, b = (render_emission(place(placed.spec, [m])) for m in (whole.mesh, mesh))
+    assert a.alpha.tobytes() == b.alpha.tobytes() and a.coverage.tobytes() == b.coverage.tobytes()
+    np.testing.assert_allclose(a.radiance, b.radiance, atol=0.02)
+    assert (a.radiance != b.radiance).mean() < 0.001
+
+
 def test_who_draws_what(blender, monkeypatch):
     """Cycles draws the physical look, a given number of samples, and what reaches behind the camera."""
 

@@ -517,7 +517,14 @@ def build(params: Params) -> Mesh:
     number[used] = np.arange(len(used), dtype=np.int32)
     names = tuple(PART_NAMES[i] for i in used)
     smooth = np.ones(len(triangles), np.bool_)
-    return Mesh(v * factors * float(params["shoulder_height_m"]), triangles, number[shape.parts], names, smooth)
+    return Mesh(
+        v * factors * float(params["shoulder_height_m"]),
+        triangles,
+        number[shape.parts],
+        names,
+        smooth,
+        frozenset(names),
+    )
 
 
 MODEL = ObjectModel(

@@ -709,6 +709,7 @@ def build_car(params: Params) -> Mesh:
     """
     _require_params(params)
     pieces = _build_pieces(params)
+    closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))
     vertices = np.concatenate([v for _, v, _, _ in pieces])
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
     if params["sheltered"]:
@@ -728,6 +729,7 @@ def build_car(params: Params) -> Mesh:
         index.reshape(-1).astype(np.int32),
         tuple(_PART_NAMES[k] for k in used),
         np.concatenate([np.full(len(t), smooth) for _, _, t, smooth in pieces]),
+        frozenset(_PART_NAMES[k] for k in closed),
     )
 
 

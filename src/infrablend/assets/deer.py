@@ -774,6 +774,7 @@ def build(params: Params) -> Mesh:
         renumber[shape.parts],
         tuple(PART_NAMES[i] for i in used),
         np.ones(len(triangles), np.bool_),
+        frozenset(PART_NAMES),
     )
 
 

@@ -725,7 +725,7 @@ def build_drone(params: Params) -> Mesh:
     counted = np.concatenate([v for part, v, _, _ in pieces if part not in OUTSIDE_ORIGIN_BOX])
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
     size = float(params["size_m"])
-    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces])
+    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces], closed=True)
     return with_discs(mesh, [(d - centre) * size for d in _rotors(_plan(params)).discs()])
 
 

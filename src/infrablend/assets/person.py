@@ -824,6 +824,7 @@ def build(params: Params) -> Mesh:
         renumber[label],
         tuple(PART_NAMES[i] for i in used),
         np.asarray(label != _NUMBER["seat"]),
+        frozenset(PART_NAMES),
     )
 
 

@@ -232,6 +232,7 @@ def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
         np.concatenate([mesh.part_of_triangle, np.tile(part, len(discs))]).astype(np.int32),
         (*mesh.part_names, *rings),
         np.concatenate([mesh.smooth, np.ones(len(discs) * len(sheet), np.bool_)]),
+        mesh.closed_parts,
     )
 
 
@@ -251,5 +252,5 @@ def assembled(
     turned.add_all(pieces, attitude)
     counted = np.concatenate([v for part, v, _, _ in turned.items if part not in outside])
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
-    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in turned.items])
+    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in turned.items], closed=True)
     return with_discs(mesh, [(d @ attitude.T - centre) * size for d in discs])

@@ -22,6 +22,8 @@ class Mesh:
         part_of_triangle: (T,) int32 indices into `part_names`.
         part_names: Names of the parts, each with a thermal role in the model's table.
         smooth: (T,) bool, True where shading interpolates normals.
+        closed_parts: Parts that together are closed solids, where vertices at the same position count as one. Nobody
+            sees their triangles from behind.
     """
 
     vertices_m: FloatArray
@@ -29,6 +31,7 @@ class Mesh:
     part_of_triangle: IntArray
     part_names: tuple[str, ...]
     smooth: NDArray[np.bool_]
+    closed_parts: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         v, t = self.vertices_m, self.triangles
@@ -58,13 +61,17 @@ class Mesh:
 
 
 def make_mesh(
-    pieces: Sequence[tuple[str, FloatArray, IntArray, bool]], part_order: Sequence[str] | None = None
+    pieces: Sequence[tuple[str, FloatArray, IntArray, bool]],
+    part_order: Sequence[str] | None = None,
+    *,
+    closed: bool = False,
 ) -> Mesh:
     """Join pieces `(part name, vertices (v, 3), triangles (t, 3), smooth)` into one mesh; names may repeat.
 
     Args:
         pieces: Pieces in order. Vertices are not merged across pieces.
         part_order: Order of the part names; by default the order of first appearance.
+        closed: Whether the pieces are closed solids.
     """
     names = list(part_order) if part_order is not None else list(dict.fromkeys(p[0] for p in pieces))
     number = {name: n for n, name in enumerate(names)}
@@ -77,4 +84,5 @@ def make_mesh(
         np.repeat(np.array([number[name] for name, _, _, _ in pieces], np.int32), faces),
         tuple(names),
         np.repeat(np.array([bool(is_smooth) for _, _, _, is_smooth in pieces]), faces),
+        frozenset(names) if closed else frozenset(),
     )
