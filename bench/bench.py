@@ -27,7 +27,7 @@ from boxes import BoxFit, measure_boxes
 from children import Child, in_parallel, own_cores, start
 from memory import Memory, measure_memory
 from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, summary
-from scenes import RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
+from scenes import PHYSICAL_RECIPE, RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
 from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
 from infrablend.blender.quality import MATCHED
@@ -106,6 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     work = spread(plan, amount.frames, options.out)
     found = measure(plan, work, amount, options.out)
+    found |= measure_physical(
+        spread(plan_of(data, PHYSICAL_RECIPE), amount.frames, options.out / "physical"), options.out
+    )
     report = {
         **found,
         "backgrounds": name,
@@ -247,6 +250,21 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
     }
 
 
+def measure_physical(work: Work, out: Path) -> dict[str, Any]:
+    """Measure frames of the physical look with the whole chain: placement, matching, Cycles, sensor."""
+    cores, logs = own_cores(), out / "log"
+    shutil.rmtree(work.settings.out or out / "physical", ignore_errors=True)
+    say(f"{len(work.frames)} frames of {PHYSICAL_RECIPE}")
+    halves = [(work.part(n, len(cores)),) for n in range(len(cores))]
+    done = rows(in_parallel(time_program, halves, cores, logs / "physical.log"))
+    say_cpu(done)
+    shares = in_parallel(split_program, halves, cores, logs / "physical_split.log")
+    parts = {name: statistics.fmean(share[name] for share in shares) for name in shares[0]}
+    for name, seconds in sorted(parts.items(), key=lambda item: -item[1]):
+        say(f"  {1000 * seconds:7.1f} ms  {name}")
+    return {"physical_cpu_s_per_frame": mean_cpu(done), "physical_parts_cpu_s_per_frame": parts}
+
+
 def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, int], list[BoxFit]]:
     """Measure the box fit of every model at every size, one after the other on one core."""
     found = {}
@@ -317,8 +335,8 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
     """Return the line for the history file."""
     names = [
         "frames", "naive_cpu_s_per_frame", "defaults_cpu_s_per_frame", "cpu_s_per_frame", "speedup", "frames_per_s",
-        "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px", "peak_worker_rss_mb",
-        "rss_slope_mb_per_100_frames", "backgrounds", "commit", "settings",
+        "physical_cpu_s_per_frame", "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px",
+        "peak_worker_rss_mb", "rss_slope_mb_per_100_frames", "backgrounds", "commit", "settings",
     ]  # fmt: skip
     day = datetime.datetime.now(datetime.UTC).date().isoformat()
     line = {n: round(report[n], 4) if isinstance(report[n], float) else report[n] for n in names}
@@ -332,6 +350,7 @@ def show(report: dict[str, Any]) -> None:
     say(f"Blender defaults  {report['defaults_cpu_s_per_frame']:8.3f}")
     rate = f"{report['frames_per_s']:.1f} frames/s on {report['machine']['cores_used']} cores"
     say(f"this program      {report['cpu_s_per_frame']:8.3f}   {rate}")
+    say(f"physical look     {report['physical_cpu_s_per_frame']:8.3f}   with the whole chain")
     for name, row in report["boxes"].items():
         say(f"boxes {name:11} mean IoU {row['mean']:.4f}  5th percentile {row['p5']:.4f}  ({row['poses']} poses)")
     for bar in BARS:

@@ -17,10 +17,12 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.placed import PlacedScene
 from infrablend.formats import hit_uav
 from infrablend.pipeline.frame_settings import FrameSettings
+from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.plan import PlannedFrame, RunPlan, make_plan
 from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"
+PHYSICAL_RECIPE = "hit-uav-drone-physical"
 SEED = 0
 
 
@@ -50,9 +52,9 @@ class Work:
         return Work(self.frames[number::of], self.settings)
 
 
-def plan_of(data: Path) -> RunPlan:
-    """Return the whole run of the shipped recipe on a dataset."""
-    return make_plan(load_recipe(RECIPE), hit_uav.read(data), SEED)
+def plan_of(data: Path, recipe: str = RECIPE) -> RunPlan:
+    """Return the whole run of a shipped recipe on a dataset."""
+    return make_plan(load_recipe(recipe), hit_uav.read(data), SEED)
 
 
 def spread(plan: RunPlan, count: int, out: Path) -> Work:
@@ -65,6 +67,7 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
         recipe_json=plan.recipe.model_dump_json(),
         seed=plan.seed,
         pin_cores=False,
+        levels=dataset_levels(plan) if plan.needs_levels else None,
     )
     return Work(tuple(plan.frames[i] for i in picked), settings)
 

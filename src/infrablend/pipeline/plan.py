@@ -37,6 +37,7 @@ from infrablend.sampling.scene import FrameKey, require_parts
 # Workers start in parallel, so their number does not change the time until the first frame.
 START_S = 5.5
 TYPICAL_FRAME_CPU_S = 0.26
+TYPICAL_LATTICE_FRAME_CPU_S = 0.06  # the artistic look without Cycles
 READ_PICTURE_S = 0.01
 WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
@@ -142,6 +143,11 @@ class RunPlan:
         r = self.recipe
         return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
 
+    @property
+    def _frame_cpu_s(self) -> float:
+        lattice = self.recipe.appearance.mode == "artistic" and not self.recipe.samples
+        return TYPICAL_LATTICE_FRAME_CPU_S if lattice else TYPICAL_FRAME_CPU_S
+
     def estimate(
         self, workers: int, shards: int | None = None, price_per_core_hour: float | None = None
     ) -> dict[str, Any]:
@@ -158,8 +164,8 @@ class RunPlan:
         start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
         workers = max(workers, 1)
         labels_s = frames * WRITE_LABELS_S * formats
-        render_s = start_s + frames * TYPICAL_FRAME_CPU_S / workers
-        core_hours = (workers * START_S * (shards or 1) + frames * TYPICAL_FRAME_CPU_S + labels_s) / 3600
+        render_s = start_s + frames * self._frame_cpu_s / workers
+        core_hours = (workers * START_S * (shards or 1) + frames * self._frame_cpu_s + labels_s) / 3600
         per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + TYPICAL_LABELS_BYTES
         return {
             "backgrounds": len(self.dataset.images),
@@ -181,7 +187,7 @@ class RunPlan:
             "about_s": None,
             "shards": shards,
             "frames_per_shard": most,
-            "about_per_shard_s": round(start_s + most * TYPICAL_FRAME_CPU_S / workers),
+            "about_per_shard_s": round(start_s + most * self._frame_cpu_s / workers),
             "about_merge_s": round(merge_s),
         }
 
