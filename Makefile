@@ -19,7 +19,7 @@ pytest = .venv/bin/python -m pytest
 parallel = -n $(TEST_WORKERS) --dist loadgroup --no-loadscope-reorder
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 
-.PHONY: help setup train studio ray tools demo test check bench lock reference clean
+.PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -36,10 +36,14 @@ studio: setup ## Install NiceGUI into .venv: infrablend studio
 ray: setup ## Install Ray into .venv: infrablend generate --executor ray
 	@scripts/extra_env.sh ray
 
+s3: setup ## Install s3fs into .venv, and an S3 server for tests: infrablend generate --out s3://...
+	@scripts/extra_env.sh s3
+
 tools: train studio ## Also install what only tests need: libraries that load our datasets, a driver for Chromium
 	@scripts/tools_env.sh
 	@scripts/extra_env.sh browser
 	@scripts/extra_env.sh ray || echo "Ray is not there: its tests will be skipped" >&2
+	@scripts/extra_env.sh s3 || echo "s3fs is not there: the tests of object storage will be skipped" >&2
 
 demo: setup ## Render drones into a small virtual thermal world; the last line is the path of the picture
 	@scripts/demo.sh

@@ -9,6 +9,7 @@ InfraBlendError
  ├─ OutputError (OSError)             the output folder cannot be used, or the disk is full
  │   └─ OtherSettingsError            what is to be resumed was started with other settings
  ├─ FetchError (OSError)              a download failed: the network, the server, its certificate
+ ├─ StorageError (OSError)            object storage cannot be used: the network, rights, or what it has stored
  ├─ RenderError (RuntimeError)        Blender failed on a frame
  │   └─ WorkerDiedError               a worker process crashed or hung
  ├─ MissingDependencyError (ImportError)   a library or system package is missing
@@ -128,6 +129,10 @@ class OutputError(InfraBlendError, OSError):
 
 class OtherSettingsError(OutputError):
     """The output folder holds a result that was started with other settings, so it cannot be resumed."""
+
+
+class StorageError(InfraBlendError, OSError):
+    """Object storage cannot be reached, read or written, or does not have what was written to it."""
 
 
 class FetchError(InfraBlendError, OSError):

@@ -1,11 +1,11 @@
-"""Tests that addresses of object storage are refused where a folder is expected."""
+"""Tests of telling addresses of object storage from folders, and of refusing them where a folder is expected."""
 
 from pathlib import Path
 
 import pytest
 
 from infrablend import api
-from infrablend.core.addresses import require_folder, without_user
+from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.request import RunRequest
 
@@ -30,7 +30,7 @@ def test_a_folder_with_such_a_name_is_a_folder(tmp_path: Path, monkeypatch: pyte
     require_folder("out", "s3:/run")
 
 
-def test_every_command_refuses_and_writes_and_tells_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_command_writes_or_shows_an_address_with_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ArgumentError, match=r"^out") as out:
         RunRequest("paper", tmp_path, Path(ADDRESS))
@@ -44,6 +44,20 @@ def test_every_command_refuses_and_writes_and_tells_nothing(tmp_path: Path, monk
         api.merge([tmp_path], ADDRESS)
     assert not any("secret" in str(e.value) for e in (out, data, status, source, target))
     assert not list(tmp_path.iterdir())
+
+
+def test_addresses_survive_paths() -> None:
+    for text in ("s3://bucket/a/b", "gs://b/c", "hf://datasets/user/name/run"):
+        assert address_of(text) == address_of(Path(text)) == address_of(f"{text}/") == shown(Path(text)) == text
+        require_known("out", Path(text))
+    assert address_of("runs/full") is None
+    assert shown(Path("runs/full")) == "runs/full"
+
+
+@pytest.mark.parametrize("text", ["http://b/run", "memory://x/y", "s3://b", "s3://key@b/run", "gs://b/run?x=1"])
+def test_addresses_that_are_refused(text: str) -> None:
+    with pytest.raises(ArgumentError, match=r"^out: found "):
+        require_known("out", Path(text))
 
 
 @pytest.mark.parametrize(

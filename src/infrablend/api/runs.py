@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.api.datasets import read_dataset
-from infrablend.core.addresses import require_folder
+from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
@@ -22,7 +22,8 @@ from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.shard import ShardRequest
-from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState
+from infrablend.pipeline.sharded_run import Layout, ShardState
+from infrablend.pipeline.stored_run import opened_run
 from infrablend.pipeline.submission.request import Scheduler, Submission
 from infrablend.pipeline.submission.submit import submission_text as make_submission_text
 from infrablend.pipeline.submission.submit import submit_jobs
@@ -101,12 +102,14 @@ def merge(
         existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         on_progress: Called after each frame.
     """
-    for name, given in [*(("sources", s) for s in sources), ("out", out), ("data", data)]:
-        if given is not None:
-            require_folder(name, given)
+    for source in sources:
+        require_known("sources", source)
+    require_folder("out", out)
+    if data is not None:
+        require_known("data", data)
     folder = None if data is None else Path(data)
     return merge_shards(
-        [Path(s) for s in sources], Path(out), folder,
+        sources, Path(out), folder,
         partial=partial, layout=layout, existing=existing, on_progress=on_progress,
     )  # fmt: skip
 
@@ -118,9 +121,9 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
         out: The folder.
         wait: Wait until every shard is done or failed; the folder may be missing until the first shard starts.
     """
-    require_folder("out", out)
-    run = ShardedRun(Path(out))
-    return run.wait() if wait else run.states()
+    require_known("out", out)
+    with opened_run(Path(out)) as run:
+        return run.wait() if wait else run.states()
 
 
 def submission_text(job: Submission, to: Scheduler) -> str:

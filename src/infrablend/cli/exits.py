@@ -26,6 +26,7 @@ from infrablend.errors import (
     OutputError,
     Problem,
     RenderError,
+    StorageError,
     format_problems,
 )
 
@@ -47,7 +48,7 @@ def exit_code(error: BaseException) -> int:
     match error:
         case KeyboardInterrupt() | Interrupted():
             return INTERRUPTED
-        case MissingDependencyError() | RenderError() | FetchError():
+        case MissingDependencyError() | RenderError() | FetchError() | StorageError():
             return ENVIRONMENT
         case OutputError():
             # A folder that is not empty is the user's fault; a full disk is not.

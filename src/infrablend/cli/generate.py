@@ -42,8 +42,12 @@ class Executor(StrEnum):
 def generate(
     ctx: typer.Context,
     recipe: RecipeArgument,
-    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write the run to.")],
+    data: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder of the background dataset, or s3://, gs://, hf://.")
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder to write the run to; packed shards also to s3://, gs://, hf://.")
+    ],
     limit: Annotated[int | None, typer.Option(min=1, help="Use only the first N backgrounds in sorted order.")] = None,
     sample: Annotated[
         int | None, typer.Option(min=1, help="Use only N backgrounds, spread over the dataset and drawn with --seed.")
@@ -192,12 +196,13 @@ def show_run(report: RunReport, session: Session) -> None:
     """Print the report, and its problems on stderr; exit with 1 if something was skipped or failed."""
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, print_json, print_problems, print_result, table
+    from infrablend.core.addresses import shown
 
     print_problems(report.problems, session.log_path, report.record_file or report.out / "run.json")
     if session.json:
         print_json(report.to_json())
     else:
         print_result(table(facts(report.counts)))
-        print_result(str(report.out))
+        print_result(shown(report.out))
     if not report.ok:
         raise typer.Exit(PARTIAL)

@@ -24,7 +24,9 @@ class Layout(StrEnum):
 
 def merge(
     ctx: typer.Context,
-    sources: Annotated[list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run.")],
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run, or s3://, gs://, hf://.")
+    ],
     dst: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write the run to.")],
     partial: Annotated[
         bool, typer.Option("--partial", help="Merge the finished shards, although others are not.")

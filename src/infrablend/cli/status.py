@@ -18,7 +18,7 @@ _SHOWN = 20
 
 def status(
     ctx: typer.Context,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with shards of a run.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with shards of a run, or s3://, gs://, hf://.")],
     wait: Annotated[bool, typer.Option("--wait", help="Wait until every shard is done or failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -29,11 +29,12 @@ def status(
     from infrablend import api
     from infrablend.cli.exits import PARTIAL
     from infrablend.cli.results import facts, print_json, print_result, table
+    from infrablend.core.addresses import shown
 
     states = api.status(out, wait=wait)
     counts = Counter(str(s.state) for s in states)
     if as_json:
-        print_json({"out": str(out), "states": dict(counts), "shards": [s.to_json() for s in states]})
+        print_json({"out": shown(out), "states": dict(counts), "shards": [s.to_json() for s in states]})
     else:
         frames = {"frames": sum(s.frames for s in states), "finished": sum(s.finished for s in states)}
         lines = [table(facts({"shards": len(states), **counts, **frames}))]

@@ -1,4 +1,8 @@
-"""Tells addresses of object storage, such as `s3://bucket/run`, from folders."""
+"""Addresses of object storage, such as `s3://bucket/run`, beside paths of folders.
+
+Both are `Path` objects, so that they can be given wherever a folder can. `Path` makes `s3:/bucket/run` of the address;
+`address_of` returns what was meant.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,33 @@ from pathlib import Path
 
 from infrablend.errors import ArgumentError
 
-# `Path` makes `s3:/bucket` of `s3://bucket`. One letter would be a drive.
-_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:)/")
-
-
+# `Path` leaves one slash. One letter would be a drive.
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(.*)", re.DOTALL)
 _USER = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})[^/\s]*@")
+
+EXTRAS = {"s3": "s3", "gs": "gcs", "hf": "hf"}
+"""Schemes of object storage, with the extra that installs what reads and writes them."""
 
 
 def without_user(text: str) -> str:
     """Return a text in which addresses such as `s3://name:password@bucket` have `...` for name and password."""
     return _USER.sub(r"\1...@", text)
+
+
+def address_of(path: str | Path) -> str | None:
+    """Return the address that a path was made of, without a slash at its end; None for a folder.
+
+    A folder named `s3:` in the working directory hides the addresses of its scheme.
+    """
+    found = _ADDRESS.fullmatch(str(path))
+    if found is None or Path(f"{found[1]}:").is_dir():
+        return None
+    return f"{found[1].lower()}://{found[2].strip('/')}"
+
+
+def shown(path: str | Path) -> str:
+    """Return the text of a path, or of the address that it was made of."""
+    return address_of(path) or str(path)
 
 
 def require_folder(name: str, path: str | Path) -> None:
@@ -29,12 +50,33 @@ def require_folder(name: str, path: str | Path) -> None:
         path: Value of the argument.
 
     Raises:
-        ArgumentError: It is an address, and no folder of that name exists.
+        ArgumentError: It is an address.
     """
-    found = _ADDRESS.match(str(path))
-    if found is None or Path(found[1]).is_dir():
+    if (address := address_of(path)) is None:
         return
+    scheme = address.partition("://")[0]
     raise ArgumentError(
-        f"{name}: found an address, {found[1]}//..., expected a folder. Give a local or mounted one, "
+        f"{name}: found an address, {scheme}://..., expected a folder. Give a local or mounted one, "
         "and copy it from or to the storage with the storage's own program"
     )
+
+
+def require_known(name: str, path: str | Path) -> None:
+    """Check that an argument is a folder, or an address in object storage without a password.
+
+    Raises:
+        ArgumentError: It is another address; the message shows its scheme only.
+    """
+    if (address := address_of(path)) is None:
+        return
+    scheme, _, rest = address.partition("://")
+    known = ", ".join(f"{s}://" for s in EXTRAS)
+    if scheme not in EXTRAS:
+        raise ArgumentError(f"{name}: found an address, {scheme}://..., expected a folder or one of {known}")
+    if "@" in rest.partition("/")[0] or "?" in rest or "#" in rest:
+        raise ArgumentError(
+            f"{name}: found {scheme}://... with a name, a password or options; expected {scheme}://BUCKET/FOLDER. "
+            "Credentials are taken from where the storage's library looks for them: environment, profile, instance"
+        )
+    if not rest.partition("/")[2]:
+        raise ArgumentError(f"{name}: found {address}, expected a folder in it, such as {scheme}://BUCKET/FOLDER")

@@ -9,6 +9,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.addresses import address_of
+
 COMMAND = "command"
 """Field of a record with the command that wrote it."""
 
@@ -108,7 +110,9 @@ def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str, *, 
 
 
 def _where(folder: Path, value: str, root: Path, away: bool) -> str:
-    """Return the value of `--out`, or the place where the folder is now."""
+    """Return the value of `--out`, or the place where the folder is now; an address stays."""
+    if address_of(value) is not None:
+        return value
     if _is_same(folder / value, root):
         return value
     return str(root.absolute() if away else root)

@@ -9,6 +9,7 @@ from typing import Any
 
 from infrablend.config.loading import read_recipe
 from infrablend.config.modes import DROPPED, KEPT
+from infrablend.core.addresses import address_of
 from infrablend.core.file_names import real_path
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
@@ -20,7 +21,9 @@ from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.shard import ShardRequest
 from infrablend.pipeline.sharded_run import run_shards
+from infrablend.pipeline.stored_run import run_stored_shards
 from infrablend.pipeline.temperature_scale import with_scale
+from infrablend.storage.mirror import local_folder
 
 
 def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
@@ -33,6 +36,9 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
+    if address_of(request.out) is not None:
+        shards = (wanted or ShardRequest(count=1)).of(len(plan.frames))
+        return run_stored_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
     if wanted is not None:
         shards = wanted.of(len(plan.frames))
         return run_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
@@ -85,9 +91,9 @@ def prepare_run(request: RunRequest) -> RunPlan:
                 f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected a path that the run record "
                 "(JSON) can hold. Rename the folder, or use a link to it"
             )
-    if request.out is not None:
+    if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
-    dataset = detection.read(request.data, with_scale(request.reading, loaded.recipe))
+    dataset = detection.read(local_folder(request.data), with_scale(request.reading, loaded.recipe))
     plan = make_plan(
         loaded.recipe,
         dataset,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from infrablend.core.addresses import address_of, shown
 from infrablend.core.arguments import require_choice
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
@@ -26,6 +28,9 @@ from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.shard_archive import run_archived, unfinished_run
 from infrablend.pipeline.shard_source import ShardSource
 from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState, SharedPlan
+from infrablend.pipeline.stored_run import StoredRun, opened_run
+
+AnyRun = ShardedRun | StoredRun
 
 
 @dataclass(frozen=True)
@@ -34,19 +39,21 @@ class _Finished:
 
     Attributes:
         shard: The shard.
+        run: The run in shards that it is part of.
         source: Where its frames are.
         record: Its run record.
         failures: Reasons of its unfinished frames, by id.
     """
 
     shard: Shard
+    run: AnyRun
     source: ShardSource
     record: Mapping[str, Any]
     failures: Mapping[str, Failure]
 
 
 def merge_shards(
-    sources: Sequence[Path],
+    sources: Sequence[str | Path],
     out: Path,
     data: Path | None = None,
     *,
@@ -61,7 +68,7 @@ def merge_shards(
     stay unchanged, and may have different layouts.
 
     Args:
-        sources: Folders with shards, from one machine or several.
+        sources: Folders with shards, from one machine or several, or their addresses in object storage.
         out: Folder to write.
         data: Folder of the backgrounds, if it has moved.
         partial: Merge the finished shards only; the result is that of a run of their frames.
@@ -73,19 +80,39 @@ def merge_shards(
         ArgumentError: No shard is finished.
         OutputError: A shard is missing, unfinished, damaged or given twice; or `out` cannot be used.
         OtherSettingsError: The shards belong to different runs, or the backgrounds have changed.
+        StorageError, MissingDependencyError: Object storage cannot be used.
         Interrupted: The user stopped; `resume` continues.
     """
     require_choice("layout", layout, get_args(Layout))
-    shared, shards = _finished_shards(sources, partial)
-    for source in sources:
-        _require_apart(source, out)
+    if not sources:
+        raise ArgumentError("merge: found no folder with shards, expected at least one")
+    with contextlib.ExitStack() as stack:
+        places = dict.fromkeys(Path(address_of(s) or real_path(Path(s))) for s in sources)
+        runs = [stack.enter_context(opened_run(place)) for place in places]
+        return _merge(runs, out, data, partial, layout, existing, on_progress)
+
+
+def _merge(
+    runs: Sequence[AnyRun],
+    out: Path,
+    data: Path | None,
+    partial: bool,
+    layout: Layout,
+    existing: Existing,
+    on_progress: OnProgress | None,
+) -> RunReport:
+    shared, shards = _finished_shards(runs, partial)
+    for run in runs:
+        if isinstance(run, ShardedRun):
+            _require_apart(run.root, out)
     recorded = RecordedRun.from_record(shards[0].record, shards[0].source.record_file)
     for backgrounds in {recorded.data, data or recorded.data}:
-        require_apart(backgrounds, out)
+        if address_of(backgrounds) is None:
+            require_apart(backgrounds, out)
     plan = recorded.plan(data)
     if changed := differences(shared.key, plan.key):
         raise OtherSettingsError(
-            f"{recorded.data}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
+            f"{shown(recorded.data)}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
             "or give their folder with --data."
         )
     plan = replace(plan, run=str(shards[0].record.get(RUN, plan.run)))
@@ -110,19 +137,16 @@ def merge_shards(
     return run_archived(plan, files, execution, existing, on_progress, frames)
 
 
-def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
+def _finished_shards(runs: Sequence[AnyRun], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
     """Return the shared plan and the finished shards, in the order of their numbers."""
-    if not sources:
-        raise ArgumentError("merge: found no folder with shards, expected at least one")
-    runs = [ShardedRun(source) for source in dict.fromkeys(real_path(s) for s in sources)]
     shared = runs[0].read_plan()
     for run in runs[1:]:
         other = run.read_plan()
         shared.require_same(other, run.root)
         if other.levels != shared.levels:
             raise OtherSettingsError(f"{run.root}: other grey levels than {runs[0].root}, although the data are equal")
-    found: dict[int, tuple[ShardedRun, ShardState]] = {}
-    started: dict[int, tuple[ShardedRun, ShardState]] = {}
+    found: dict[int, tuple[AnyRun, ShardState]] = {}
+    started: dict[int, tuple[AnyRun, ShardState]] = {}
     for run in runs:
         for state in run.states():
             number = state.shard.number
@@ -144,37 +168,37 @@ def _finished_shards(sources: Sequence[Path], partial: bool) -> tuple[SharedPlan
         )
     if not found:
         raise ArgumentError(f"none of the {shared.count} shards is finished; expected at least one")
-    return shared, [
-        _read(run.shard_source(state.shard), state.shard, shared) for _, (run, state) in sorted(found.items())
-    ]
+    return shared, [_read(run, state.shard, shared) for _, (run, state) in sorted(found.items())]
 
 
-def _unfinished(shard: Shard, run: ShardedRun, state: ShardState | None) -> Problem:
+def _unfinished(shard: Shard, run: AnyRun, state: ShardState | None) -> Problem:
     found = "missing" if state is None else state.describe()
     return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", run.command(shard))
 
 
-def _read(source: ShardSource, shard: Shard, shared: SharedPlan) -> _Finished:
+def _read(run: AnyRun, shard: Shard, shared: SharedPlan) -> _Finished:
     """Return a finished shard, if its record is that of this shard of this run."""
+    source = run.shard_source(shard)
+    place = shown(source.place)
     record = read_run_file(source.record_file)
     if record.get("shard") != str(shard):
-        raise OutputError(f"{source.place}: found shard {record.get('shard')} of a run, expected shard {shard}")
+        raise OutputError(f"{place}: found shard {record.get('shard')} of a run, expected shard {shard}")
     if changed := differences(shared.key, record.get("key", {})):
         raise OtherSettingsError(
-            f"{source.place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
+            f"{place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
     levels = record.get("levels")
     if (None if levels is None else [float(v) for v in levels]) != (shared.levels and list(shared.levels)):
         raise OtherSettingsError(
-            f"{source.place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
+            f"{place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
             "the file as it was, or repeat the command of the shard with --overwrite"
         )
     try:
         failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
     except (LookupError, TypeError, AttributeError) as error:
         raise OutputError(f"{source.record_file}: damaged ({error}); repeat the shard with --resume") from error
-    return _Finished(shard, source, record, failures)
+    return _Finished(shard, run, source, record, failures)
 
 
 def _places(plan: RunPlan, shards: Iterable[_Finished]) -> dict[str, _Finished]:
@@ -194,11 +218,11 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
             frames[one.shard].append(frame_id)
     problems = [
         Problem(
-            str(one.source.place),
+            shown(one.source.place),
             "shard-truncated",
             found,
             "all frames of a finished shard",
-            ShardedRun(one.source.place.parent).command(one.shard),
+            one.run.command(one.shard),
         )
         for one in shards
         if (found := one.source.damage(frames[one.shard], one.record, checked)) is not None

@@ -17,6 +17,7 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.plan import RunPlan, make_plan
 from infrablend.pipeline.temperature_scale import with_scale
+from infrablend.storage.mirror import local_folder
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class RecordedRun:
         Raises:
             InfraBlendError: The backgrounds cannot be read.
         """
-        dataset = detection.read(data or self.data, with_scale(self.reading, self.recipe))
+        dataset = detection.read(local_folder(data or self.data), with_scale(self.reading, self.recipe))
         plan = make_plan(
             self.recipe, dataset, self.seed, splits=self.reading.splits, selection=self.selection,
             recipe_warnings=self.warnings,

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import psutil
 
-from infrablend.core.addresses import require_folder
+from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
 from infrablend.core.cores import available_cores
 from infrablend.core.output import Existing, require_existing
@@ -92,8 +92,8 @@ class RunRequest:
 
     Attributes:
         recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset.
-        out: Folder to write; None only for describing a run.
+        data: Folder of the background dataset, or its address in object storage.
+        out: Folder to write, or with packed shards an address; None only for describing a run.
         selection: Frames to produce.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
         settings: Recipe fields to set.
@@ -122,8 +122,8 @@ class RunRequest:
         object.__setattr__(self, "data", Path(self.data))  # texts work, too
         if self.out is not None:
             object.__setattr__(self, "out", Path(self.out))
-            require_folder("out", self.out)
-        require_folder("data", self.data)
+            require_known("out", self.out)
+        require_known("data", self.data)
         require_whole("seed", self.seed)
         require_existing(self.existing)
         if self.execution.in_process and self.execution.renderer == "blender":

@@ -29,6 +29,7 @@ from infrablend.pipeline.record import FrameRecord, RecordError, load_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
+from infrablend.storage.mirror import local_folder
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def rerender_frame(
         raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
-    background = Path(data or recorded.data) / record.background["path"]
+    background = local_folder(data or recorded.data) / record.background["path"]
     if not background.is_file():
         raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
     if sha256_of(real_path(background)) != record.background["sha256"]:

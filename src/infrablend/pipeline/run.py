@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.core.addresses import shown
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
@@ -47,6 +48,7 @@ from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.run_report import write_report
+from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +86,7 @@ class RunReport:
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
-            "out": str(self.out),
+            "out": shown(self.out),
             "status": self.status,
             "ok": self.ok,
             "counts": dict(self.counts),
@@ -523,7 +525,7 @@ def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str
         RUN: plan.run,
         "key": dict(plan.key),
         "data": {
-            "root": str(real_path(plan.dataset.root)),
+            "root": origin_of(plan.dataset.root) or str(real_path(plan.dataset.root)),
             "format": plan.dataset.format,
             "backgrounds": len(plan.dataset.images),
             "notes": dict(plan.dataset.notes),

@@ -114,7 +114,7 @@ class SharedPlan:
             layout,
         )
 
-    def require_same(self, other: SharedPlan, where: Path) -> None:
+    def require_same(self, other: SharedPlan, where: Path | str) -> None:
         """Check that another plan gives the same shards, in whatever layout.
 
         Raises:
@@ -380,19 +380,30 @@ def run_shards(
     The arguments and errors are those of `run_shard`.
     """
     reports: list[RunReport] = []
-    before, total = 0, sum(len(s.part_of(plan.frames)) for s in shards)
+    for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
+        if len(shards) < shard.count:
+            plan = replace(plan, problems=())  # those of the data are reported once, by merging
+        reports.append(run_shard(plan, shard, out, execution, existing, progress))
+        plan = replace(plan, problems=())
+    return joined_reports(reports, out)
 
-    def shifted(progress: Progress) -> None:
-        if on_progress is not None:
+
+def shifted(plan: RunPlan, shards: Sequence[Shard], on_progress: OnProgress | None) -> Iterator[OnProgress | None]:
+    """Yield for each shard what reports its progress as that of all of them."""
+    before, total = 0, sum(len(s.part_of(plan.frames)) for s in shards)
+    for shard in shards:
+
+        def report(progress: Progress, before: int = before) -> None:
+            assert on_progress is not None
             done, rate = before + progress.done, progress.frames_per_s
             on_progress(replace(progress, done=done, total=total, eta_s=(total - done) / rate if rate else None))
 
-    if len(shards) < shards[0].count:
-        plan = replace(plan, problems=())  # those of the data are reported once, by merging
-    for shard in shards:
-        reports.append(run_shard(plan, shard, out, execution, existing, shifted))
+        yield None if on_progress is None else report
         before += len(shard.part_of(plan.frames))
-        plan = replace(plan, problems=())
+
+
+def joined_reports(reports: Sequence[RunReport], out: Path) -> RunReport:
+    """Return one report on several shards of a run."""
     if len(reports) == 1:
         return reports[0]
     problems = tuple(p for r in reports for p in r.problems)
