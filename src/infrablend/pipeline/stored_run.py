@@ -14,12 +14,10 @@ one shard: they write the same bytes.
 from __future__ import annotations
 
 import contextlib
-import json
+import itertools
 import logging
 import os
-import secrets
 import shutil
-import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +26,7 @@ from typing import Any
 
 from infrablend.core.addresses import address_of
 from infrablend.core.checked_files import CheckedFiles
-from infrablend.core.files import read_object, sha256_of, sha256_of_json
+from infrablend.core.files import read_object, read_regular, sha256_of, sha256_of_json
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import SHARDS_FILE, ShardFiles
@@ -40,6 +38,7 @@ from infrablend.pipeline.record import FrameRecord
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.shard_claim import ShardClaim
 from infrablend.pipeline.shard_source import ShardArchive, ShardSource
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan, joined_reports, run_shard, shifted
 from infrablend.storage.scratch import scratch
@@ -47,9 +46,7 @@ from infrablend.storage.store import DAMAGED, Store, Stored
 
 log = logging.getLogger(__name__)
 
-CLAIM_S = 900.0
-"""Seconds after which a claim that was not renewed belongs to a job that died."""
-_RENEW_S = 120.0
+_numbers = itertools.count()  # of readers in this process
 
 
 @dataclass
@@ -74,7 +71,7 @@ class StoredRun:
         Raises:
             StorageError, MissingDependencyError: The storage cannot be used.
         """
-        with scratch(f"reading {address} in process {os.getpid()} {secrets.token_hex(4)}") as folder:
+        with scratch(f"reading {address} in process {os.getpid()}, {next(_numbers)}") as folder:
             run = cls(store or Store(address), folder, {})
             run.refresh()
             yield run
@@ -96,7 +93,7 @@ class StoredRun:
             small = name == SHARDS_FILE or (name.startswith("shard-") and name.endswith(".json"))
             if small and not (copy.exists() and copy.stat().st_size == self.files[name].size):
                 self._copy(name)
-        for path in self.mirror.glob("shard*.json"):
+        for path in sorted(self.mirror.glob("shard*.json")):
             if path.name not in self.files:
                 path.unlink()
 
@@ -156,7 +153,7 @@ class StoredRun:
     def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
         planned = len(shard.part_of(range(shared.frames)))
         record = read_object(ShardFiles(self.mirror, shard.folder_name).marker)
-        claimed = f"{shard.folder_name}.claim" in self.files and _Claim(self.store, shard).is_fresh()
+        claimed = f"{shard.folder_name}.claim" in self.files and ShardClaim(self.store, shard).is_fresh()
         if record is None:
             begun = any(name.startswith(f"{shard.folder_name}.") for name in self.files)
             state = ShardState(shard, "running" if claimed else "stopped" if begun else "missing", planned)
@@ -238,73 +235,6 @@ class _StoredShard:
         self._files.tar.unlink(missing_ok=True)
 
 
-class _Claim:
-    """Notice in storage that a job makes a shard."""
-
-    def __init__(self, store: Store, shard: Shard) -> None:
-        self._store, self._shard = store, shard
-        self._name = f"{shard.folder_name}.claim"
-        self._token = secrets.token_hex(8)
-        self._renewed = 0.0
-
-    def is_fresh(self) -> bool:
-        """Return whether a job has renewed the claim lately."""
-        return self._age_s(self._read()) < CLAIM_S
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Claim the shard during the block.
-
-        Raises:
-            OutputError: Another job makes it.
-        """
-        if not self._store.write(self._name, self._text(), new=True):
-            other = self._read()
-            age_s = self._age_s(other)
-            if age_s < CLAIM_S:
-                who = f"{other.get('host', 'another machine')}, process {other.get('process', 'unknown')}"
-                raise OutputError(
-                    f"{self._store.address}: shard {self._shard} is being made by {who}, which reported {age_s:.0f} s "
-                    f"ago; expected nobody. Wait for it, or repeat the command {CLAIM_S:.0f} s after it stopped, or "
-                    f"remove {self._store.place(self._name)}"
-                )
-            log.info("%s: claim of a job that is gone; taken over", self._store.place(self._name))
-            self._store.write(self._name, self._text())
-        self._renewed = time.monotonic()
-        try:
-            yield
-        finally:
-            with contextlib.suppress(OSError):  # a claim that stays goes stale
-                if self._read().get("token") == self._token:
-                    self._store.remove(self._name)
-
-    def renew(self) -> None:
-        """Write the claim again if the last time is a while ago; a job calls this while it works."""
-        if time.monotonic() - self._renewed < _RENEW_S:
-            return
-        self._renewed = time.monotonic()
-        try:
-            self._store.write(self._name, self._text())
-        except OSError as error:
-            log.info("claim not renewed: %s", error)
-
-    def _text(self) -> bytes:
-        who = {"host": socket.gethostname(), "process": os.getpid(), "token": self._token, "time": time.time()}
-        return json.dumps(who).encode()
-
-    def _read(self) -> Mapping[str, Any]:
-        try:
-            found = json.loads(self._store.read(self._name) or b"{}")
-        except ValueError:
-            return {}
-        return found if isinstance(found, dict) else {}
-
-    def _age_s(self, claim: Mapping[str, Any]) -> float:
-        """Return how long ago a claim was renewed, by the clock of this machine; endless for one that is damaged."""
-        at = claim.get("time")
-        return max(time.time() - at, 0.0) if isinstance(at, int | float) else float("inf")
-
-
 def run_stored_shards(
     plan: RunPlan,
     shards: Sequence[Shard],
@@ -362,7 +292,7 @@ class _StoredShardJob:
                 f"{self.store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make "
                 "it only if it is not whole, or --overwrite to replace it."
             )
-        claim = _Claim(self.store, self.shard)
+        claim = ShardClaim(self.store, self.shard)
 
         def progressed(progress: Progress) -> None:
             claim.renew()
@@ -396,7 +326,7 @@ class _StoredShardJob:
         known = self.store.read(SHARDS_FILE)
         if known is None:
             local.share_plan(self.plan, self.shard.count, self.execution.renderer)
-            if self.store.write(SHARDS_FILE, local.file.read_bytes(), new=True):
+            if self.store.write(SHARDS_FILE, read_regular(local.file), new=True):
                 return
             known = self.store.read(SHARDS_FILE) or b""  # another job was first
         local.file.write_bytes(known)

@@ -86,7 +86,7 @@ def _parent() -> Path:
 
 def _remove_unused(parent: Path) -> None:
     """Delete scratch folders that no process has used for a week."""
-    for root in parent.iterdir():
+    for root in sorted(parent.iterdir()):
         try:
             old = time.time() - root.lstat().st_mtime > _UNUSED_S
         except OSError:
