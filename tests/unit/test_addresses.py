@@ -6,7 +6,7 @@ import pytest
 
 from infrablend import api
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
-from infrablend.errors import ArgumentError
+from infrablend.errors import ArgumentError, DatasetError
 from infrablend.pipeline.request import RunRequest
 
 ADDRESS = "s3://key:secret@bucket/run"
@@ -44,6 +44,13 @@ def test_no_command_writes_or_shows_an_address_with_a_password(tmp_path: Path, m
         api.merge([tmp_path], ADDRESS)
     assert not any("secret" in str(e.value) for e in (out, data, status, source, target))
     assert not list(tmp_path.iterdir())
+
+
+def test_commands_that_need_a_folder_show_what_to_do() -> None:
+    with pytest.raises(DatasetError) as found:
+        api.read_dataset(Path("s3://bucket/run"))
+    assert "s3://bucket/run: no such folder" in str(found.value)
+    assert "`infrablend merge` if it is a run" in str(found.value)
 
 
 def test_addresses_survive_paths() -> None:

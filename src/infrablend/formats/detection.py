@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.addresses import address_of, shown
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.finished import markers_of, require_finished
@@ -62,7 +63,12 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
             not have one of the options. Or it is a run that has no labels in the wanted format.
     """
     if not root.is_dir():
-        problem = Problem(str(root), "folder-missing", "no such folder", "the folder of a dataset", "check the path")
+        todo = (
+            "check the path"
+            if address_of(root) is None
+            else "copy it here first, with `infrablend merge` if it is a run"
+        )
+        problem = Problem(shown(root), "folder-missing", "no such folder", "the folder of a dataset", todo)
         raise DatasetError("no dataset to read", [problem])
     require_finished(root)
     markers = markers_of(root)

@@ -45,6 +45,8 @@ def scratch(purpose: str, *, keep: bool = False) -> Iterator[Path]:
         except BaseException:
             if not keep:
                 shutil.rmtree(root, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                root.rmdir()  # nothing was kept
             raise
         shutil.rmtree(root, ignore_errors=True)
 
