@@ -278,6 +278,8 @@ def _be_child(
     flat: bool,
 ) -> int:
     os.setsid()
+    stops = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, stops)  # they are for the command, not for what prepares it
     flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
     handles = (os.open(os.devnull, os.O_RDONLY), os.open(files["results"], flags), os.open(files["output"], flags))
     for target, source in enumerate(handles):
@@ -309,11 +311,16 @@ def _be_child(
     sys.addaudithook(watch)
     several = words if words and isinstance(words[0], list) else [words]
     code = 0
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, stops)
+    except KeyboardInterrupt:
+        return 130
     for one in several:
         ended = main([str(w) for w in one])  # type: ignore[attr-defined]
         code = ended if _rank(ended) > _rank(code) else code
         sys.stdout.flush()
         sys.stderr.flush()
+    signal.pthread_sigmask(signal.SIG_BLOCK, stops)
     files["writes"].write_text(str(watch.writes))
     (own / _MODULES).write_text("\n".join(sys.modules))
     return code
