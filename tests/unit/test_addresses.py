@@ -6,8 +6,10 @@ import pytest
 
 from infrablend import api
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
+from infrablend.core.files import write_bytes
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.pipeline.request import RunRequest
+from tests.command_line import run
 
 ADDRESS = "s3://key:secret@bucket/run"
 
@@ -25,9 +27,46 @@ def test_folders_are_accepted(path: str) -> None:
 
 
 def test_a_folder_with_such_a_name_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "night:").mkdir()
+    monkeypatch.chdir(tmp_path)
+    require_folder("out", "night:/run")
+
+
+def test_no_folder_hides_object_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "s3:").mkdir()
     monkeypatch.chdir(tmp_path)
-    require_folder("out", "s3:/run")
+    assert address_of(Path("s3://bucket/run")) == "s3://bucket/run"
+    assert address_of("S3://bucket//./a/") == "s3://bucket/a"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["convert", "DATA", ADDRESS, "--to", "yolo"], ["split", "DATA", ADDRESS, "--by", "gap"], ["check", ADDRESS],
+        ["inspect", "DATA", "--out", ADDRESS], ["world", "--out", ADDRESS], ["report", ADDRESS],
+        ["profile", "DATA", "--out", ADDRESS], ["train", ADDRESS, "--out", "x"],
+        ["models", "show", "drone", "--out", ADDRESS],
+        ["merge", ADDRESS, "x"], ["merge", "DATA", ADDRESS], ["generate", "paper", "--data", ADDRESS, "--out", "x"],
+    ],
+)  # fmt: skip
+def test_commands_refuse_addresses(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "DATA").mkdir()
+    ended = run(*words)
+    assert ended.exit_code == 2
+    assert "found" in ended.output
+    assert "s3://..." in ended.output
+    assert "secret" not in ended.output
+    assert [p.name for p in tmp_path.iterdir()] == ["DATA"]
+
+
+def test_functions_write_to_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArgumentError, match="out: found an address"):
+        api.make_world("s3://bucket/world", 1)
+    with pytest.raises(ArgumentError, match="out: found an address"):
+        write_bytes(Path("s3://bucket/a.png"), b"")
+    assert not list(tmp_path.iterdir())
 
 
 def test_no_command_writes_or_shows_an_address_with_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +100,9 @@ def test_addresses_survive_paths() -> None:
     assert shown(Path("runs/full")) == "runs/full"
 
 
-@pytest.mark.parametrize("text", ["http://b/run", "memory://x/y", "s3://b", "s3://key@b/run", "gs://b/run?x=1"])
+@pytest.mark.parametrize(
+    "text", ["http://b/run", "memory://x/y", "s3://b", "s3://key@b/run", "gs://b/run?x=1", "s3://b/a/../c"]
+)
 def test_addresses_that_are_refused(text: str) -> None:
     with pytest.raises(ArgumentError, match=r"^out: found "):
         require_known("out", Path(text))

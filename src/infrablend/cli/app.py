@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from infrablend.cli import (
     asset,
@@ -41,6 +41,7 @@ from infrablend.cli import (
     world,
 )
 from infrablend.cli.session import open_session
+from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.typed_command import set_typed_command, typed_command
 from infrablend.errors import OutputError
 
@@ -48,6 +49,32 @@ _EPILOG = (
     "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
     "or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
+
+
+# Parameters that may be addresses of object storage, by command; all other paths are on this machine.
+_ADDRESSES = {
+    "generate": {"data", "out"}, "merge": {"sources", "data"}, "status": {"out"}, "rerender": {"data"},
+    "exclude": {"data"}, "include": {"data"},
+}  # fmt: skip
+
+
+class _Command(TyperCommand):
+    """A command, which refuses addresses where it needs a folder before it reads or writes anything."""
+
+    def invoke(self, ctx: Any) -> Any:
+        for param in self.params:
+            found = ctx.params.get(param.name)
+            for value in found if isinstance(found, list | tuple) else (found,):
+                if isinstance(value, Path):
+                    allowed = param.name in _ADDRESSES.get(self.name or "", ())
+                    (require_known if allowed else require_folder)(_named(param), value)
+        return super().invoke(ctx)
+
+
+def _named(param: Any) -> str:
+    """Return a parameter as help shows it: `--out`, or the name of an argument in capitals."""
+    options = [o for o in param.opts if o.startswith("--")]
+    return options[0] if options else str(param.metavar or param.name).rstrip(".")
 
 
 class _Commands(TyperGroup):
@@ -118,31 +145,31 @@ def build_app() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_root)
-    app.command("generate")(generate.generate)
-    app.command("merge")(merge.merge)
-    app.command("status")(status.status)
-    app.command("submit")(submit.submit)
-    app.command("try")(try_recipe.try_recipe)
-    app.command("convert")(convert.convert)
-    app.command("preview")(preview.preview)
-    app.command("report")(report.report)
-    app.command("profile")(profile.profile)
-    app.command("rerender")(rerender.rerender)
-    app.command("exclude")(exclude.exclude)
-    app.command("include")(exclude.include)
-    app.command("inspect")(inspect.inspect)
-    app.command("check")(check.check)
-    app.command("split")(split.split)
-    app.command("train")(train.train)
-    app.command("realism")(realism.realism)
-    app.command("evaluate")(evaluate.evaluate)
-    app.command("experiment")(experiment.experiment)
-    app.command("frames")(frames.frames)
-    app.command("temperatures")(temperatures.temperatures)
-    app.command("world")(world.world)
-    app.command("fetch")(fetch.fetch)
-    app.command("studio")(studio.studio)
-    app.command("doctor")(doctor.doctor)
+    app.command("generate", cls=_Command)(generate.generate)
+    app.command("merge", cls=_Command)(merge.merge)
+    app.command("status", cls=_Command)(status.status)
+    app.command("submit", cls=_Command)(submit.submit)
+    app.command("try", cls=_Command)(try_recipe.try_recipe)
+    app.command("convert", cls=_Command)(convert.convert)
+    app.command("preview", cls=_Command)(preview.preview)
+    app.command("report", cls=_Command)(report.report)
+    app.command("profile", cls=_Command)(profile.profile)
+    app.command("rerender", cls=_Command)(rerender.rerender)
+    app.command("exclude", cls=_Command)(exclude.exclude)
+    app.command("include", cls=_Command)(exclude.include)
+    app.command("inspect", cls=_Command)(inspect.inspect)
+    app.command("check", cls=_Command)(check.check)
+    app.command("split", cls=_Command)(split.split)
+    app.command("train", cls=_Command)(train.train)
+    app.command("realism", cls=_Command)(realism.realism)
+    app.command("evaluate", cls=_Command)(evaluate.evaluate)
+    app.command("experiment", cls=_Command)(experiment.experiment)
+    app.command("frames", cls=_Command)(frames.frames)
+    app.command("temperatures", cls=_Command)(temperatures.temperatures)
+    app.command("world", cls=_Command)(world.world)
+    app.command("fetch", cls=_Command)(fetch.fetch)
+    app.command("studio", cls=_Command)(studio.studio)
+    app.command("doctor", cls=_Command)(doctor.doctor)
     groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
         (
             "models",
@@ -160,6 +187,6 @@ def build_app() -> typer.Typer:
     for name, commands, what in groups:
         group = typer.Typer(name=name, help=what, no_args_is_help=True, rich_markup_mode=None)
         for command, function in commands.items():
-            group.command(command)(function)
+            group.command(command, cls=_Command)(function)
         app.add_typer(group)
     return app

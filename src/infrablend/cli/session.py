@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.cli.exits import printable
-from infrablend.core.addresses import without_user
+from infrablend.core.addresses import require_folder, without_user
 from infrablend.core.log_file import LogFileHandler
 from infrablend.core.user_folders import state_folder
 from infrablend.errors import ArgumentError
@@ -124,8 +124,9 @@ def _usable(path: Path) -> Path | None:
     """Return the path if it can be written, else a file in the temporary folder, else None.
 
     Raises:
-        ArgumentError: There is something else than a log of InfraBlend, e.g. a record of a dataset, or a pipe.
+        ArgumentError: It is an address, or something else than a log of InfraBlend, e.g. a record of a dataset.
     """
+    require_folder("log", path)
     if not _may_be_log(path):
         raise ArgumentError(
             f"{path}: not a log of InfraBlend; nothing was written to it. Give another file for the log"

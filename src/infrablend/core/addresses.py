@@ -25,19 +25,21 @@ def without_user(text: str) -> str:
 
 
 def address_of(path: str | Path) -> str | None:
-    """Return the address that a path was made of, without a slash at its end; None for a folder.
+    """Return the address that a path was made of, with single slashes and none at its end; None for a folder.
 
-    A folder named `s3:` in the working directory hides the addresses of its scheme.
+    A folder in the working directory with the name of a scheme, such as `ftp:`, hides the addresses of that scheme. It
+    hides none of object storage: a run would silently stay on this machine.
     """
     found = _ADDRESS.fullmatch(str(path))
-    if found is None or Path(f"{found[1]}:").is_dir():
+    if found is None or (found[1].lower() not in EXTRAS and Path(f"{found[1]}:").is_dir()):
         return None
-    return f"{found[1].lower()}://{found[2].strip('/')}"
+    return f"{found[1].lower()}://{'/'.join(part for part in found[2].split('/') if part not in ('', '.'))}"
 
 
 def shown(path: str | Path) -> str:
-    """Return the text of a path, or of the address that it was made of."""
-    return address_of(path) or str(path)
+    """Return the text of a path, or of the address that it was made of, without a password."""
+    address = address_of(path)
+    return str(path) if address is None else without_user(address)
 
 
 def require_folder(name: str, path: str | Path) -> None:
@@ -78,5 +80,7 @@ def require_known(name: str, path: str | Path) -> None:
             f"{name}: found {scheme}://... with a name, a password or options; expected {scheme}://BUCKET/FOLDER. "
             "Credentials are taken from where the storage's library looks for them: environment, profile, instance"
         )
+    if ".." in rest.split("/"):
+        raise ArgumentError(f"{name}: found {address}, expected no '..', which is a name in object storage")
     if not rest.partition("/")[2]:
         raise ArgumentError(f"{name}: found {address}, expected a folder in it, such as {scheme}://BUCKET/FOLDER")

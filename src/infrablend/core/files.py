@@ -18,6 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, Protocol
 
+from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
 from infrablend.errors import OutputError, Problem
 
@@ -127,8 +128,10 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
             thousands of label files.
 
     Raises:
+        ArgumentError: The path is an address of object storage.
         OutputError: The folder cannot be written or the disk is full; `path` is then unchanged.
     """
+    require_folder("out", path.parent)
     temporary = None
     try:
         for observer in _observers:

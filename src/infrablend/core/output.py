@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, read_object
 from infrablend.errors import OutputError, Problem
@@ -58,6 +59,9 @@ class OutputFolder:
         record: File name of the record that marks the folder as the command's own; empty if there is none.
         can_resume: True if the command can finish what an interrupted call left.
         can_overwrite: True if the command can replace what an earlier call wrote.
+
+    Raises:
+        ArgumentError: The folder is an address of object storage.
     """
 
     root: Path
@@ -65,6 +69,9 @@ class OutputFolder:
     record: str = ""
     can_resume: bool = False
     can_overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        require_folder("out", self.root)
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[Callable[[], None]]:

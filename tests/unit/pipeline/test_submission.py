@@ -379,3 +379,15 @@ def test_status_waits_for_the_shards(dataset, tmp_path, monkeypatch):
     assert [s.state for s in api.status(out, wait=True)] == ["done", "done"]
     assert todo == []
     assert done("status", "--wait", out).exit_code == 0
+
+
+def test_jobs_with_runs_in_object_storage():
+    words = ("r", "--data", "s3://b/d", "--out", "s3://b/run")
+    given = {"out": Path("s3://b/run"), "paths": (Path("s3://b/d"), Path("s3://b/run"))}
+    assert "-- s3://b/run " in api.submission_text(submission(*words, **given), "slurm")
+    shards, merge = manifests(*words, **given)
+    assert shards["spec"]["template"]["spec"]["containers"][0]["command"][-2:] == ["s3://b/run", "--resume"]
+    assert "s3://b/run" in merge["spec"]["template"]["spec"]["containers"][0]["command"]
+    assert merge["spec"]["template"]["spec"]["initContainers"][0]["command"][-1] == "s3://b/run"
+    with pytest.raises(ArgumentError, match="into: found an address"):
+        submission(*words, **{**given, "into": Path("s3://b/full")})

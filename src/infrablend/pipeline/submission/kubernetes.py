@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from infrablend.core.addresses import address_of, shown
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.submission.request import MARGIN_S, MERGE_GIB, Submission
 
@@ -27,7 +28,7 @@ def kubernetes_manifest(job: Submission) -> str:
     if len({v.path for v in job.volumes}) < len(job.volumes):
         raise ArgumentError("volume: found two on the same path, expected a path of its own for each")
     for path in dict.fromkeys((*job.paths, job.out, job.into)):
-        if not any(v.contains(path) for v in job.volumes):
+        if address_of(path) is None and not any(v.contains(path) for v in job.volumes):
             found = ", ".join(v.path for v in job.volumes)
             raise ArgumentError(f"{path}: is on none of the volumes ({found}); give a path as the pods see it")
     for word in (*job.generate, *job.merge):
@@ -62,7 +63,7 @@ def _shards(job: Submission) -> dict[str, Any]:
 
 
 def _merge(job: Submission) -> dict[str, Any]:
-    wait = [*job.program, "--quiet", "status", "--wait", "--", str(job.out)]
+    wait = [*job.program, "--quiet", "status", "--wait", "--", shown(job.out)]
     # Shards with failed frames are merged, too, and `merge` refuses unfinished ones by itself.
     first = _container(job, "wait", ["/bin/sh", "-c", '"$@" || true', "wait", *wait], 1, 1)
     template = _template(job, _container(job, "merge", job.merge, 1, MERGE_GIB))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
+from infrablend.core.addresses import require_folder, require_known, shown
 from infrablend.core.arguments import require_whole
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.shard import Shard
@@ -67,7 +68,7 @@ class Submission:
     Attributes:
         words: Arguments of `infrablend generate` without shard and `--resume`.
         shards: Number of shards.
-        out: Folder of the shards, the `--out` in `words`.
+        out: Folder or address of the shards, the `--out` in `words`.
         into: Folder of the merged run.
         program: Words that start InfraBlend on the cluster.
         paths: Files and folders in `words` and `program` that have to exist on the cluster.
@@ -102,6 +103,8 @@ class Submission:
     volumes: Sequence[Volume] = ()
 
     def __post_init__(self) -> None:
+        require_known("out", self.out)
+        require_folder("into", self.into)
         Shard(1, self.shards)
         for where, value in (("cores", self.cores), ("memory", self.memory_gib), ("parallel", self.parallel or 1)):
             require_whole(where, value, 1)
@@ -128,7 +131,7 @@ class Submission:
     @property
     def merge(self) -> list[str]:
         """Words of the job that merges the shards."""
-        return [*self.program, "--quiet", "merge", "--resume", "--", str(self.out), str(self.into)]
+        return [*self.program, "--quiet", "merge", "--resume", "--", shown(self.out), str(self.into)]
 
 
 MARGIN_S = 120
