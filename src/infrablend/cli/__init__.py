@@ -14,26 +14,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: Arguments without the program's name; those of this process by default.
     """
-    import signal
     import sys
-    import threading
-    from types import FrameType
 
     from infrablend.cli.app import build_app
+    from infrablend.cli.stopping import stopped_by_signals
 
-    def end_as_ctrl_c(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, end_as_ctrl_c) if in_main_thread else None
     try:
-        build_app()(args=sys.argv[1:] if argv is None else list(argv), prog_name="infrablend")
+        with stopped_by_signals():
+            build_app()(args=sys.argv[1:] if argv is None else list(argv), prog_name="infrablend")
     except SystemExit as e:
         return e.code if isinstance(e.code, int) else int(e.code is not None)
     except KeyboardInterrupt:  # before the command has begun
         sys.stderr.write("interrupted\n")
         return 130
-    finally:
-        if in_main_thread:
-            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
     return 0

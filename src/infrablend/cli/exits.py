@@ -17,6 +17,7 @@ from pathlib import Path
 
 import typer
 
+from infrablend.cli.stopping import stop_requested
 from infrablend.core.file_names import escape_unfit
 from infrablend.errors import (
     FetchError,
@@ -99,6 +100,9 @@ def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[st
 def report_error(error: BaseException, log_path: Path | None) -> int:
     """Print an error on stderr, write its details to the log, and return the exit code."""
     code = exit_code(error)
+    if code == BUG and stop_requested():
+        logger.info("an error in place of the stop", exc_info=error)
+        error, code = KeyboardInterrupt(), INTERRUPTED
     if isinstance(error, KeyboardInterrupt):
         typer.echo("Stopped.", err=True)
     elif isinstance(error, InfraBlendError):

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -283,6 +284,25 @@ def test_sigterm_ends_as_ctrl_c_does_and_the_handler_goes(api):
     api.answers["generate"] = lambda *a, **k: os.kill(os.getpid(), signal.SIGTERM)
     assert main(GENERATE) == 130
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_errors_in_place_of_a_stop_are_no_bugs(api, capsys, log_path, number):
+    def masked(*a, **k):
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(10)  # the signal ends it
+        except KeyboardInterrupt:  # as compiled code does
+            raise ValueError("invalid box") from None
+
+    before = signal.getsignal(number)
+    api.answers["generate"] = masked
+    assert main(GENERATE) == 130
+    assert signal.getsignal(number) == before
+    assert "bug" not in capsys.readouterr().err
+    assert "invalid box" in log_path.read_text()
+    api.answers["generate"] = lambda *a, **k: 1 // 0
+    assert main(GENERATE) == 70  # the next command of the process was not stopped
 
 
 def test_warnings_of_the_run_reach_stderr_not_stdout(api, capsys):
