@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.arguments import require_choice
@@ -19,14 +19,14 @@ from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, Ou
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.pipeline.folder import RUN, RunFolder, read_run_file
 from infrablend.pipeline.frame_settings import FrameDone
-from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.joined_shards import can_join, join_shards
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.shard_archive import run_archived, unfinished_run
-from infrablend.pipeline.shard_source import ShardSource
+from infrablend.pipeline.shard_source import FinishedShard, ShardSource
 from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState, SharedPlan
 from infrablend.pipeline.stored_run import StoredRun, opened_run
 
@@ -34,22 +34,10 @@ AnyRun = ShardedRun | StoredRun
 
 
 @dataclass(frozen=True)
-class _Finished:
-    """A finished shard.
+class _Finished(FinishedShard):
+    """A finished shard, and the run in shards that it is part of."""
 
-    Attributes:
-        shard: The shard.
-        run: The run in shards that it is part of.
-        source: Where its frames are.
-        record: Its run record.
-        failures: Reasons of its unfinished frames, by id.
-    """
-
-    shard: Shard
     run: AnyRun
-    source: ShardSource
-    record: Mapping[str, Any]
-    failures: Mapping[str, Failure]
 
 
 def merge_shards(
@@ -64,8 +52,8 @@ def merge_shards(
 ) -> RunReport:
     """Write one run from the shards of a run; the result has the bytes of an undivided run.
 
-    Pictures and records become hard links where the file system can, and copies elsewhere; tars are unpacked. Shards
-    stay unchanged, and may have different layouts.
+    Pictures and records become hard links where the file system can, and copies elsewhere; tars are unpacked. Packed
+    shards become one packed shard without being unpacked. Shards stay unchanged, and may have different layouts.
 
     Args:
         sources: Folders with shards, from one machine or several, or their addresses in object storage.
@@ -116,9 +104,10 @@ def _merge(
             "or give their folder with --data."
         )
     plan = replace(plan, run=str(shards[0].record.get(RUN, plan.run)))
-    places = _places(plan, shards)
+    finished = {one.shard: one.finished(plan.frames) for one in shards}
     checked = CheckedFiles()
-    _require_intact(places, shards, checked)
+    _require_intact(finished, shards, checked)
+    places = {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
     if len(shards) < shared.count:
         plan = replace(recorded.select(tuple(places)).plan(data), run=plan.run)
     execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
@@ -134,6 +123,8 @@ def _merge(
     recipe = plan.recipe.model_copy(update={"output": output})
     plan = replace(plan, recipe=recipe, levels=shared.levels, shard=Shard(1, 1))
     target.share_plan(plan, 1, shared.renderer)
+    if can_join(plan, shards):
+        return join_shards(plan, shards, finished, files, execution, existing, on_progress, frames)
     return run_archived(plan, files, execution, existing, on_progress, frames)
 
 
@@ -198,24 +189,17 @@ def _read(run: AnyRun, shard: Shard, shared: SharedPlan) -> _Finished:
         failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
     except (LookupError, TypeError, AttributeError) as error:
         raise OutputError(f"{source.record_file}: damaged ({error}); repeat the shard with --resume") from error
-    return _Finished(shard, run, source, record, failures)
+    return _Finished(shard, source, record, failures, run)
 
 
-def _places(plan: RunPlan, shards: Iterable[_Finished]) -> dict[str, _Finished]:
-    """Return the shard of each frame, by the frame's id."""
-    return {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
-
-
-def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished], checked: CheckedFiles) -> None:
+def _require_intact(
+    finished: Mapping[Shard, Sequence[str]], shards: Iterable[_Finished], checked: CheckedFiles
+) -> None:
     """Check that the record and picture of every frame that a shard has finished are there and unchanged.
 
     Raises:
         OutputError: One is not; `problems` names each shard.
     """
-    frames: dict[Shard, list[str]] = {one.shard: [] for one in shards}
-    for frame_id, one in places.items():
-        if frame_id not in one.failures:
-            frames[one.shard].append(frame_id)
     problems = [
         Problem(
             shown(one.source.place),
@@ -225,7 +209,7 @@ def _require_intact(places: Mapping[str, _Finished], shards: Iterable[_Finished]
             one.run.command(one.shard),
         )
         for one in shards
-        if (found := one.source.damage(frames[one.shard], one.record, checked)) is not None
+        if (found := one.source.damage(finished[one.shard], one.record, checked)) is not None
     ]
     if problems:
         raise OutputError(f"{len(problems)} shards are truncated; nothing was written", problems)

@@ -6,25 +6,23 @@ import contextlib
 import logging
 import os
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from infrablend import __version__
 from infrablend.core.addresses import shown
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
-from infrablend.core.files import NAME_TOO_LONG, output_error, require_still_there, sha256_of
+from infrablend.core.files import output_error, require_still_there, sha256_of
 from infrablend.core.finished import EXCLUDING, require_unchanged
 from infrablend.core.log_file import LogFileHandler, part_from_links
-from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.machine import installed_versions
 from infrablend.core.manifest import Manifest
 from infrablend.core.output import Existing
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES, PICTURE_TABLES, SCENES
-from infrablend.core.tasks import Executor, Failure, OnProgress, Progress, Task, TaskResult, WorkerSpec
+from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.errors import (
     Interrupted,
@@ -39,22 +37,19 @@ from infrablend.pipeline.excluded import CHOICE, choice_digest, place_frames, re
 from infrablend.pipeline.executors import make_executor
 from infrablend.pipeline.folder import FILES, RUN, RunFolder
 from infrablend.pipeline.frame_pool import settings_for
-from infrablend.pipeline.frame_settings import FrameDone
 from infrablend.pipeline.label_files import FinishedFrames, LabelSummary, write_formats
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.pace import Pace
-from infrablend.pipeline.plan import LEFT_OUT, PlannedFrame, RunPlan
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.run_key import differences
+from infrablend.pipeline.run_record import RECORDED_PACKAGES, RunState, record_header, run_record
 from infrablend.pipeline.run_report import write_report
-from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
 
 FACTORY = "infrablend.pipeline.frame:make_frame_maker"
-# Packages that affect pixels or labels.
-RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 
 @dataclass(frozen=True)
@@ -93,23 +88,6 @@ class RunReport:
             "problems": [p.to_json() for p in self.problems],
             "seconds": round(self.seconds, 3),
         }
-
-
-@dataclass
-class _State:
-    """Counts of a run, updated with each finished frame."""
-
-    excluded: int = 0
-    done: int = 0
-    resumed: int = 0
-    inserted: int = 0
-    finished: int | None = None  # counted on disk at the end
-    unfinished: set[str] = field(default_factory=set)
-    failures: dict[str, Problem] = field(default_factory=dict)
-    reasons: dict[str, Failure] = field(default_factory=dict)
-    skipped: dict[str, Problem] = field(default_factory=dict)
-    render_seconds: Counter[str] = field(default_factory=Counter)
-    peak_rss_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -169,7 +147,7 @@ def run_plan(
             # Records of its frames name the run as the version that began it did.
             plan = replace(plan, run=str(previous.get(RUN, plan.run)))
         stack.enter_context(_log_file(folder.log_folder / "run.log"))
-        header = {**_header(plan, workers, device, renderer), **_command(previous, choose is not None)}
+        header = {**record_header(plan, workers, device, renderer), **_command(previous, choose is not None)}
         if execution.executor != "local":
             header["machine"]["executor"] = execution.executor
         if source is not None:
@@ -187,7 +165,7 @@ def run_plan(
         folder.write_run({**header, "status": "running" if choose is None else EXCLUDING})
         if choose is not None:
             write_choice(folder, kept_out)
-        state = _State(excluded=sum(f.frame_id in kept_out for f in plan.frames))
+        state = RunState(excluded=sum(f.frame_id in kept_out for f in plan.frames))
         if previous is None:
             todo = list(plan.frames)
         else:
@@ -238,27 +216,16 @@ def run_plan(
                     finished = write_formats(plan, folder, records)
                 if records.frames:  # labels of frames that are gone
                     manifest.remove_unwritten([*PICTURE_TABLES, *plan.recipe.output.formats, EIGHT_BIT])
-            problems = [*plan.problems, *state.skipped.values(), *state.failures.values(), *finished.problems]
-            counts = _counts(plan, state, finished)
-            record = {
-                **header,
-                "status": status,
-                "counts": counts,
-                "draws": finished.draws,
-                "removed": list(finished.removed),
-                "losses": dict(finished.losses),
-                "problems": [p.to_json() for p in sorted(set(problems))],
-                **_shard_facts(plan, state),
-                # Timing has its own section because it differs between equal runs.
-                "timing": {
-                    "seconds": round(time.monotonic() - started, 3),
-                    "frames_seconds": round(made - started, 3),
-                    "labels_seconds": round(time.monotonic() - made, 3),
-                    "resumed_frames": state.resumed,
-                    "worker_seconds": {k: round(v, 3) for k, v in sorted(state.render_seconds.items())},
-                    "peak_worker_rss_mb": round(state.peak_rss_bytes / 2**20, 1),
-                },
+            problems = state.problems(plan, finished)
+            timing = {
+                "seconds": round(time.monotonic() - started, 3),
+                "frames_seconds": round(made - started, 3),
+                "labels_seconds": round(time.monotonic() - made, 3),
+                "resumed_frames": state.resumed,
+                "worker_seconds": {k: round(v, 3) for k, v in sorted(state.render_seconds.items())},
+                "peak_worker_rss_mb": round(state.peak_rss_bytes / 2**20, 1),
             }
+            record = run_record(header, status, plan, state, finished, timing)
             if status == "complete":
                 if plan.shard is None:
                     record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
@@ -278,7 +245,7 @@ def run_plan(
         if status == "complete":
             manifest.forget_missing()  # e.g. labels of frames that are excluded now
             _require_whole(plan, folder, manifest, records.frames, {**record, "status": stopped})
-        log.info("%s: %s", status, counts)
+        log.info("%s: %s", status, record["counts"])
         for note in notes:
             log.info("%s", note)
         if status == stopped:
@@ -286,7 +253,7 @@ def run_plan(
                 f"interrupted after {state.done + state.resumed} of {len(plan.frames)} frames; finished ones are kept. "
                 "Repeat the command with --resume to continue."
             )
-    return RunReport(out, status, counts, (*problems, *notes), time.monotonic() - started)
+    return RunReport(out, status, record["counts"], (*problems, *notes), time.monotonic() - started)
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:
@@ -305,7 +272,7 @@ def _make_frames(
     executor: Executor,
     todo: list[PlannedFrame],
     plan: RunPlan,
-    state: _State,
+    state: RunState,
     workers: int,
     on_progress: OnProgress | None,
     require_claim: Callable[[], None],
@@ -320,7 +287,7 @@ def _make_frames(
             yield Task(frame.frame_id, frame)
 
     for finished, result in enumerate(executor.run(tasks()), start=1):
-        _record_result(result, of_key[result.key], state)
+        state.add(result, of_key[result.key])
         if on_progress is not None:
             pace.add(result)
             rate = pace.frames_per_s()
@@ -330,42 +297,7 @@ def _make_frames(
             )
 
 
-def _record_result(result: TaskResult, frame: PlannedFrame, state: _State) -> None:
-    state.peak_rss_bytes = max(state.peak_rss_bytes, result.rss_bytes)
-    if result.failure is None:
-        done: FrameDone = result.value
-        state.done += 1
-        state.inserted += done.inserted
-        state.render_seconds.update(done.seconds)
-        return
-    failure = result.failure
-    state.unfinished.add(result.key)
-    state.reasons[result.key] = failure
-    if failure.error == "OutputError" and not any(p.code == NAME_TOO_LONG for p in failure.problems):
-        # No space or no permission: every further frame would fail the same way.
-        log.info("frame %s: %s\n%s", result.key, failure.message, failure.traceback)
-        raise failure.to_exception()
-    if failure.error == "DatasetError":
-        problem = (
-            failure.problems[0] if failure.problems else Problem(str(frame.background.path), "image", failure.message)
-        )
-        known = frame.background.id in state.skipped  # another configuration failed for the same reason
-        state.skipped[frame.background.id] = problem
-        if not known:
-            log.warning("skipped background %s: %s", frame.background.id, problem)
-        return
-    state.failures[result.key] = Problem(
-        result.key,
-        f"frame-{failure.kind}",
-        f"{failure.error}: {failure.message}",
-        "a finished frame",
-        "run again with --resume; the traceback is in log/run.log",
-    )
-    log.error("frame %s failed (%s): %s: %s", result.key, failure.kind, failure.error, failure.message)
-    log.info("traceback of frame %s:\n%s", result.key, failure.traceback)  # info level: log file only, not the screen
-
-
-def _remaining(plan: RunPlan, folder: RunFolder, manifest: Manifest, state: _State) -> list[PlannedFrame]:
+def _remaining(plan: RunPlan, folder: RunFolder, manifest: Manifest, state: RunState) -> list[PlannedFrame]:
     """Return the frames to render: their record or image is missing or damaged, or their background has changed."""
     todo = []
     of_background: dict[Path, str | None] = {}
@@ -419,7 +351,7 @@ def _make_way(plan: RunPlan, folder: RunFolder, manifest: Manifest, frame: Plann
             manifest.move_aside(name)
 
 
-def _finished_frames(plan: RunPlan, folder: RunFolder, state: _State, checked: CheckedFiles) -> FinishedFrames:
+def _finished_frames(plan: RunPlan, folder: RunFolder, state: RunState, checked: CheckedFiles) -> FinishedFrames:
     """Return the frames whose record and image are there and intact; the others are counted as failed.
 
     Files may have been removed or changed while the run was going on.
@@ -508,88 +440,11 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
         )
 
 
-def _shard_facts(plan: RunPlan, state: _State) -> dict[str, Any]:
-    """Return what the record of a shard adds for merging: the reason of each frame without a picture."""
-    if plan.shard is None:
-        return {}
-    return {"unfinished": {frame: failure.to_json() for frame, failure in sorted(state.reasons.items())}}
-
-
-def _header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str, Any]:
-    """Return the part of the run record that is known before the first frame."""
-    return {
-        "infrablend": __version__,
-        "recipe": plan.key["recipe"],
-        "formats": list(plan.recipe.output.formats),
-        "seed": plan.seed,
-        RUN: plan.run,
-        "key": dict(plan.key),
-        "data": {
-            "root": origin_of(plan.dataset.root) or str(real_path(plan.dataset.root)),
-            "format": plan.dataset.format,
-            "backgrounds": len(plan.dataset.images),
-            "notes": dict(plan.dataset.notes),
-        },
-        **({"request": dict(plan.request)} if plan.request else {}),
-        **({} if plan.shard is None else {"shard": str(plan.shard)}),
-        "categories": [
-            {"id": c.id, "name": c.name, "new": c.name in plan.new_categories, "ignore": c.ignore}
-            for c in plan.categories
-        ],
-        "frames": len(plan.frames),
-        "machine": {
-            "renderer": renderer,
-            "device": device,
-            "workers": workers,
-            **describe_machine(),
-        },
-        "packages": installed_versions(RECORDED_PACKAGES),
-    }
-
-
 def _command(previous: Mapping[str, Any] | None, choosing: bool) -> dict[str, Any]:
     """Return the command line for the record of an unfinished run; a choice of frames keeps that of the run."""
     if not choosing and (facts := command_facts()):
         return facts
     return {k: v for k, v in (previous or {}).items() if k == COMMAND}
-
-
-def _counts(plan: RunPlan, state: _State, finished: LabelSummary) -> dict[str, Any]:
-    codes = Counter(p.code for p in plan.problems if p.severity == "error")
-    # Also distinguished by `found`, because one annotation file may lack several images.
-    left_out = {
-        (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in LEFT_OUT | _IMAGE_CODES
-    }
-    return {
-        "frames_planned": len(plan.frames) + state.excluded,
-        **({"frames_excluded": state.excluded} if state.excluded else {}),
-        "frames": state.done + state.resumed if state.finished is None else state.finished,
-        "failed_frames": len(state.failures),
-        "skipped_backgrounds": len(state.skipped) + len(left_out),
-        "objects_inserted": state.inserted,
-        "dataset_errors": dict(sorted(codes.items())),
-        **finished.counts,
-    }
-
-
-# Reader problems that leave out a whole image, or an annotation file with many.
-_IMAGE_CODES = {
-    "annotation-layout",
-    "annotation-missing",
-    "annotation-not-json",
-    "annotation-not-xml",
-    "annotation-unreadable",
-    "image-duplicate",
-    "image-malformed",
-    "image-missing",
-    "image-size",
-    "image-too-large",
-    "image-truncated",
-    "image-unreadable",
-    "name-climbs",
-    "name-missing",
-    "name-not-utf8",
-}
 
 
 @contextlib.contextmanager

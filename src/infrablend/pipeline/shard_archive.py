@@ -10,7 +10,7 @@ import hashlib
 import logging
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,6 +72,31 @@ def run_archived(
         MissingDependencyError: pyarrow is not installed.
         OutputError, OtherSettingsError, Interrupted, RenderError: See `run_plan`.
     """
+    with made_beside(files, existing) as (packed, found):
+        if found is not None and existing == "resume":
+            if found.get("counts", {}).get("frames") == len(plan.frames):
+                discard_run(files)
+                return finished_report(files, found)
+            if not os.path.lexists(unfinished_run(files).root):
+                _unpack(files, found)
+        report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress, source=source)
+        _pack(plan, unfinished_run(files), packed, report.counts["frames"])
+        publish(packed, files)
+        discard_run(files)
+    return replace(report, out=files.folder, record_file=files.marker)
+
+
+@contextlib.contextmanager
+def made_beside(files: ShardFiles, existing: Existing) -> Iterator[tuple[ShardFiles, Mapping[str, Any] | None]]:
+    """Lock out other jobs while a shard is made, and remove what is left when it is finished.
+
+    Yields:
+        Where to put its files, from which `publish` takes them, and the record of a shard that is whole already.
+
+    Raises:
+        MissingDependencyError: pyarrow is not installed.
+        OutputError: Another job makes this shard; or `existing` or its origin forbid to replace what is there.
+    """
     require_pyarrow()
     work = OutputFolder(files.folder / files.name, "shard")
     with work.claimed():
@@ -80,24 +105,13 @@ def run_archived(
             shutil.rmtree(work.root / _PACKED_RUN, ignore_errors=True)
             if packed.marker.exists() and existing != "refuse":  # a kill while the files were moved
                 publish(packed, files)
-            found = _finished(files, existing)
-            if found is not None and existing == "resume":
-                if found.get("counts", {}).get("frames") == len(plan.frames):
-                    _discard_run(files)
-                    return _report(files, found)
-                if not os.path.lexists(unfinished_run(files).root):
-                    _unpack(files, found)
-            report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress, source=source)
-            _pack(plan, unfinished_run(files), packed, report.counts["frames"])
-            publish(packed, files)
-            _discard_run(files)
+            yield packed, _finished(files, existing)
         finally:
             with contextlib.suppress(OSError):  # not empty: to be resumed
                 work.root.rmdir()
-    return replace(report, out=files.folder, record_file=files.marker)
 
 
-def _discard_run(files: ShardFiles) -> None:
+def discard_run(files: ShardFiles) -> None:
     """Delete the frames of a packed shard; after a kill, none of them are taken for a run that can be continued."""
     run = unfinished_run(files).root
     with contextlib.suppress(OSError):
@@ -161,7 +175,8 @@ def _finished(files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None
     return None
 
 
-def _report(files: ShardFiles, record: Mapping[str, Any]) -> RunReport:
+def finished_report(files: ShardFiles, record: Mapping[str, Any]) -> RunReport:
+    """Return the report of a shard that is whole, from its record."""
     problems = tuple(Problem(**p) for p in record.get("problems", ()))
     return RunReport(files.folder, COMPLETE, record["counts"], problems, record_file=files.marker)
 
@@ -206,10 +221,17 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
         flush(table_part)
         if packed != expected:
             raise OutputError(f"{folder.root}: found {packed} frames, expected {expected}. Repeat with --resume")
-    archive = {"tar": _facts(files.tar), "table": _facts(files.table)}
-    run = {**folder.read_run(), ARCHIVE: archive}
+    write_marker(plan, files, folder.read_run())
+
+
+def write_marker(plan: RunPlan, files: ShardFiles, record: Mapping[str, Any]) -> None:
+    """Write the record of a shard whose tar and table have been written."""
     groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them
-    run["categories"] = [{**c, "supercategory": groups[c["name"]]} for c in run["categories"]]
+    run = {
+        **record,
+        ARCHIVE: {"tar": _facts(files.tar), "table": _facts(files.table)},
+        "categories": [{**c, "supercategory": groups[c["name"]]} for c in record["categories"]],
+    }
     write_json(files.marker, sealed(run), indent=2, durable=True)
 
 

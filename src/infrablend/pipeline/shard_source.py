@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.files import link_or_copy, write_bytes
 from infrablend.core.run_layout import ShardFiles
+from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 from infrablend.formats.shard_tar import PackedFrame, key_of, packed_frames
 from infrablend.pipeline.folder import RUN, RunFolder
+from infrablend.pipeline.plan import PlannedFrame
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record, parse_record
+from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.shard_damage import damage_of
 
 
@@ -42,9 +47,34 @@ class ShardSource(Protocol):
         """
         ...
 
+    def packed(self) -> AbstractContextManager[ShardFiles] | None:
+        """Return the files of a packed shard, while the context is open; None if it has a file per frame."""
+        ...
+
     def close(self) -> None:
         """Close what is open; the shard can be read again from its start."""
         ...
+
+
+@dataclass(frozen=True)
+class FinishedShard:
+    """A finished shard with its record.
+
+    Attributes:
+        shard: The shard.
+        source: Where its frames are.
+        record: Its run record.
+        failures: Reasons of its unfinished frames, by id.
+    """
+
+    shard: Shard
+    source: ShardSource
+    record: Mapping[str, Any]
+    failures: Mapping[str, Failure]
+
+    def finished(self, frames: Sequence[PlannedFrame]) -> tuple[str, ...]:
+        """Return the ids of its frames that have a picture, in their order; `frames` are those of the whole run."""
+        return tuple(f.frame_id for f in self.shard.part_of(frames) if f.frame_id not in self.failures)
 
 
 class ShardFolder:
@@ -86,6 +116,10 @@ class ShardFolder:
         link_or_copy(self._folder.record(frame_id), folder.record(frame_id))
         link_or_copy(self._folder.image(record.image), folder.image(record.image))
         return record
+
+    def packed(self) -> None:
+        """Return None."""
+        return
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
@@ -133,6 +167,10 @@ class ShardArchive:
 
     def _changed(self, found: str) -> OutputError:
         return OutputError(f"{self._files.tar}: {found}; expected the tar as it was written. Repeat with --resume")
+
+    def packed(self) -> AbstractContextManager[ShardFiles]:
+        """Return its files."""
+        return nullcontext(self._files)
 
     def close(self) -> None:
         """Close the tar."""

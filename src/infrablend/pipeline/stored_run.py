@@ -222,10 +222,24 @@ class _StoredShard:
     def put(self, frame_id: str, folder: RunFolder, checked: CheckedFiles) -> FrameRecord:
         """Unpack a frame that follows the last one that was asked for."""
         if self._archive is None:
-            sha256 = read_run_file(self._files.marker)[ARCHIVE]["tar"]["sha256"]
-            self._run.store.download(self._files.tar.name, self._files.tar, sha256)
+            self._fetch(self._files.tar, "tar")
             self._archive = ShardArchive(self._files)
         return self._archive.put(frame_id, folder, checked)
+
+    @contextlib.contextmanager
+    def packed(self) -> Iterator[ShardFiles]:
+        """Copy its files, and delete the copies at the end."""
+        self._fetch(self._files.tar, "tar")
+        self._fetch(self._files.table, "table")
+        try:
+            yield self._files
+        finally:
+            self._files.table.unlink(missing_ok=True)
+            self.close()
+
+    def _fetch(self, file: Path, name: str) -> None:
+        sha256 = read_run_file(self._files.marker)[ARCHIVE][name]["sha256"]
+        self._run.store.download(file.name, file, sha256)
 
     def close(self) -> None:
         """Delete the copy of the tar."""
