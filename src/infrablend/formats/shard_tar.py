@@ -7,6 +7,7 @@ Headers are constant, so that equal frames give equal bytes.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import tarfile
@@ -105,6 +106,9 @@ class TarWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if kind is None:
+            self._tar.close()
+            return
+        with contextlib.suppress(OSError):  # nobody keeps it, but a tar left open writes when it is collected
             self._tar.close()
 
     def add(self, key: str, suffix: str, data: bytes) -> int:
