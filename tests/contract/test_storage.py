@@ -243,6 +243,50 @@ def test_shards_of_another_run_are_refused(dataset, server):
     assert server.names() == [*FIRST, SHARDS_FILE]
 
 
+def test_a_finished_shard_of_another_run_is_not_taken_for_this_one(dataset, server):
+    done(*shard(dataset, server, "1/2"))
+    done(*shard(dataset, server, "2/2"))
+    files = server.files()
+    other = f"s3://{server.bucket}/other"
+    done(*command(dataset, other, *PACKED, "--shard", "1/2", "--seed", 5))
+    for name in FIRST:
+        files.copy(f"{server.bucket}/other/{name}", f"{server.bucket}/run/{name}")
+    ended = run(*shard(dataset, server, "1/2", "--resume"))
+    assert ended.exit_code == 2, ended.output
+    assert f"{server.address}/{FIRST[0]}: cannot be resumed" in ended.output
+    assert "seed was 5, is 0" in ended.output
+    done(*shard(dataset, server, "1/2", "--overwrite"))
+    # Nor is another shard of this one.
+    for ours, theirs in zip(FIRST, SECOND, strict=True):
+        files.copy(f"{server.bucket}/run/{ours}", f"{server.bucket}/run/{theirs}")
+    refused = run(*shard(dataset, server, "2/2", "--resume"))
+    assert refused.exit_code == 0
+    assert json.loads(files.cat_file(f"{server.bucket}/run/{SECOND[0]}"))["shard"] == "2/2"
+
+
+def test_commands_name_the_address_where_the_shards_are_now(dataset, server):
+    done(*shard(dataset, server, "1/2"))
+    files = server.files()
+    for name in (*FIRST, SHARDS_FILE):
+        files.copy(f"{server.bucket}/run/{name}", f"{server.bucket}/moved/{name}")
+    state = json.loads(run("status", f"s3://{server.bucket}/moved", "--json").stdout)["shards"][1]
+    assert f"--out s3://{server.bucket}/moved " in state["command"]
+
+
+def test_files_of_somebody_else_are_not_replaced(dataset, server):
+    files = server.files()
+    files.pipe_file(f"{server.bucket}/run/{FIRST[2]}", b"precious")
+    for words in ((), ("--resume",), ("--overwrite",)):
+        ended = run(*shard(dataset, server, "1/2", *words))
+        assert ended.exit_code == 2
+        assert f"{server.address}/{FIRST[2]}: exists without shards.json" in ended.output
+    assert server.names() == [FIRST[2]]
+    files.rm(f"{server.bucket}/run/{FIRST[2]}")
+    files.pipe_file(f"{server.bucket}/run/{FIRST[0]}", b"{}")
+    ended = run(*shard(dataset, server, "1/2", "--resume"))
+    assert "scratch" not in ended.output
+
+
 @pytest.mark.parametrize(("name", "found"), [(FIRST[2], "has 50 bytes"), (FIRST[1], "has 50 bytes")])
 def test_a_truncated_shard_is_named_and_made_again(dataset, server, tmp_path, name, found):
     done(*shard(dataset, server, "1/2"))

@@ -65,7 +65,7 @@ def recorded_command(record: Mapping[str, Any] | None, root: Path, shard: str | 
 
     Args:
         record: Record of the folder.
-        root: What `--out` names: it may have moved.
+        root: What `--out` names, a folder or an address: it may have moved.
         shard: Shard to make instead of the recorded one.
     """
     found = (record or {}).get(COMMAND)
@@ -110,7 +110,9 @@ def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str, *, 
 
 
 def _where(folder: Path, value: str, root: Path, away: bool) -> str:
-    """Return the value of `--out`, or the place where the folder is now; an address stays."""
+    """Return the value of `--out`, or the place where the folder is now; an address stays if it is now in a folder."""
+    if (address := address_of(root)) is not None:
+        return address
     if address_of(value) is not None:
         return value
     if _is_same(folder / value, root):

@@ -66,7 +66,7 @@ def join_shards(
         Interrupted: The user stopped.
     """
     started = time.monotonic()
-    with made_beside(files, existing) as (packed, found), Interruption() as stop:
+    with made_beside(plan, files, existing) as (packed, found), Interruption() as stop:
         state = _counted(plan, shards)
         if found is not None and existing == "resume" and found["counts"].get("frames") == state.done:
             return finished_report(files, found)

@@ -433,6 +433,15 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, dev
     versions, installed = previous.get("packages", {}), installed_versions(RECORDED_PACKAGES)
     for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
         log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
+    require_same_key(previous, plan, out)
+
+
+def require_same_key(previous: Mapping[str, Any], plan: RunPlan, out: Path | str) -> None:
+    """Check that the record of an earlier run, or of a shard, is of the run that is planned.
+
+    Raises:
+        OtherSettingsError: It is of another run; the message lists the differences.
+    """
     if texts := differences(previous.get("key", {}), plan.key, previous.get("request"), plan.request):
         raise OtherSettingsError(
             f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "

@@ -36,8 +36,8 @@ from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record, parse_record
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import FrameSource, RunReport, run_plan
-from infrablend.pipeline.shard_damage import damage_of
+from infrablend.pipeline.run import FrameSource, RunReport, require_same_key, run_plan
+from infrablend.pipeline.shard_damage import damage_of, number_damage
 from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
 
 log = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ def run_archived(
         MissingDependencyError: pyarrow is not installed.
         OutputError, OtherSettingsError, Interrupted, RenderError: See `run_plan`.
     """
-    with made_beside(files, existing) as (packed, found):
+    with made_beside(plan, files, existing) as (packed, found):
         if found is not None and existing == "resume":
             if found.get("counts", {}).get("frames") == len(plan.frames):
                 discard_run(files)
@@ -87,7 +87,9 @@ def run_archived(
 
 
 @contextlib.contextmanager
-def made_beside(files: ShardFiles, existing: Existing) -> Iterator[tuple[ShardFiles, Mapping[str, Any] | None]]:
+def made_beside(
+    plan: RunPlan, files: ShardFiles, existing: Existing
+) -> Iterator[tuple[ShardFiles, Mapping[str, Any] | None]]:
     """Lock out other jobs while a shard is made, and remove what is left when it is finished.
 
     Yields:
@@ -96,6 +98,7 @@ def made_beside(files: ShardFiles, existing: Existing) -> Iterator[tuple[ShardFi
     Raises:
         MissingDependencyError: pyarrow is not installed.
         OutputError: Another job makes this shard; or `existing` or its origin forbid to replace what is there.
+        OtherSettingsError: The shard to resume is of another run.
     """
     require_pyarrow()
     work = OutputFolder(files.folder / files.name, "shard")
@@ -105,7 +108,10 @@ def made_beside(files: ShardFiles, existing: Existing) -> Iterator[tuple[ShardFi
             shutil.rmtree(work.root / _PACKED_RUN, ignore_errors=True)
             if packed.marker.exists() and existing != "refuse":  # a kill while the files were moved
                 publish(packed, files)
-            yield packed, _finished(files, existing)
+            found = _finished(plan, files, existing)
+            if found is not None and existing == "resume":
+                require_same_key(found, plan, files.marker)
+            yield packed, found
         finally:
             with contextlib.suppress(OSError):  # not empty: to be resumed
                 work.root.rmdir()
@@ -143,7 +149,7 @@ def publish(packed: ShardFiles, target: ShardFiles) -> None:
         raise output_error(target.marker, error) from error
 
 
-def _finished(files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None:
+def _finished(plan: RunPlan, files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None:
     """Return the record of a shard that is whole; None if it has to be made.
 
     Raises:
@@ -166,7 +172,7 @@ def _finished(files: ShardFiles, existing: Existing) -> Mapping[str, Any] | None
         return None
     try:
         record = read_run_file(files.marker)
-        found = damage_of(files, record)
+        found = number_damage(record, plan.shard) or damage_of(files, record)
     except OutputError as error:
         found = error.message
     if found is None:

@@ -8,6 +8,14 @@ from typing import Any
 from infrablend.core.files import sha256_of
 from infrablend.core.run_layout import ShardFiles
 from infrablend.pipeline.folder import ARCHIVE
+from infrablend.pipeline.shard import Shard
+
+
+def number_damage(record: Mapping[str, Any], shard: Shard | None) -> str | None:
+    """Return what is wrong if a record is that of another shard than its name says; None if nothing is."""
+    if shard is None or record.get("shard") == str(shard):
+        return None
+    return f"it is the record of shard {record.get('shard')}, expected {shard}"
 
 
 def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = True) -> str | None:

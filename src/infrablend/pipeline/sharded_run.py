@@ -287,12 +287,18 @@ class ShardedRun:
         states = [self._state(Shard(n, shared.count), shared) for n in range(1, shared.count + 1)]
         return [s if s.state in ("done", "running") else replace(s, command=self.command(s.shard)) for s in states]
 
-    def command(self, shard: Shard) -> str:
-        """Return the command that makes or finishes a shard: its own, or that of another shard of the folder."""
+    def command(self, shard: Shard, place: str | None = None) -> str:
+        """Return the command that makes or finishes a shard: its own, or that of another shard of the folder.
+
+        Args:
+            shard: The shard.
+            place: Address of the run, if the folder has only copies of its small files.
+        """
+        out = place or str(self.root)
         for record in (*map(read_object, self._record_files(shard.folder_name)), self._any_record):
-            if (command := recorded_command(record, self.root, str(shard))) is not None:
+            if (command := recorded_command(record, Path(out), str(shard))) is not None:
                 return command
-        return f"infrablend generate ... --out {shlex.quote(str(self.root))} --shard {shard} --resume"
+        return f"infrablend generate ... --out {shlex.quote(out)} --shard {shard} --resume"
 
     @cached_property
     def _any_record(self) -> dict[str, Any] | None:

@@ -36,9 +36,10 @@ from infrablend.pipeline.folder import ARCHIVE, RunFolder, read_run_file
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import FrameRecord
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import RunReport
+from infrablend.pipeline.run import RunReport, require_same_key
 from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.shard_claim import ShardClaim
+from infrablend.pipeline.shard_damage import number_damage
 from infrablend.pipeline.shard_source import ShardArchive, ShardSource
 from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan, joined_reports, run_shard, shifted
 from infrablend.storage.scratch import scratch
@@ -139,8 +140,7 @@ class StoredRun:
 
     def command(self, shard: Shard) -> str:
         """Return the command that makes a shard: that of another shard, with its number."""
-        found = self._local.command(shard)
-        return found.replace(str(self.mirror), self.root)
+        return self._local.command(shard, self.root)
 
     def shard_source(self, shard: Shard) -> ShardSource:
         """Return a finished shard as a source of frames; its tar is on this machine while it is read."""
@@ -306,6 +306,14 @@ class _StoredShardJob:
                 f"{self.store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make "
                 "it only if it is not whole, or --overwrite to replace it."
             )
+        if SHARDS_FILE not in there and files.marker.name not in there:
+            for path in (files.tar, files.table):
+                if path.name in there:
+                    raise OutputError(
+                        f"{self.store.place(path.name)}: exists without {SHARDS_FILE}, which is written before any "
+                        "shard, so nothing shows that InfraBlend wrote it; nothing was touched. Move it elsewhere, "
+                        "and repeat the command."
+                    )
         claim = ShardClaim(self.store, self.shard)
 
         def progressed(progress: Progress) -> None:
@@ -358,15 +366,16 @@ class _StoredShardJob:
         try:
             self.store.download(packed.marker.name, packed.marker)
             record = read_run_file(packed.marker)
-            found = stored_damage(packed, record, there)
+            found = number_damage(record, self.shard) or stored_damage(packed, record, there)
             if found is None and record["counts"]["frames"] < len(self.shard.part_of(self.plan.frames)):
                 for path, kind in ((packed.tar, "tar"), (packed.table, "table")):
                     self.store.download(path.name, path, record[ARCHIVE][kind]["sha256"])
         except OutputError as error:  # a damaged record
-            found = error.message
+            found = error.message.removeprefix(f"{packed.marker}: ")
         except StorageError as error:
             found = error.message
         if found is None:
+            require_same_key(record, self.plan, self.store.place(packed.marker.name))
             return record["counts"], tuple(Problem(**p) for p in record.get("problems", ()))
         log.warning("%s: %s; the shard is made again", self.store.place(packed.marker.name), found)
         for path in (packed.marker, packed.tar, packed.table):

@@ -267,6 +267,24 @@ def test_two_jobs_and_other_runs(small, dataset, tmp_path):
     assert not (tmp_path / "merged").exists()
 
 
+def test_a_finished_shard_of_another_run_is_not_taken_for_this_one(small, dataset, tmp_path):
+    done(*small, "--shard", "1/2")
+    done(*small, "--shard", "2/2")
+    out, before = tmp_path / "out", contents(tmp_path / "out")
+    done(*command(dataset, tmp_path / "other", *PACKED, "--limit", 2, "--seed", 5, "--shard", "1/2"))
+    for name in shard_names(1, 2):
+        shutil.copy(tmp_path / "other" / name, out / name)
+    ended = run(*small, "--shard", "1/2", "--resume")
+    assert ended.exit_code == 2, ended.output
+    assert "seed was 5, is 0" in ended.output
+    done(*small, "--shard", "1/2", "--overwrite")
+    # Nor is another shard of this one.
+    for ours, theirs in zip(shard_names(1, 2), shard_names(2, 2), strict=True):
+        shutil.copy(out / ours, out / theirs)
+    done(*small, "--shard", "2/2", "--resume")
+    assert contents(out) == before
+
+
 def test_failed_frames_are_tried_again(dataset, tmp_path):
     broken = dataset / "normal_json/train/1_80_90_0_00002.jpg"
     out, words = tmp_path / "out", command(dataset, tmp_path / "out", *PACKED)
