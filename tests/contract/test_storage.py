@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from tests.unit.pipeline.test_run import dataset, hashes
 from tests.unit.pipeline.test_shards import command
 
 from infrablend.core.run_layout import SHARDS_FILE
+from infrablend.pipeline import shard_claim
 from infrablend.storage import store as storage
 
 pytest.importorskip("pyarrow", reason="NEEDS PYARROW")
@@ -230,6 +232,49 @@ def test_two_jobs_on_one_shard(dataset, server):
     for old in (json.dumps({**claim, "time": time.time() - 3600}).encode(), b"[1", b"[]"):
         files.pipe_file(path, old)
         done(*shard(dataset, server, "1/2", "--overwrite"))
+        assert server.names() == [*FIRST, SHARDS_FILE]
+
+
+def test_a_dead_process_of_this_machine_holds_no_claim(dataset, server):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    path = f"{server.bucket}/run/shard-00001-of-00002.claim"
+    for process in (dead.pid, os.getpid()):  # the latter: a container that was started again
+        claim = {"host": socket.gethostname(), "process": process, "token": "x", "time": time.time()}
+        server.files().pipe_file(path, json.dumps(claim).encode())
+        done(*shard(dataset, server, "1/2", "--overwrite"))
+    claim["process"] = os.getppid()
+    server.files().pipe_file(path, json.dumps(claim).encode())
+    assert "is being made by" in run(*shard(dataset, server, "1/2", "--overwrite")).output
+
+
+@pytest.mark.parametrize("other", ["silent", "gone", "finished", "at work"])
+def test_a_job_that_is_started_again_waits_for_the_claim_of_a_lost_machine(dataset, server, monkeypatch, other):
+    if other == "finished":
+        done(*shard(dataset, server, "1/2"))
+    files, path = server.files(), f"{server.bucket}/run/shard-00001-of-00002.claim"
+    claim = {"host": "node7", "process": 99, "token": "x", "time": time.time()}
+    files.pipe_file(path, json.dumps(claim).encode())
+    monkeypatch.setattr(shard_claim, "CLAIM_S", 2.0)
+    monkeypatch.setattr(shard_claim, "_LOOK_S", 0.3)
+    looks = [0]
+
+    def working(method, path, _):
+        looks[0] += method == "GET" and path.endswith(".claim")
+        if looks[0] == 3:
+            looks[0] += 1
+            if other in ("gone", "finished"):
+                server.files().rm(path[1:])
+            elif other == "at work":
+                server.files().pipe_file(path[1:], json.dumps({**claim, "time": time.time()}).encode())
+
+    server.rule = working
+    ended = run(*shard(dataset, server, "1/2", "--resume"))
+    server.rule = None
+    assert ended.exit_code == (2 if other == "at work" else 0), ended.output
+    if other == "at work":
+        assert "is being made by node7" in ended.output
+    else:
         assert server.names() == [*FIRST, SHARDS_FILE]
 
 

@@ -299,21 +299,8 @@ class _StoredShardJob:
     execution: Execution
 
     def run(self, existing: Existing, on_progress: OnProgress | None) -> RunReport:
-        there = self.store.files()
+        self._found(existing)
         files = ShardFiles(Path(), self.shard.folder_name)
-        if existing == "refuse" and files.marker.name in there:
-            raise OutputError(
-                f"{self.store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make "
-                "it only if it is not whole, or --overwrite to replace it."
-            )
-        if SHARDS_FILE not in there and files.marker.name not in there:
-            for path in (files.tar, files.table):
-                if path.name in there:
-                    raise OutputError(
-                        f"{self.store.place(path.name)}: exists without {SHARDS_FILE}, which is written before any "
-                        "shard, so nothing shows that InfraBlend wrote it; nothing was touched. Move it elsewhere, "
-                        "and repeat the command."
-                    )
         claim = ShardClaim(self.store, self.shard)
 
         def progressed(progress: Progress) -> None:
@@ -323,7 +310,8 @@ class _StoredShardJob:
 
         # Another run at this address has another folder.
         purpose = f"shard {self.shard} of {self.store.address}, run {sha256_of_json(self.plan.key)[:12]}"
-        with scratch(purpose, keep=True) as folder, claim.held():
+        with scratch(purpose, keep=True) as folder, claim.held(wait=existing == "resume"):
+            there = self._found(existing)  # now that no other job can finish it
             local = ShardedRun(folder / "run")  # the scratch folder itself is locked
             local.root.mkdir(exist_ok=True)
             packed = local.shard_files(self.shard)
@@ -341,6 +329,28 @@ class _StoredShardJob:
             claim.renew()
             self._publish(packed)
             return replace(report, out=Path(self.store.address), record_file=record_file)
+
+    def _found(self, existing: Existing) -> Mapping[str, Stored]:
+        """Return the files of the run.
+
+        Raises:
+            OutputError: `existing` or their origin forbid to replace those of the shard.
+        """
+        there, files = self.store.files(), ShardFiles(Path(), self.shard.folder_name)
+        if existing == "refuse" and files.marker.name in there:
+            raise OutputError(
+                f"{self.store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make "
+                "it only if it is not whole, or --overwrite to replace it."
+            )
+        if SHARDS_FILE not in there and files.marker.name not in there:
+            for path in (files.tar, files.table):
+                if path.name in there:
+                    raise OutputError(
+                        f"{self.store.place(path.name)}: exists without {SHARDS_FILE}, which is written before any "
+                        "shard, so nothing shows that InfraBlend wrote it; nothing was touched. Move it elsewhere, "
+                        "and repeat the command."
+                    )
+        return there
 
     def _share_plan(self, local: ShardedRun) -> None:
         """Put the shared plan of the storage into the scratch folder, or write the one that is made there."""
