@@ -414,6 +414,43 @@ def test_a_dataset_in_a_bucket_is_read_as_one_in_a_folder(dataset, server, tmp_p
     assert copied == {f"/{picture}"}
 
 
+def test_names_of_folders_and_empty_files_in_a_bucket(dataset, server, tmp_path):
+    files, data = server.files(), f"{server.bucket}/data"
+    files.put(f"{dataset}/", f"{data}/", recursive=True)
+    for name in ("", "normal_json/", "normal_json/train/", "empty/", "empty.txt", "files/ü '\".txt", "storage.json"):
+        files.pipe_file(f"{data}/{name}", b"")
+    address = f"s3://{data}"
+    done(*command(address, tmp_path / "run", "--limit", 2))
+    # A folder becomes a file and a file a folder.
+    files.rm([f"{data}/files/ü '\".txt", f"{data}/empty.txt"])
+    files.pipe_file(f"{data}/files", b"x")
+    files.pipe_file(f"{data}/empty.txt/a", b"x")
+    done(*command(address, tmp_path / "again", "--limit", 2))
+    assert sorted(p.name for p in Path(os.environ["TMPDIR"]).glob("infrablend-*/*/files/*")) == [
+        "empty.txt", "files", "normal_json", "storage.json",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("a//b.txt", "empty, '.' or '..'"),
+        ("a/../b", "empty, '.' or '..'"),
+        ("n" * 300, "more than 255"),
+        ("top", "folder"),
+    ],
+)
+def test_names_that_no_file_can_have(dataset, server, tmp_path, name, found):
+    files, data = server.files(), f"{server.bucket}/data"
+    files.pipe_file(f"{data}/top/b.txt", b"x")
+    files.pipe_file(f"{data}/{name}", b"x")
+    ended = run(*command(f"s3://{data}", tmp_path / "run", "--limit", 2))
+    assert ended.exit_code == 2, ended.output
+    assert f"s3://{data}/{name}"[:60] in ended.output
+    assert found in ended.output
+    assert not list(Path(os.environ["TMPDIR"]).glob("infrablend-*/*/files/*"))
+
+
 def test_a_dataset_that_is_not_there(server, tmp_path):
     ended = run(*command(f"s3://{server.bucket}/nothing", tmp_path / "out"))
     assert ended.exit_code == 2

@@ -6,18 +6,19 @@ copied anew, and it is removed by any command after a week without use.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.addresses import address_of
-from infrablend.core.file_names import join_inside
+from infrablend.core.file_names import MAX_NAME_BYTES, join_inside
 from infrablend.core.files import read_object, write_json
 from infrablend.core.output import OutputFolder
-from infrablend.errors import DatasetError, StorageError
+from infrablend.errors import DatasetError, Problem, StorageError
 from infrablend.storage.scratch import lasting
 from infrablend.storage.store import Store
 
@@ -50,11 +51,12 @@ def local_folder(path: str | Path, store: Store | None = None) -> Path:
             raise DatasetError(
                 f"{address}: found no files, expected a dataset. Check the address with the storage's tools"
             )
+        _require_names(address, wanted)
         known = (read_object(root / _INDEX) or {}).get("files", {})
         stale = {name for name, facts in wanted.items() if not _is_same(root, name, facts, known)}
         _require_space(address, sum(int(wanted[name]["bytes"]) for name in stale), root)
         for name in sorted(known.keys() - wanted.keys()):
-            join_inside(root / _FILES, name).unlink(missing_ok=True)
+            _remove(root / _FILES, name)
         # Files that are being replaced are not in the index, should this process end here.
         _write_index(root, address, {n: f for n, f in wanted.items() if n not in stale})
         for name in sorted(stale):
@@ -64,6 +66,45 @@ def local_folder(path: str | Path, store: Store | None = None) -> Path:
         _write_index(root, address, wanted)
     log.info("%s: %d files, %d of them copied now", address, len(wanted), len(stale))
     return root / _FILES
+
+
+def _require_names(address: str, names: Collection[str]) -> None:
+    """Check that files with these names can be on this machine, each in a place of its own.
+
+    Raises:
+        DatasetError: One cannot; `problems` names each.
+    """
+    folders = {"/".join(parts[:n]) for name in names for parts in [name.split("/")] for n in range(1, len(parts))}
+    problems = [
+        Problem(f"{address}/{name}", "name-unfit", found, "a file that a folder can have", "rename or remove it there")
+        for name in sorted(names)
+        if (found := _unfit(name, folders)) is not None
+    ]
+    if problems:
+        raise DatasetError(f"{address}: cannot be copied to a folder; nothing was copied", problems)
+
+
+def _unfit(name: str, folders: Collection[str]) -> str | None:
+    parts = name.split("/")
+    if any(part in ("", ".", "..") for part in parts):
+        return "an empty, '.' or '..' part of the name"
+    if "\0" in name or any(len(part.encode()) > MAX_NAME_BYTES for part in parts):
+        return f"a part of the name with a NUL or more than {MAX_NAME_BYTES} bytes"
+    return "a file with the name of a folder" if name in folders else None
+
+
+def _remove(files: Path, name: str) -> None:
+    """Delete a copy and the folders that are empty without it, which may be files of that name now."""
+    path = join_inside(files, name)
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        path.unlink()
+    for folder in path.parents:
+        if folder == files or not folder.is_dir():
+            break
+        try:
+            folder.rmdir()
+        except OSError:  # not empty
+            break
 
 
 def origin_of(folder: Path) -> str | None:

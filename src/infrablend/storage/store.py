@@ -113,7 +113,8 @@ class Store:
                 "version": str(next((facts[k] for k in _VERSIONS if facts.get(k)), "")),
             }
             for path, facts in found.items()
-            if path.startswith(f"{self._root}/")
+            # Names with a slash at their end stand for folders; consoles and programs that mount buckets make them.
+            if path.startswith(f"{self._root}/") and not path.endswith("/")
         }
 
     def read(self, name: str) -> bytes | None:
