@@ -1,5 +1,6 @@
 """Tests of telling addresses of object storage from folders, and of refusing them where a folder is expected."""
 
+import logging
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from infrablend import api
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
 from infrablend.core.files import write_bytes
+from infrablend.core.log_file import LogFileHandler
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.pipeline.request import RunRequest
 from tests.command_line import run
@@ -58,6 +60,15 @@ def test_commands_refuse_addresses(words: list[str], tmp_path: Path, monkeypatch
     assert "s3://..." in ended.output
     assert "secret" not in ended.output
     assert [p.name for p in tmp_path.iterdir()] == ["DATA"]
+
+
+def test_logs_hold_no_secrets_of_addresses(tmp_path: Path) -> None:
+    handler = LogFileHandler(tmp_path / "log")
+    error = OSError("no route to https://me:secret@host/a?signature=secret")
+    handler.emit(logging.LogRecord("x", logging.INFO, "", 0, "%s", (error,), (OSError, error, None)))
+    handler.close()
+    assert (tmp_path / "log").read_text().count("https://...@host/a?...") == 2
+    assert "secret" not in (tmp_path / "log").read_text()
 
 
 def test_functions_write_to_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,6 +124,8 @@ def test_addresses_that_are_refused(text: str) -> None:
     [
         ("generate --out s3://user:secret@bucket/x --seed 1", "generate --out s3://...@bucket/x --seed 1"),
         ("fetch hit-uav --url https://me:se@cret@host/a.zip", "fetch hit-uav --url https://...@host/a.zip"),
+        ("--out s3://b/run?token=se", "--out s3://b/run?..."),
+        ("no '/a?b=c' at 'https://h/a?X-Amz-Signature=se' at all?", "no '/a?b=c' at 'https://h/a?...' at all?"),
         ("--data a@b/c C:/x@y s3://bucket/a@b", "--data a@b/c C:/x@y s3://bucket/a@b"),
     ],
 )

@@ -14,14 +14,15 @@ from infrablend.errors import ArgumentError
 # `Path` leaves one slash. One letter would be a drive.
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(.*)", re.DOTALL)
 _USER = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})[^/\s]*@")
+_QUERY = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2}[^\s?'\"]*\?)[^\s'\"]+")
 
 EXTRAS = {"s3": "s3", "gs": "gcs", "hf": "hf"}
 """Schemes of object storage, with the extra that installs what reads and writes them."""
 
 
 def without_user(text: str) -> str:
-    """Return a text in which addresses such as `s3://name:password@bucket` have `...` for name and password."""
-    return _USER.sub(r"\1...@", text)
+    """Return a text in which addresses have `...` for name and password, and for what follows `?`, as signatures do."""
+    return _QUERY.sub(r"\1...", _USER.sub(r"\1...@", text))
 
 
 def address_of(path: str | Path) -> str | None:

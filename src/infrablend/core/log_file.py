@@ -7,6 +7,7 @@ import logging
 import shutil
 from pathlib import Path
 
+from infrablend.core.addresses import without_user
 from infrablend.core.files import copy_new, free_part
 
 
@@ -23,6 +24,10 @@ class LogFileHandler(logging.FileHandler):
             OSError: It cannot be opened.
         """
         super().__init__(path, encoding="utf-8", errors="backslashreplace")
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the text of a record, without secrets in addresses, which messages of libraries may have."""
+        return without_user(super().format(record))
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
         """Ignore the error."""

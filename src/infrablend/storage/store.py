@@ -274,6 +274,8 @@ class Store:
             return StorageError(f"{place}: cannot {what}: damaged in the storage", [problem])
         if isinstance(error, FileNotFoundError):
             todo = "Make the bucket, or give the name of another one"
+        elif type(error).__name__ == "ParamValidationError":
+            todo = "Check the address"
         elif isinstance(error, PermissionError) or type(error).__name__ in _FINAL_NAMES:
             todo = "Check the credentials that the storage's library finds, and their rights to list, read and write"
         else:
@@ -296,8 +298,8 @@ def _is_of_storage(error: Exception) -> bool:
 
 
 def _text(error: BaseException) -> str:
-    """Return an error in one line, without passwords in addresses."""
-    return without_user(f"{type(error).__name__}: {error}".strip(": ").splitlines()[0][:300])
+    """Return an error in one line, without secrets in addresses."""
+    return without_user(" ".join(f"{type(error).__name__}: {error}".strip(": ").split())[:300])
 
 
 def _file_system(scheme: str) -> Any:
