@@ -114,9 +114,11 @@ def test_addresses_that_are_refused(dataset, given):
 
 
 def test_files_need_a_folder(dataset, server):
-    ended = run(*command(dataset, server.address, "--limit", 2))
-    assert ended.exit_code == 2
-    assert "--set output.layout=shards" in ended.output
+    for words in ((), ("--plan",), ("--shard", "1/2")):
+        # Nothing is copied for a command that cannot succeed.
+        ended = run(*command(f"s3://{server.bucket}/data", server.address, "--limit", 2, *words))
+        assert ended.exit_code == 2
+        assert "--set output.layout=shards" in ended.output
     assert server.names() == []
 
 

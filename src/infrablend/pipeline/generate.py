@@ -21,7 +21,7 @@ from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.shard import ShardRequest
 from infrablend.pipeline.sharded_run import run_shards
-from infrablend.pipeline.stored_run import run_stored_shards
+from infrablend.pipeline.stored_run import require_packed, run_stored_shards
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.storage.mirror import local_folder
 
@@ -91,6 +91,8 @@ def prepare_run(request: RunRequest) -> RunPlan:
                 f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected a path that the run record "
                 "(JSON) can hold. Rename the folder, or use a link to it"
             )
+    if request.out is not None:
+        require_packed(loaded.recipe, request.out)
     if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
     dataset = detection.read(local_folder(request.data), with_scale(request.reading, loaded.recipe))

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.files import read_object, read_regular, sha256_of, sha256_of_json
@@ -249,6 +250,19 @@ class _StoredShard:
         self._files.tar.unlink(missing_ok=True)
 
 
+def require_packed(recipe: Recipe, out: Path) -> None:
+    """Check that a run in object storage has packed shards.
+
+    Raises:
+        ArgumentError: Its layout has a file per frame.
+    """
+    if (address := address_of(out)) is not None and recipe.output.layout != "shards":
+        raise ArgumentError(
+            f"out: found {address} and output.layout: files, expected packed shards in object storage. Add "
+            "--set output.layout=shards; `infrablend merge` makes files of them"
+        )
+
+
 def run_stored_shards(
     plan: RunPlan,
     shards: Sequence[Shard],
@@ -276,11 +290,7 @@ def run_stored_shards(
     """
     address = address_of(out)
     assert address is not None
-    if plan.recipe.output.layout != "shards":
-        raise ArgumentError(
-            f"out: found {address} and output.layout: files, expected packed shards in object storage. Add "
-            "--set output.layout=shards; `infrablend merge` makes files of them"
-        )
+    require_packed(plan.recipe, out)
     store = store or Store(address)
     reports: list[RunReport] = []
     for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
