@@ -19,6 +19,7 @@ from tests.unit.pipeline.test_shards import command
 from infrablend.core.run_layout import SHARDS_FILE
 from infrablend.pipeline import shard_claim
 from infrablend.storage import store as storage
+from infrablend.storage.scratch import lasting
 
 pytest.importorskip("pyarrow", reason="NEEDS PYARROW")
 
@@ -451,6 +452,65 @@ def test_names_that_no_file_can_have(dataset, server, tmp_path, name, found):
     assert f"s3://{data}/{name}"[:60] in ended.output
     assert found in ended.output
     assert not list(Path(os.environ["TMPDIR"]).glob("infrablend-*/*/files/*"))
+
+
+PROGRAM = (
+    "import functools; from infrablend.pipeline import request; from infrablend.cli import main; "
+    "request.Execution = functools.partial(request.Execution, renderer='flat', in_process=True); main()"
+)
+
+
+def test_jobs_that_start_together_share_the_copy_of_the_backgrounds(dataset, server):
+    server.files().put(f"{dataset}/", f"{server.bucket}/data/", recursive=True)
+    seen: list[str] = []
+
+    def slow(method, path, _):
+        if method == "GET" and path.endswith(".jpg"):
+            seen.append(path)
+            time.sleep(0.3)
+
+    server.rule = slow
+    jobs = [
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *map(str, command(f"s3://{server.bucket}/data", server.address, *PACKED)),
+             "--shard", which], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )
+        for which in ("1/2", "2/2")
+    ]  # fmt: skip
+    ended = [(job.communicate()[1], job.returncode) for job in jobs]
+    assert [code for _, code in ended] == [0, 0], ended
+    assert len(seen) == len(set(seen)), "copied once"
+    assert server.names() == sorted([*FIRST, *SECOND, SHARDS_FILE])
+
+
+def test_a_copy_that_is_read_is_neither_changed_nor_removed(dataset, server, tmp_path):
+    files, address = server.files(), f"s3://{server.bucket}/data"
+    files.put(f"{dataset}/", f"{server.bucket}/data/", recursive=True)
+    program = (
+        "import sys; from infrablend.storage.mirror import local_folder; "
+        "print(local_folder(sys.argv[1]), flush=True); input()"
+    )
+    reader = subprocess.Popen(
+        [sys.executable, "-c", program, address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert reader.stdin is not None
+    assert reader.stdout is not None
+    copy = Path(reader.stdout.readline().strip())
+    os.utime(copy.parent, (0, 0))  # it began more than a week ago
+    lasting("something else")
+    assert copy.is_dir()
+    first, second = [p for p in files.find(f"{server.bucket}/data") if p.endswith(".jpg")][:2]
+    files.pipe_file(f"{server.bucket}/data/new.txt", b"x")
+    done(*command(address, tmp_path / "before", "--limit", 2))
+    files.pipe_file(first, files.cat_file(second))
+    before = hashes(copy)
+    ended = run(*command(address, tmp_path / "run", "--limit", 2))
+    assert ended.exit_code == 2, ended.output
+    assert "1 files were changed or removed" in ended.output
+    assert hashes(copy) == before
+    reader.communicate("\n")
+    done(*command(address, tmp_path / "run", "--limit", 2))
+    os.utime(copy.parent, (0, 0))
 
 
 def test_a_dataset_that_is_not_there(server, tmp_path):

@@ -17,8 +17,8 @@ from typing import Any
 from infrablend.core.addresses import address_of
 from infrablend.core.file_names import MAX_NAME_BYTES, join_inside
 from infrablend.core.files import read_object, write_json
-from infrablend.core.output import OutputFolder
-from infrablend.errors import DatasetError, Problem, StorageError
+from infrablend.errors import DatasetError, OutputError, Problem, StorageError
+from infrablend.storage.locks import is_used, keep_read, locked, release
 from infrablend.storage.scratch import lasting
 from infrablend.storage.store import Store
 
@@ -39,13 +39,15 @@ def local_folder(path: str | Path, store: Store | None = None) -> Path:
     Raises:
         DatasetError: There is nothing at the address.
         StorageError, MissingDependencyError: The storage cannot be used, or this machine has no space for a copy.
-        OutputError: Another process makes the same copy, or it cannot be written.
+        OutputError: It cannot be written, or another process reads files in it that have changed.
     """
     if (address := address_of(path)) is None:
         return Path(path)
     store = store or Store(address)
     root = lasting(f"copy of {address}")
-    with OutputFolder(root, f"copy of {address}").claimed():
+    files = root / _FILES
+    # Jobs that start together on one machine need the same copy: the first one makes it, the others wait.
+    with locked(root, f"copy of {address}"):
         wanted = store.tree()
         if not wanted:
             raise DatasetError(
@@ -55,17 +57,34 @@ def local_folder(path: str | Path, store: Store | None = None) -> Path:
         known = (read_object(root / _INDEX) or {}).get("files", {})
         stale = {name for name, facts in wanted.items() if not _is_same(root, name, facts, known)}
         _require_space(address, sum(int(wanted[name]["bytes"]) for name in stale), root)
-        for name in sorted(known.keys() - wanted.keys()):
-            _remove(root / _FILES, name)
+        gone = known.keys() - wanted.keys()
+        _require_unread(address, files, len(gone | (stale & known.keys())))
+        for name in sorted(gone):
+            _remove(files, name)
         # Files that are being replaced are not in the index, should this process end here.
         _write_index(root, address, {n: f for n, f in wanted.items() if n not in stale})
         for name in sorted(stale):
-            target = join_inside(root / _FILES, name)
+            target = join_inside(files, name)
             target.parent.mkdir(parents=True, exist_ok=True)
             store.download(name, target)
         _write_index(root, address, wanted)
+        keep_read(files)
     log.info("%s: %d files, %d of them copied now", address, len(wanted), len(stale))
-    return root / _FILES
+    return files
+
+
+def _require_unread(address: str, files: Path, changed: int) -> None:
+    """Check that no other process reads files that are to be replaced or removed.
+
+    Raises:
+        OutputError: One does.
+    """
+    release(files)
+    if changed and is_used(files):
+        raise OutputError(
+            f"{address}: {changed} files were changed or removed since another process of this machine began to read "
+            f"its copy in {files}; expected none while it does. Wait until it ends, or set TMPDIR to another folder"
+        )
 
 
 def _require_names(address: str, names: Collection[str]) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from infrablend.core.files import output_error
 from infrablend.core.output import OutputFolder
 from infrablend.errors import OutputError
+from infrablend.storage.locks import is_used
 
 log = logging.getLogger(__name__)
 
@@ -86,13 +87,18 @@ def _parent() -> Path:
     return folder
 
 
+def _is_used(root: Path) -> bool:
+    return any(is_used(folder) for folder in (root, *(f for f in root.iterdir() if f.is_dir())))
+
+
 def _remove_unused(parent: Path) -> None:
     """Delete scratch folders that no process has used for a week."""
     for root in sorted(parent.iterdir()):
         try:
             old = time.time() - root.lstat().st_mtime > _UNUSED_S
-        except OSError:
+            unused = old and not root.is_symlink() and root.is_dir() and not _is_used(root)
+        except OSError:  # removed by another command
             continue
-        if old and not root.is_symlink() and root.is_dir() and not OutputFolder(root, "scratch folder").is_claimed():
+        if unused:
             log.info("%s: removed; nobody used it for a week", root)
             shutil.rmtree(root, ignore_errors=True)
