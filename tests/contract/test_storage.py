@@ -114,6 +114,16 @@ def test_addresses_that_are_refused(dataset, given):
     assert "geheim" not in ended.output
 
 
+def test_a_temporary_folder_that_is_not_there_is_named(dataset, server, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "nothing", tmp_path / "file"):
+        monkeypatch.setenv("TMPDIR", str(place))
+        ended = run(*shard(dataset, server, "1/2"))
+        assert ended.exit_code == 3
+        assert f"TMPDIR: {place}; expected a folder" in ended.output
+    assert server.names() == []
+
+
 def test_files_need_a_folder(dataset, server):
     for words in ((), ("--plan",), ("--shard", "1/2")):
         # Nothing is copied for a command that cannot succeed.

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from infrablend.core.files import output_error
 from infrablend.core.output import OutputFolder
-from infrablend.errors import OutputError
+from infrablend.errors import OutputError, Problem
 from infrablend.storage.locks import is_used
 
 log = logging.getLogger(__name__)
@@ -70,8 +70,14 @@ def _parent() -> Path:
     """Return the folder of all scratch folders of this user, which nobody else can write to.
 
     Raises:
-        OutputError: It is somebody else's, or cannot be made.
+        OutputError: It is somebody else's, or cannot be made, or TMPDIR is no folder.
     """
+    given = os.environ.get("TMPDIR")
+    if given and not (Path(given).is_dir() and os.access(given, os.W_OK | os.X_OK)):
+        # Python would take /tmp, which may be small, or in memory, or the folder that the command runs in.
+        expected = "a folder that exists and can be written, for what goes to object storage or comes from there"
+        problem = Problem("TMPDIR", "not-writable", given, expected, "make it, or set TMPDIR to another one")
+        raise OutputError("the temporary folder cannot be used", [problem])
     folder = Path(tempfile.gettempdir()) / f"infrablend-{os.getuid()}"
     try:
         with contextlib.suppress(FileExistsError):
