@@ -19,6 +19,7 @@ import typer
 
 from infrablend.cli.stopping import stop_requested
 from infrablend.core.file_names import escape_unfit
+from infrablend.core.files import output_error
 from infrablend.errors import (
     FetchError,
     InfraBlendError,
@@ -99,6 +100,9 @@ def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[st
 
 def report_error(error: BaseException, log_path: Path | None) -> int:
     """Print an error on stderr, write its details to the log, and return the exit code."""
+    if isinstance(error, OSError) and error.errno in _DISK and not isinstance(error, InfraBlendError):
+        logger.info("the disk", exc_info=error)
+        error = output_error(Path(str(error.filename or "the disk")), error)
     code = exit_code(error)
     if code == BUG and stop_requested():
         logger.info("an error in place of the stop", exc_info=error)

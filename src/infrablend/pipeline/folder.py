@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, part_path, sha256_of_json, write_json
+from infrablend.core.files import load_json, output_error, part_path, sha256_of_json, write_json
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.manifest import REPLACED, Manifest, files_below, remove_empty
 from infrablend.core.output import Existing, OutputFolder
@@ -153,6 +153,19 @@ class RunFolder(RunLayout):
         remove_empty(self.root, [f"{LOGS}/{MANIFEST}"])
         self.run_file.unlink(missing_ok=True)
 
+    def clear_remains(self, manifest: Manifest, record: Mapping[str, Any]) -> None:
+        """Remove what this call wrote to a folder that it made itself, because its own had been removed.
+
+        Pictures whose record is gone cannot be shown to be InfraBlend's and stay, with the record of an unfinished run,
+        so that `resume` finishes it. Nothing is done if another run uses the folder.
+        """
+        if self.output.is_claimed() or os.path.lexists(self.run_file):
+            return
+        with contextlib.suppress(OutputError):
+            manifest.remove_own()
+            if self.output.entries():
+                self.write_run({**record, "status": "interrupted"})
+
     def _remove_start(self) -> None:
         """Remove what a run leaves that was killed, or ran out of space, before its first record.
 
@@ -218,7 +231,10 @@ class RunFolder(RunLayout):
         output = self.output
         if self.root.is_dir():
             self._require_plain_logs()
-            self._remove_start()
+            try:
+                self._remove_start()
+            except OSError as error:
+                raise output_error(self.root, error) from error
         entries = output.require_empty(existing=existing)
         if entries and RUN_FILE not in entries:
             raise output.refuse_not_ours()

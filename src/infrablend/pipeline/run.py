@@ -157,6 +157,7 @@ def run_plan(
         if levels is not None:
             header["levels"] = list(levels)
         manifest = folder.manifest()
+        stack.push(_clearing_remains(folder, manifest, header, require_claim))
         if previous is None:
             manifest.reset()
         kept_out = {} if previous is None else require_choice(previous, folder)
@@ -254,6 +255,21 @@ def run_plan(
                 "Repeat the command with --resume to continue."
             )
     return RunReport(out, status, record["counts"], (*problems, *notes), time.monotonic() - started)
+
+
+def _clearing_remains(
+    folder: RunFolder, manifest: Manifest, header: Mapping[str, Any], require_claim: Callable[[], None]
+) -> Callable[[object, object, object], None]:
+    """Return what an exit stack calls last, for a run whose folder was removed and made again by its own writes."""
+
+    def clear(kind: object, error: object, trace: object) -> None:
+        if kind is not None:
+            try:
+                require_claim()
+            except OutputError:
+                folder.clear_remains(manifest, header)
+
+    return clear
 
 
 def _levels(plan: RunPlan, previous: Mapping[str, Any] | None) -> tuple[float, float] | None:

@@ -1,6 +1,7 @@
 """The command line: arguments passed to the API (a stand-in here), messages, exit codes."""
 
 import dataclasses
+import errno
 import importlib.util
 import inspect
 import io
@@ -303,6 +304,17 @@ def test_errors_in_place_of_a_stop_are_no_bugs(api, capsys, log_path, number):
     assert "invalid box" in log_path.read_text()
     api.answers["generate"] = lambda *a, **k: 1 // 0
     assert main(GENERATE) == 70  # the next command of the process was not stopped
+
+
+def test_a_failing_disk_is_no_bug(api, capsys, log_path):
+    def fail(*a, **k):
+        raise OSError(errno.EIO, "Input/output error", "out/run.json")
+
+    api.answers["generate"] = fail
+    assert main(GENERATE) == 3
+    err = capsys.readouterr().err
+    assert "cannot write out/run.json" in err and "bug" not in err
+    assert "Traceback" in log_path.read_text()
 
 
 def test_warnings_of_the_run_reach_stderr_not_stdout(api, capsys):

@@ -475,3 +475,31 @@ def test_what_is_in_both_places_of_an_excluded_picture_is_kept(made: Path, tmp_p
     assert ended.exit_code in (0, 1, 2, 3), ended.output
     kept = [p for p in made.rglob("*") if (p.is_symlink() if what == "links" else p.name == "note")]
     assert len(kept) == 2, (ended.output, sorted(made.rglob("*.jpg*")))
+
+
+@pytest.mark.parametrize("place", ["images", "voc/Annotations", "yolo/labels"])
+def test_a_folder_removed_while_files_are_written_can_be_used_again(data, tmp_path, monkeypatch, place):
+    out, mkdir = tmp_path / "out", Path.mkdir
+    words = command(data, out)
+    removed = []
+
+    def remove(path: Path, *rest: object, **options: object) -> None:
+        if not removed and out / place in (path, *path.parents) and not path.exists():
+            removed.append(path)
+            shutil.rmtree(out)
+        mkdir(path, *rest, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "mkdir", remove)
+        ended = run(*words)
+    assert removed and ended.exit_code in (2, 3), ended.output
+    again = run(*words)
+    if again.exit_code:
+        done(*words, "--resume")
+    done("check", out)
+    done(*command(data, tmp_path / "whole", "--to", "voc,yolo"))
+    found, whole = (
+        {n: data for n, data in tree(root).items() if "/" in n and not n.startswith("log/")}
+        for root in (out, tmp_path / "whole")
+    )
+    assert found == whole
