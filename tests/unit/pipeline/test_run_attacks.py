@@ -497,7 +497,7 @@ def test_a_folder_removed_while_files_are_written_can_be_used_again(data, tmp_pa
     if again.exit_code:
         done(*words, "--resume")
     done("check", out)
-    done(*command(data, tmp_path / "whole", "--to", "voc,yolo"))
+    done(*command(data, tmp_path / "whole"))
     found, whole = (
         {n: data for n, data in tree(root).items() if "/" in n and not n.startswith("log/")}
         for root in (out, tmp_path / "whole")
