@@ -195,6 +195,20 @@ def test_crashed_worker_is_replaced_and_its_task_retried(tmp_path):
     }
 
 
+def test_many_short_tasks_with_crashes_are_each_done_once(make, request, tmp_path):
+    if "serial" in request.node.name:
+        pytest.skip("a crash ends a serial run")
+    done = [("give", n) for n in range(90)]
+    done[40], done[70] = ("die", 5), ("die_once", str(tmp_path / "flag"))
+    results = list(make(OBEY).run(orders(*done)))
+    by_key = {r.key: r for r in results}
+    assert len(results) == len(by_key) == 90
+    assert [k for k, r in by_key.items() if r.failure is not None] == ["t40"]
+    assert (by_key["t40"].failure.kind, by_key["t40"].attempts) == ("crash", 3)
+    assert by_key.pop("t70").value == "second try"
+    assert all(by_key[f"t{n}"].value == n for n in range(90) if n not in (40, 70))
+
+
 @pytest.mark.parametrize(
     ("order", "words"),
     [

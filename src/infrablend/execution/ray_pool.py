@@ -2,9 +2,11 @@
 
 A worker is an actor that keeps its callable, as a process of `ProcessPool` does, and the rules are the same: a task
 whose worker died or hung is tried again on another one, workers are replaced after a number of tasks, and values do
-not depend on who computed them. Ray decides where the actors run, waits for machines, and notices their loss. Only
-tasks, each of a few kilobytes, and results go through the driver; pictures, models and frames are read and written by
-the workers, so all machines need the same paths and packages.
+not depend on who computed them. Short tasks are sent several at a time, because a message costs as much as a tenth of a
+small frame; if their worker is lost, each is tried again by itself, so that the one at fault is found. Ray decides
+where the actors run, waits for machines, and notices their loss. Only tasks, each of a few kilobytes, and results go
+through the driver; pictures, models and frames are read and written by the workers, so all machines need the same paths
+and packages.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -35,6 +37,8 @@ log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _CONNECT_S = 10.0
 _REMIND_S = 60.0
+_BATCH_S = 0.5
+_BATCH_MOST = 8
 
 
 @dataclass(frozen=True)
@@ -76,8 +80,8 @@ class RayPool:
             return  # without starting Ray
         with contextlib.ExitStack() as stack:
             stack.enter_context(_messages_to_log())
-            ray = stack.enter_context(_connected(self._settings))
-            run = _Run(ray, self._settings, self._worker)
+            ray, own = stack.enter_context(_connected(self._settings))
+            run = _Run(ray, self._settings, self._worker, own)
             stop = stack.enter_context(Interruption(run.kill_all))
             stack.callback(run.kill_all)
             yield from run.results(chain([first], source), stop)
@@ -85,8 +89,11 @@ class RayPool:
 
 
 @contextlib.contextmanager
-def _connected(settings: RaySettings) -> Iterator[Any]:
+def _connected(settings: RaySettings) -> Iterator[tuple[Any, bool]]:
     """Connect to a cluster, or start Ray on this machine; stop what was started.
+
+    Yields:
+        The module `ray`, and whether Ray was started here, with the variables that workers need.
 
     Raises:
         MissingDependencyError: Ray is not installed.
@@ -100,7 +107,7 @@ def _connected(settings: RaySettings) -> Iterator[Any]:
             'Ray is not installed. Run: pip install "infrablend[ray]" (in a checkout: make ray)'
         ) from error
     if ray.is_initialized():
-        yield ray
+        yield ray, False
         return
     address = settings.address or os.environ.get("RAY_ADDRESS")
     if address is None:
@@ -114,7 +121,8 @@ def _connected(settings: RaySettings) -> Iterator[Any]:
     terminated = signal.getsignal(signal.SIGTERM)
     try:
         _require_listener(address)
-        ray.init(log_to_driver=False, configure_logging=False, **options)
+        with _variables(ONE_THREAD if address is None else {}):
+            ray.init(log_to_driver=False, configure_logging=False, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         where = "on this machine" if address is None else f"at {address}"
         raise OutputError(
@@ -124,9 +132,24 @@ def _connected(settings: RaySettings) -> Iterator[Any]:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, terminated)  # Ray has a handler of its own
     try:
-        yield ray
+        yield ray, address is None
     finally:
         ray.shutdown()
+
+
+@contextlib.contextmanager
+def _variables(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables in this context, for the processes that are started in it."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _require_listener(address: str | None) -> None:
@@ -158,23 +181,22 @@ def _messages_to_log() -> Iterator[None]:
 
 @dataclass
 class _Attempt:
-    """An attempt at a task; `number` counts from 1."""
+    """An attempt at a task, by itself after its worker was lost; `number` counts from 1."""
 
     task: Task
     number: int = 1
+    alone: bool = False
 
 
 @dataclass(eq=False)
 class _Worker:
     """The driver's view of one actor.
 
-    It has one task at a time: a lost worker then tells which task it was running, and handing over the next one takes
-    milliseconds.
-
     Attributes:
         starting: Reference to the result of its start, until that is known.
-        current: Reference to the result of its task, and the attempt; None while it is idle.
-        since: Start of its task, on the monotonic clock.
+        finished: Number of tasks that it has finished.
+        since: Start of its tasks, on the monotonic clock.
+        current: Reference to the results of its tasks, and the attempts; None while it is idle.
     """
 
     number: int
@@ -182,17 +204,17 @@ class _Worker:
     starting: Any
     finished: int = 0
     since: float = field(default_factory=time.monotonic)
-    current: tuple[Any, _Attempt] | None = None
+    current: tuple[Any, Sequence[_Attempt]] | None = None
 
 
 class _Run:
     """State of a pool: its actors and the waiting tasks."""
 
-    def __init__(self, ray: Any, settings: RaySettings, spec: WorkerSpec) -> None:
+    def __init__(self, ray: Any, settings: RaySettings, spec: WorkerSpec, own: bool) -> None:
         self._ray = ray
         self._settings = settings
         self._spec = ray.put(spec)
-        self._actor_class = _actor_class(ray, settings)
+        self._actor_class = _actor_class(ray, settings, own)
         self._most = settings.workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
         self._workers: list[_Worker] = []
         self._started = 0
@@ -200,6 +222,8 @@ class _Run:
         self._pending: deque[_Attempt] = deque()
         self._arrived: deque[TaskResult] = deque()
         self._open = 0
+        self._batch = 1
+        self._task_s = 0.0
 
     def results(self, source: Iterator[Task], stop: Interruption) -> Iterator[TaskResult]:
         """Feed workers, wait and collect results until no task is left or the user stops the run."""
@@ -211,7 +235,7 @@ class _Run:
                 give_up_at = time.monotonic() + self._settings.grace_s
                 self._pending.clear()
             if give_up_at is None:
-                while not exhausted and self._open < self._most:
+                while not exhausted and self._open < self._most * self._batch:
                     task = next(source, None)
                     if task is None:
                         exhausted = True
@@ -250,9 +274,18 @@ class _Run:
         """Hand waiting tasks to idle workers."""
         for w in self._workers:
             if self._pending and w.starting is None and w.current is None:
-                attempt = self._pending.popleft()
+                attempts = self._next(w)
                 w.since = time.monotonic()
-                w.current = w.actor.perform.remote(attempt.task), attempt
+                w.current = w.actor.perform.remote([a.task for a in attempts]), attempts
+
+    def _next(self, w: _Worker) -> list[_Attempt]:
+        """Take the next tasks for a worker from those that wait: a fair share, and what was tried before alone."""
+        share = -(-len(self._pending) // len(self._workers))
+        most = max(1, min(self._batch, share, self._settings.tasks_per_worker - w.finished))
+        attempts = [self._pending.popleft()]
+        while len(attempts) < most and self._pending and not (attempts[0].alone or self._pending[0].alone):
+            attempts.append(self._pending.popleft())
+        return attempts
 
     # ---- collecting
 
@@ -269,14 +302,14 @@ class _Run:
             if w.starting is not None and w.starting in ready:
                 self._take_start(w)
             if w.current is not None and w.current[0] in ready:
-                self._take_result(w, *w.current, winding_down)
+                self._take_results(w, *w.current, winding_down)
         limit = self._settings.task_timeout_s
         for w in list(self._workers):
             if limit is None or w.current is None or time.monotonic() - w.since <= limit:
                 continue
-            reference, attempt = w.current
+            reference, attempts = w.current
             if not self._ray.wait([reference], timeout=0)[0]:  # a slow consumer is not a hang
-                self._handle_lost_worker(w, attempt, "timeout", f"took longer than {limit:g} s", winding_down)
+                self._handle_lost_worker(w, attempts, "timeout", f"took longer than {limit:g} s", winding_down)
 
     def _take_start(self, w: _Worker) -> None:
         try:
@@ -297,37 +330,53 @@ class _Run:
             raise start_error(failure)
         self._failed_starts = 0
 
-    def _take_result(self, w: _Worker, reference: Any, attempt: _Attempt, winding_down: bool) -> None:
+    def _take_results(self, w: _Worker, reference: Any, attempts: Sequence[_Attempt], winding_down: bool) -> None:
         try:
-            done: ResultMessage = self._ray.get(reference)
+            messages: list[ResultMessage] = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
-            self._handle_lost_worker(w, attempt, "crash", "was lost", winding_down, str(error))
+            self._handle_lost_worker(w, attempts, "crash", "was lost", winding_down, str(error))
             return
         w.current = None
-        w.finished += 1
-        value, failure = value_of(done, attempt.task)
-        if self._settings.is_due(w.finished, done.rss_bytes):
+        w.finished += len(messages)
+        if self._settings.is_due(w.finished, messages[-1].rss_bytes):
             self._workers.remove(w)
             self._end(w)
-        self._deliver(
-            TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
-        )
+        for attempt, done in zip(attempts, messages, strict=True):
+            value, failure = value_of(done, attempt.task)
+            self._deliver(
+                TaskResult(attempt.task.key, value, failure, attempt.number, done.seconds, w.number, done.rss_bytes)
+            )
+        mean_s = sum(m.seconds for m in messages) / len(messages)
+        self._task_s = 0.9 * self._task_s + 0.1 * mean_s if self._task_s else mean_s
+        fitting = int(_BATCH_S / max(self._task_s, 1e-6))
+        self._batch = max(1, min(_BATCH_MOST, 2 * self._batch, fitting))  # the first task may have been the shortest
 
     def _deliver(self, result: TaskResult) -> None:
         self._open -= 1
         self._arrived.append(result)
 
     def _handle_lost_worker(
-        self, w: _Worker, attempt: _Attempt, kind: FailureKind, what: str, winding_down: bool, output: str = ""
+        self,
+        w: _Worker,
+        attempts: Sequence[_Attempt],
+        kind: FailureKind,
+        what: str,
+        winding_down: bool,
+        output: str = "",
     ) -> None:
-        """Retry or fail the task that a worker was running when it, or its machine, was lost."""
+        """Retry or fail the tasks that a worker was running when it, or its machine, was lost."""
         self._workers.remove(w)
         self._ray.kill(w.actor)
         if winding_down:
             return
+        if len(attempts) > 1:
+            log.warning("worker %d %s on one of %d tasks; trying each again", w.number, what, len(attempts))
+            self._pending.extendleft(_Attempt(a.task, a.number, alone=True) for a in reversed(attempts))
+            return
+        (attempt,) = attempts
         if attempt.number <= self._settings.retries:
             log.warning("worker %d %s on %s; trying again", w.number, what, attempt.task.key)
-            self._pending.appendleft(_Attempt(attempt.task, attempt.number + 1))
+            self._pending.appendleft(_Attempt(attempt.task, attempt.number + 1, alone=True))
             return
         failure = loss_of(attempt.task, kind, what, attempt.number, output)
         self._deliver(TaskResult(attempt.task.key, None, failure, attempt.number, 0.0, w.number, 0))
@@ -356,11 +405,12 @@ class _Run:
         self._workers.clear()
 
 
-def _actor_class(ray: Any, settings: RaySettings) -> Any:
+def _actor_class(ray: Any, settings: RaySettings, own: bool) -> Any:
     from infrablend.execution.ray_worker import RayWorker
 
     options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0}
-    options["runtime_env"] = {"env_vars": dict(ONE_THREAD)}
+    if not own:  # whoever started it may have set other variables; workers with an environment of theirs start later
+        options["runtime_env"] = {"env_vars": dict(ONE_THREAD)}
     if settings.worker_bytes:
         options["memory"] = settings.worker_bytes
     if settings.gpus:

@@ -35,10 +35,10 @@ class RayWorker:
             return failure_of(error)
         return None
 
-    def perform(self, task: Task) -> ResultMessage:
-        """Perform a task."""
+    def perform(self, tasks: list[Task]) -> list[ResultMessage]:
+        """Perform tasks, one after the other."""
         assert self._work is not None
-        return perform(self._work, task, self._process)
+        return [perform(self._work, task, self._process) for task in tasks]
 
     def finish(self) -> None:
         """Close the callable; no task may follow."""
