@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -14,8 +14,9 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.finished import markers_of, require_finished
 from infrablend.core.format_table import FORMATS, Format, find_format
+from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, temperatures
+from infrablend.formats import folder, shards, temperatures
 from infrablend.formats.base import Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
@@ -23,6 +24,9 @@ from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.run_root import labels_of_run
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import hidden_pictures, unread_label_files
+
+PART_FRAMES = 2000
+"""Largest number of frames of a part of a dataset; smaller datasets are read at once."""
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
@@ -62,51 +66,97 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         DatasetError: The folder cannot be read, belongs to an unfinished run, conversion or split, or its format does
             not have one of the options. Or it is a run that has no labels in the wanted format.
     """
-    if not root.is_dir():
-        todo = (
-            "check the path"
-            if address_of(root) is None
-            else "copy it here first, with `infrablend merge` if it is a run"
-        )
-        problem = Problem(shown(root), "folder-missing", "no such folder", "the folder of a dataset", todo)
-        raise DatasetError("no dataset to read", [problem])
-    require_finished(root)
-    markers = markers_of(root)
-    root, format = labels_of_run(root, reading.format)
-    if format is None:
-        found = detect(root)
-        if found.format is None:
-            problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
-            raise UnknownFormatError(f"{root}: no format fits", problems)
-        format = found.format
-    chosen = find_format(format)
-    given: dict[str, Any] = dict(reading.options)
-    stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
-    scale = temperatures.scale_of_options(stated) if stated else None
-    if reading.form is not None:
-        given["form"] = reading.form
-    table = None if reading.metadata is None else Path(reading.metadata)
-    module = import_module(chosen.module)
-    known = reader_options(chosen)
-    problems = [
-        Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
-        for name, value in sorted(given.items())
-        if name not in known
-    ]
-    if table is not None and not getattr(module, "TAKES_TABLE", True):
-        message = f"{chosen.name} already contains pitch and altitude"
-        problems.append(Problem(table.name, "table-unused", message, "no table", "leave it out"))
-    if problems:
-        raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
-    if table is not None:
-        given["metadata"] = real_path(table)  # the user's own file: it may be a link to anywhere
-    dataset = with_fitting_fields(_with_regular_pictures(module.read(root, splits=reading.splits, **given)))
-    if stated:
-        dataset = temperatures.with_scale(dataset, scale)
-    dataset = add_flight_data(dataset)
-    unread = _unread(dataset) if dataset.format == folder.NAME else ()
-    remarks = (*unread, *hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
-    return replace(dataset, problems=(*dataset.problems, *remarks), markers=markers)
+    reader = _Reader.of(root, reading)
+    return reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
+
+
+def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
+    """Read a dataset in parts, if its format can be; the arguments and errors are those of `read`.
+
+    Args:
+        root: Folder of the dataset.
+        pictures: Empty folder for the pictures of one part, which are deleted when the next one is asked for.
+        reading: See `read`.
+    """
+    reader = _Reader.of(root, reading)
+    if reader.module is not shards:
+        yield reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
+        return
+    for part in shards.read_parts(reader.root, pictures, splits=reading.splits, most=PART_FRAMES):
+        yield reader.completed(part)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """The reader of a folder, with its options.
+
+    Attributes:
+        root: Folder of the labels.
+        module: Module of the format.
+        options: Options of the reader.
+        stated: Whether the user stated how levels mean temperatures.
+        scale: That scale, if it is one for all pictures.
+        markers: What identifies InfraBlend's records for the folder.
+    """
+
+    root: Path
+    module: Any
+    options: Mapping[str, Any]
+    stated: bool
+    scale: TemperatureScale | None
+    markers: Mapping[str, str]
+
+    @classmethod
+    def of(cls, root: Path, reading: Reading) -> _Reader:
+        if not root.is_dir():
+            todo = (
+                "check the path"
+                if address_of(root) is None
+                else "copy it here first, with `infrablend merge` if it is a run"
+            )
+            problem = Problem(shown(root), "folder-missing", "no such folder", "the folder of a dataset", todo)
+            raise DatasetError("no dataset to read", [problem])
+        require_finished(root)
+        markers = markers_of(root)
+        root, format = labels_of_run(root, reading.format)
+        if format is None:
+            found = detect(root)
+            if found.format is None:
+                problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
+                raise UnknownFormatError(f"{root}: no format fits", problems)
+            format = found.format
+        chosen = find_format(format)
+        given: dict[str, Any] = dict(reading.options)
+        stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
+        scale = temperatures.scale_of_options(stated) if stated else None
+        if reading.form is not None:
+            given["form"] = reading.form
+        table = None if reading.metadata is None else Path(reading.metadata)
+        module = import_module(chosen.module)
+        known = reader_options(chosen)
+        problems = [
+            Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
+            for name, value in sorted(given.items())
+            if name not in known
+        ]
+        if table is not None and not getattr(module, "TAKES_TABLE", True):
+            message = f"{chosen.name} already contains pitch and altitude"
+            problems.append(Problem(table.name, "table-unused", message, "no table", "leave it out"))
+        if problems:
+            raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
+        if table is not None:
+            given["metadata"] = real_path(table)  # the user's own file: it may be a link to anywhere
+        return cls(root, module, given, bool(stated), scale, markers)
+
+    def completed(self, dataset: Dataset) -> Dataset:
+        """Return what the module read with the facts and remarks that do not depend on the format."""
+        dataset = with_fitting_fields(_with_regular_pictures(dataset))
+        if self.stated:
+            dataset = temperatures.with_scale(dataset, self.scale)
+        dataset = add_flight_data(dataset)
+        unread = _unread(dataset) if dataset.format == folder.NAME else ()
+        remarks = (*unread, *hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
+        return replace(dataset, problems=(*dataset.problems, *remarks), markers=self.markers)
 
 
 def _unread(dataset: Dataset) -> Sequence[Problem]:

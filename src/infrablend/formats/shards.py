@@ -6,8 +6,9 @@ shards.json   shard-00001-of-00002.tar   shard-00001-of-00002.parquet   shard-00
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -49,38 +50,88 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     Raises:
         DatasetError: A shard is missing, damaged or of another run, or no frame can be read.
     """
-    wanted = check_splits(splits)
-    key = (read_object(root / SHARDS_FILE) or {}).get("key")
-    found: list[ImageRecord] = []
-    problems: list[Problem] = []
-    categories: tuple[Category, ...] = ()
-    shards = _markers(root)
-    for files in shards:
-        record = _record(files, key)
-        categories = categories or _categories(files, record)
-        known = {c.name for c in categories}
-        folder = derived_folder(files.tar, NAME)
-        for frame in packed_frames(files.tar):
-            try:
-                image = image_of(json.loads(frame.label), folder)
-                if unknown := {i.category for i in image.instances} - known:
-                    raise ValueError(f"category {min(map(str, unknown))!r} is not in {files.marker.name}")
-            except _DAMAGED as error:
-                where, text = f"{files.tar.name}: {frame.key}", f"{type(error).__name__}: {error}"
-                problems.append(Problem(where, "annotation-layout", text, "labels as they were written", _MAKE_AGAIN))
-                continue
-            if image.split not in wanted:
-                continue
-            if not image.path.is_file():
-                write_bytes(image.path, frame.image)
-            found.append(image)
-    if not found:
-        raise DatasetError(
-            f"{root}: no frame of {', '.join(sorted(wanted))} in {len(shards)} shards", shorten(problems)
-        )
-    ids = assign_ids(f"{i.split}/{i.name}" for i in found)
-    images = sort_images(replace(i, id=ids[f"{i.split}/{i.name}"]) for i in found)
-    return Dataset(root, NAME, categories, images, tuple(problems), {"labels": NAME, "shards": len(shards)})
+    frames = _Frames(root, check_splits(splits))
+    found = list(frames.unpacked(lambda files: derived_folder(files.tar, NAME), again=False))
+    frames.require_any(len(found))
+    return frames.dataset(found)
+
+
+def read_parts(root: Path, folder: Path, *, splits: Iterable[str] | None = None, most: int) -> Iterator[Dataset]:
+    """Read the labels of every shard in parts, of which one is in memory; the arguments and errors are those of `read`.
+
+    Args:
+        root: Folder of the run in shards.
+        folder: Empty folder for the pictures of one part; they are deleted when the next one is asked for.
+        splits: Splits to read; None reads all.
+        most: Largest number of frames of a part.
+    """
+    frames, count = _Frames(root, check_splits(splits)), 0
+    unpacked = frames.unpacked(lambda files: folder, again=True)
+    while part := list(islice(unpacked, most)):
+        count += len(part)
+        yield frames.dataset(part)
+        for image in part:
+            image.path.unlink(missing_ok=True)
+    frames.require_any(count)
+    if frames.problems:  # of frames after the last one that could be read
+        yield frames.dataset([])
+
+
+def frame_count(root: Path) -> int:
+    """Return the number of frames that the records of the shards state."""
+    counts = (((read_object(files.marker) or {}).get("counts") or {}).get("frames") for files in _markers(root))
+    return sum(n for n in counts if isinstance(n, int))
+
+
+class _Frames:
+    """Frames of all shards of a run.
+
+    Attributes:
+        problems: Problems of the frames since the last dataset.
+    """
+
+    def __init__(self, root: Path, wanted: Collection[str]) -> None:
+        self._root, self._wanted = root, wanted
+        self._shards = _markers(root)
+        self._categories: tuple[Category, ...] = ()
+        self.problems: list[Problem] = []
+
+    def unpacked(self, folder_of: Callable[[ShardFiles], Path], again: bool) -> Iterator[ImageRecord]:
+        """Yield the frames that can be read, with their pictures in a folder; `again` replaces those that are there."""
+        key = (read_object(self._root / SHARDS_FILE) or {}).get("key")
+        for files in self._shards:
+            record = _record(files, key)
+            self._categories = self._categories or _categories(files, record)
+            known = {c.name for c in self._categories}
+            folder = folder_of(files)
+            for frame in packed_frames(files.tar):
+                try:
+                    image = image_of(json.loads(frame.label), folder)
+                    if unknown := {i.category for i in image.instances} - known:
+                        raise ValueError(f"category {min(map(str, unknown))!r} is not in {files.marker.name}")
+                except _DAMAGED as error:
+                    where, text = f"{files.tar.name}: {frame.key}", f"{type(error).__name__}: {error}"
+                    self.problems.append(
+                        Problem(where, "annotation-layout", text, "labels as they were written", _MAKE_AGAIN)
+                    )
+                    continue
+                if image.split not in self._wanted:
+                    continue
+                if again or not image.path.is_file():
+                    write_bytes(image.path, frame.image)
+                yield image
+
+    def require_any(self, count: int) -> None:
+        if not count:
+            found = f"no frame of {', '.join(sorted(self._wanted))} in {len(self._shards)} shards"
+            raise DatasetError(f"{self._root}: {found}", shorten(self.problems))
+
+    def dataset(self, found: Sequence[ImageRecord]) -> Dataset:
+        ids = assign_ids(f"{i.split}/{i.name}" for i in found)
+        images = sort_images(replace(i, id=ids[f"{i.split}/{i.name}"]) for i in found)
+        problems, self.problems = tuple(self.problems), []
+        notes = {"labels": NAME, "shards": len(self._shards)}
+        return Dataset(self._root, NAME, self._categories, images, problems, notes)
 
 
 def _record(files: ShardFiles, key: object) -> Mapping[str, Any]:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import require_still_there, write_json
 from infrablend.core.finished import UNFINISHED
 from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection, folder
+from infrablend.formats import detection, folder, shards
 from infrablend.formats.annotation_files import noting_understood
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.unread import unread_label_files
 from infrablend.pipeline.written import changes_since_written
-from infrablend.report.checking import CheckReport, check_dataset, unreadable
+from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 from infrablend.report.picture_mark import CHARTS, software_of
+from infrablend.storage.scratch import scratch
 
 # Codes of problems caused by the command, not by the data.
 _USAGE = {UNFINISHED, "folder-missing", "option-unknown", "option-value", "table-unused"}
@@ -62,6 +65,8 @@ def check_folder(
         UnknownFormatError: No known format matches the folder.
         DatasetError: The folder does not exist, or the format does not support one of the options.
     """
+    if _is_packed(root, reading):
+        return _check_packed(root, reading, decode, on_progress)
     try:
         with noting_understood() as understood:
             dataset = detection.read(root, reading)
@@ -77,3 +82,21 @@ def check_folder(
     if changed:
         dataset = replace(dataset, problems=(*dataset.problems, *changed))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))
+
+
+def _is_packed(root: Path, reading: Reading) -> bool:
+    return reading.format in (None, shards.NAME) and shards.detect(root).ok
+
+
+def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnProgress | None) -> CheckReport:
+    """Check a run in packed shards with the labels and pictures of one part in memory and on disk."""
+    checking, total, on_image = Checking(decode, in_parts=True), shards.frame_count(root), paced(on_progress)
+    with scratch(f"check of {real_path(root)} by process {os.getpid()}") as pictures:
+        try:
+            for part in detection.read_parts(root, pictures, reading):
+                checking.add(part, on_image=on_image, total=total)
+        except DatasetError as error:
+            if not error.problems or any(p.code in _USAGE for p in error.problems):
+                raise
+            return unreadable(root, error)
+    return checking.report(changes_since_written(root, digests=decode))

@@ -88,24 +88,63 @@ def check_dataset(
         decode: Decode every picture; False reads only the headers.
         on_image: Called with the number of images checked and of all images.
     """
-    problems = list(dataset.problems)
-    # Some readers already report duplicates, with their lines.
-    compares = any(p.code == "object-duplicate" for p in problems)
-    prints: dict[bytes, list[ImageRecord]] = defaultdict(list)
-    for n, image in enumerate(dataset.images, 1):
-        where = f"{image.split}/{image.name}"
-        size_wh, more, print_ = _check_picture(image, where, decode)
-        problems += more
-        if print_ is not None:
-            prints[print_].append(image)
-        problems += check_objects(image, where, size_wh, duplicates=not compares)
-        if on_image is not None:
-            on_image(n, len(dataset.images))
-    groups = prints.values() if decode else _same_files(dataset.images)
-    for group in groups:
-        problems += _check_copies(group)
-    objects = sum(len(i.instances) for i in dataset.images)
-    return CheckReport(dataset.root, dataset.format, len(dataset.images), objects, decode, _sorted(problems))
+    checking = Checking(decode)
+    checking.add(dataset, on_image=on_image)
+    return checking.report()
+
+
+class Checking:
+    """Check of a dataset in parts."""
+
+    def __init__(self, decode: bool = True, *, in_parts: bool = False) -> None:
+        """Start without any image.
+
+        Args:
+            decode: Decode every picture; False reads only the headers.
+            in_parts: The pictures of a part are gone when the next one is added; their files are then always read.
+        """
+        self._decode, self._in_parts = decode, in_parts
+        self._problems: list[Problem] = []
+        self._copies: dict[bytes, list[str]] = {}
+        self._images = self._objects = 0
+        self._root, self._format = Path(), ""
+
+    def add(
+        self, dataset: Dataset, *, on_image: Callable[[int, int], None] | None = None, total: int | None = None
+    ) -> None:
+        """Check the next images.
+
+        Args:
+            dataset: These images, with the problems of their reader.
+            on_image: Called with the number of images checked and of all images.
+            total: Number of all images; None if these are all.
+        """
+        self._root, self._format = dataset.root, dataset.format
+        self._problems += dataset.problems
+        # Some readers already report duplicates, with their lines.
+        compares = any(p.code == "object-duplicate" for p in dataset.problems)
+        for image in dataset.images:
+            where = f"{image.split}/{image.name}"
+            size_wh, more, print_ = _check_picture(image, where, self._decode)
+            self._problems += more
+            if self._in_parts and not self._decode:
+                print_ = _file_digest(image.path)
+            if print_ is not None:
+                self._copies.setdefault(print_, []).append(where)
+            self._problems += check_objects(image, where, size_wh, duplicates=not compares)
+            self._images += 1
+            self._objects += len(image.instances)
+            if on_image is not None:
+                on_image(self._images, max(self._images, total or len(dataset.images)))
+        if not self._decode and not self._in_parts:
+            for number, group in enumerate(_same_files(dataset.images)):
+                self._copies[number.to_bytes(8, "big")] = [f"{i.split}/{i.name}" for i in group]
+
+    def report(self, further: Iterable[Problem] = ()) -> CheckReport:
+        """Return the problems of all images together, and further ones of the dataset."""
+        copies = [p for group in self._copies.values() for p in _check_copies(group)]
+        problems = _sorted([*self._problems, *copies, *further])
+        return CheckReport(self._root, self._format, self._images, self._objects, self._decode, problems)
 
 
 def unreadable(root: Path, error: DatasetError) -> CheckReport:
@@ -245,14 +284,13 @@ def _file_digest(path: Path) -> bytes | None:
     return digest.digest()
 
 
-def _check_copies(same: list[ImageRecord]) -> list[Problem]:
-    """Return the problem of several images that are the same picture."""
-    if len(same) < 2:
+def _check_copies(names: list[str]) -> list[Problem]:
+    """Return the problem of several images that are the same picture, from `<split>/<name>` of each."""
+    if len(names) < 2:
         return []
-    names = [f"{i.split}/{i.name}" for i in same]
-    splits = sorted({i.split for i in same})
+    splits = sorted({name.partition("/")[0] for name in names})
     if len(splits) > 1:
         found = f"the same picture in {' and '.join(splits)}: {', '.join(names[:4])}"
         return [Problem(names[0], "image-leak", found, "each picture in one split", "remove it from the others")]
-    found = f"the same picture {len(same)} times: {', '.join(names[:4])}"
+    found = f"the same picture {len(names)} times: {', '.join(names[:4])}"
     return [Problem(names[0], "image-repeated", found, "each picture once", severity="warning")]
