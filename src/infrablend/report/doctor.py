@@ -5,6 +5,7 @@ Blender and torch are queried in separate processes: this module then needs neit
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -21,6 +22,7 @@ from typing import Any, Literal
 
 from infrablend.core.landlock import landlock_version
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
+from infrablend.core.user_folders import cache_folder
 from infrablend.report.system_libraries import install_command, missing_packages
 
 Status = Literal["ok", "warning", "error"]
@@ -34,6 +36,7 @@ LITTLE_MEMORY_BYTES = 2 * 1024**3
 NO_DISK_BYTES = 200 * 1024**2
 LITTLE_DISK_BYTES = 2 * 1024**3
 LITTLE_SHM_BYTES = 64 * 1024**2
+MUCH_CACHE_BYTES = 10 * 1024**3
 
 # os._exit: Blender's own shutdown may hang or crash, and nothing is left to save.
 _ASK_BLENDER = """
@@ -136,7 +139,8 @@ class Trainer:
 class Machine:
     """Facts about this machine. Free space is in bytes; None means that the folder cannot be written.
 
-    `landlock` is the version of Landlock that the kernel offers, 0 without it.
+    `landlock` is the version of Landlock that the kernel offers, 0 without it; `cache_bytes` is what the user's cache
+    folder contains.
     """
 
     system: str
@@ -152,6 +156,8 @@ class Machine:
     free_shm_bytes: int | None
     trainer: Trainer = Trainer()
     landlock: int = 0
+    cache_folder: str = ""
+    cache_bytes: int = 0
 
 
 def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s: float = 60.0) -> Machine:
@@ -178,6 +184,8 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
         free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
         trainer=_ask_trainer(ask_torch_s),
         landlock=landlock_version(),
+        cache_folder=str(cache_folder()),
+        cache_bytes=_bytes_in(cache_folder()),
     )
 
 
@@ -198,6 +206,7 @@ def assess(machine: Machine) -> Diagnosis:
             *(_check_space("disk", name, free) for name, free in sorted(machine.free_bytes.items())),
             _check_space("temporary folder", machine.temp_folder, machine.free_temp_bytes),
             *_check_shm(machine),
+            *_check_cache(machine),
         )
     )
 
@@ -321,6 +330,16 @@ def _check_shm(m: Machine) -> tuple[Check, ...]:
     return (Check(name, "ok", found),)
 
 
+def _check_cache(m: Machine) -> tuple[Check, ...]:
+    if not m.cache_folder:
+        return ()
+    found = f"{_size(m.cache_bytes)} in {m.cache_folder}"
+    if m.cache_bytes > MUCH_CACHE_BYTES:
+        todo = "delete the folder if space is short: what is needed is made or downloaded again"
+        return (Check("cache", "warning", found, todo),)
+    return (Check("cache", "ok", found),)
+
+
 def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1024**3:.1f} GiB"
 
@@ -391,3 +410,13 @@ def _free_bytes(folder: Path) -> int | None:
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         return None
     return shutil.disk_usage(folder).free
+
+
+def _bytes_in(folder: Path) -> int:
+    """Return the size of all files below a folder; those that cannot be read count nothing."""
+    total = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(OSError):
+                total += Path(parent, name).lstat().st_size
+    return total

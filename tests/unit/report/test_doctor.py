@@ -153,3 +153,18 @@ def test_torch_is_asked_in_a_process_of_its_own(code: str, found: Trainer, monke
     monkeypatch.setattr(doctor, "_ASK_TORCH", code)
     monkeypatch.setattr(doctor, "installed_version", lambda package: "1.2")
     assert doctor._ask_trainer(5.0) == found
+
+
+def test_a_large_cache_is_named_with_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path))
+    (tmp_path / "pictures/a").mkdir(parents=True)
+    (tmp_path / "pictures/a/1.png").write_bytes(b"x" * 1000)
+    (tmp_path / "2.npz").write_bytes(b"x" * 24)
+    assert doctor._bytes_in(tmp_path) == 1024
+    assert doctor._bytes_in(tmp_path / "none") == 0
+    small = replace(GOOD, cache_folder=str(tmp_path), cache_bytes=1024)
+    (check,) = [c for c in doctor.assess(small).checks if c.name == "cache"]
+    assert (check.status, check.todo) == ("ok", "") and str(tmp_path) in check.found
+    large = replace(small, cache_bytes=11 * 1024**3)
+    (check,) = [c for c in doctor.assess(large).checks if c.name == "cache"]
+    assert check.status == "warning" and "11.0 GiB" in check.found and "delete" in check.todo
