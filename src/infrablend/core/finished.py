@@ -180,7 +180,8 @@ def _lacks_shards(folder: Path, root: Path, count: object) -> DatasetError:
         UNFINISHED,
         f"{len(_shard_records(root))} of {count} shards",
         "all shards",
-        f"finish them, see infrablend status {root}; or merge those that are finished: infrablend merge --partial",
+        f"finish them, see infrablend status {shlex.quote(str(root))}; or merge those that are finished: "
+        "infrablend merge --partial",
     )
     return DatasetError(f"{folder}: belongs to an unfinished run in shards", [problem])
 

@@ -305,7 +305,7 @@ class ShardedRun:
         """Record of a shard, to learn the command of the others."""
         names = sorted({p.name.partition(".")[0] for p in self.root.glob("shard-*-of-*")})
         files = (file for name in names for file in self._record_files(name))
-        return next((record for f in files if (record := read_object(f)) is not None), None)
+        return next((record for f in files if "key" in (record := read_object(f) or {})), None)
 
     def _record_files(self, name: str) -> tuple[Path, ...]:
         """Return where the record of a shard of this name may be, finished or not, in either layout."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shlex
 import shutil
 import tarfile
 import tracemalloc
@@ -238,6 +239,13 @@ def test_damaged_shards_are_named_and_made_again(small, tmp_path):
     ended = run("status", out)
     assert ended.exit_code == 1
     assert "shard 2/2: stopped, shard-00002-of-00002.tar has 2000 bytes" in ended.stdout
+    # The command is known from other records where a shard's own is damaged.
+    record = out / "shard-00001-of-00002.json"
+    written = record.read_bytes()
+    record.write_bytes(b"{}")
+    states = {s.shard.number: s.command for s in api.status(out)}
+    assert "--seed 0 --shard 1/2 --resume" in states[1] or "--limit 2 --shard 1/2 --resume" in states[1]
+    record.write_bytes(written)
     # What nobody can tell to be ours stays.
     (out / "shard-00002-of-00002.json").unlink()
     for flag in ("--resume", "--overwrite"):
@@ -355,6 +363,9 @@ def test_readers_name_unfinished_and_damaged_shards(small, tmp_path):
     ended = run("check", out)
     assert ended.exit_code == 2
     assert "1 of 2 shards" in ended.output
+    named = out.rename(tmp_path / "it's here")
+    assert f"infrablend status {shlex.quote(str(named))};" in " ".join(run("check", named).output.split())
+    named.rename(out)
     done(*small, "--shard", "2/2")
     done("check", out)
     tar = out / "shard-00002-of-00002.tar"
