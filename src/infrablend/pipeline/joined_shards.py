@@ -33,7 +33,7 @@ def can_join(plan: RunPlan, shards: Sequence[FinishedShard]) -> bool:
     return all(
         one.source.packed() is not None
         and one.record.get(RUN) == plan.run
-        and [(c["id"], c["name"]) for c in one.record.get("categories", ())] == ids
+        and [(c.get("id"), c.get("name")) for c in one.record.get("categories", ()) if isinstance(c, Mapping)] == ids
         for one in shards
     )
 
@@ -67,7 +67,7 @@ def join_shards(
     """
     started = time.monotonic()
     with made_beside(plan, files, existing) as (packed, found), Interruption() as stop:
-        state = _counted(plan, shards)
+        state = _counted(plan, shards, finished)
         if found is not None and existing == "resume" and found["counts"].get("frames") == state.done:
             return finished_report(files, found)
         ids = {c.name: c.id for c in plan.categories}
@@ -98,7 +98,7 @@ def join_shards(
     return RunReport(files.folder, COMPLETE, record["counts"], problems, time.monotonic() - started, files.marker)
 
 
-def _counted(plan: RunPlan, shards: Sequence[FinishedShard]) -> RunState:
+def _counted(plan: RunPlan, shards: Sequence[FinishedShard], finished: Mapping[Shard, Sequence[str]]) -> RunState:
     """Return the counts of all shards together, which repeat the failures of their frames."""
     state = RunState()
     failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
@@ -106,8 +106,11 @@ def _counted(plan: RunPlan, shards: Sequence[FinishedShard]) -> RunState:
         if (failure := failures.get(frame.frame_id)) is not None:
             state.add(TaskResult(frame.frame_id, None, failure), frame)
     for one in shards:
-        state.done += one.record["counts"]["frames"]
-        state.inserted += one.record["counts"]["objects_inserted"]
+        inserted = one.record["counts"].get("objects_inserted")
+        if type(inserted) is not int:
+            raise _changed(one, f"objects_inserted: {inserted!r} in its record")
+        state.done += len(finished[one.shard])
+        state.inserted += inserted
     return state
 
 

@@ -129,6 +129,12 @@ def test_shards_that_change_while_they_are_joined(dataset, tmp_path, monkeypatch
         assert not list(out.glob("*.tar")) and not (out / "shard-00001-of-00001.json").exists()
         tar.write_bytes(data)
         table.write_bytes(rows)
+    record_file = parts / "shard-00002-of-00003.json"
+    text = record_file.read_text()
+    record_file.write_text(text.replace('"objects_inserted":', '"objects_inserted_":'))
+    ended = run("merge", parts, out, "--layout", "shards", "--resume")
+    assert ended.exit_code == 2 and "objects_inserted: None in its record" in ended.output
+    record_file.write_text(text)
     done("merge", parts, out, "--layout", "shards", "--resume")
 
 
