@@ -12,7 +12,7 @@ TOOLS ?= 1
 ARGS ?=
 # Test processes side by side: auto takes one per core, as far as the memory allows; 0 runs the tests one by one.
 TEST_WORKERS ?= auto
-# The share of lines that the unit and property tests must execute, in percent; only checked when all tests run.
+# The share of lines that the tests of units, properties and storage must execute, in percent; only checked when all tests run.
 COVERAGE_FLOOR := 91
 
 pytest = .venv/bin/python -m pytest

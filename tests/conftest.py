@@ -187,8 +187,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("realdata")
         if "blender" in item.path.relative_to(ROOT).parts:
             item.add_marker("blender")
-        # Coverage costs half of the time of a test again, so only the quick ones are measured.
-        if item.path.relative_to(ROOT).parts[1] not in ("unit", "property") or item.get_closest_marker("slow"):
+        # Coverage costs half of the time of a test again, so only the quick ones are measured, and those of object
+        # storage, which needs a server.
+        quick = item.path.relative_to(ROOT).parts[1] in ("unit", "property") or item.path.name == "test_storage.py"
+        if not quick or item.get_closest_marker("slow"):
             item.add_marker("no_cover")
     if not (hasattr(config, "workerinput") or getattr(config.option, "numprocesses", None)):
         return
