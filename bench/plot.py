@@ -1,4 +1,4 @@
-"""Plot of a benchmark run."""
+"""Plots of benchmarks."""
 
 from __future__ import annotations
 
@@ -58,4 +58,23 @@ def draw_bench(
     memory.axhline(1024, color="k", lw=0.8, ls=":")
     memory.set_title(f"memory of one worker: {report['rss_slope_mb_per_100_frames']:+.2f} MiB per 100 frames")
     figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def draw_scale(results: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw CPU time per frame and largest memory of each step against the number of frames, see `scale.py`."""
+    figure, (time, memory) = pyplot.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    steps = dict.fromkeys(k for r in results for k, v in r.items() if isinstance(v, Mapping))
+    for step in steps:
+        having = sorted((r for r in results if step in r), key=lambda r: int(r["frames"]))
+        frames = [r["frames"] for r in having]
+        time.plot(frames, [r[step]["cpu_ms_per_frame"] for r in having], "o-", ms=4, label=step)
+        memory.plot(frames, [r[step]["peak_mb"] for r in having], "o-", ms=4, label=step)
+    time.axhline(1, color="k", lw=0.8, ls=":")
+    time.set(xscale="log", yscale="log", xlabel="frames", ylabel="ms")
+    time.set_title("CPU per frame (dotted: the aim for the finish)")
+    memory.set(xscale="log", xlabel="frames", ylabel="MiB", ylim=(0, None))
+    memory.set_title("largest memory of a process")
+    memory.legend()
+    figure.savefig(path, dpi=100)
     pyplot.close(figure)

@@ -1,10 +1,10 @@
 """Measure a run of many small frames without rendering: plan, shards, merge and check, each in processes of its own.
 
-`bench/scale.py [--frames N,...] [--shard-frames M] [--jobs J] [--packed] [--json FILE]` makes backgrounds of 64 x 64
-px, plans N frames of them, makes packed shards of M frames with the flat renderer and a model of twelve faces, joins
-them to one packed shard and checks it, and merges them into files and checks these (not with `--packed`). Shards are
-removed once they have been merged. For each step it prints the CPU milliseconds per frame and the largest memory of any
-process.
+`bench/scale.py [--frames N,...] [--shard-frames M] [--jobs J] [--packed] [--json FILE [--plot PNG]]` makes backgrounds
+of 64 x 64 px, plans N frames of them, makes packed shards of M frames with the flat renderer and a model of twelve
+faces, joins them to one packed shard and checks it, and merges them into files and checks these (not with `--packed`).
+Shards are removed once they have been merged. For each step it prints the CPU milliseconds per frame and the largest
+memory of any process.
 """
 
 from __future__ import annotations
@@ -83,14 +83,21 @@ def main() -> None:
     parser.add_argument("--packed", action="store_true", help="do not merge into files")
     parser.add_argument("--folder", type=Path, help="where to work; default: the temporary folder")
     parser.add_argument("--json", type=Path, help="file to add the results to")
+    parser.add_argument(
+        "--plot", type=Path, help="picture to draw of all results in --json; with --frames '' of them alone"
+    )
     options = parser.parse_args()
-    for frames in (int(n) for n in options.frames.split(",")):
+    for frames in (int(n) for n in options.frames.split(",") if n):
         with tempfile.TemporaryDirectory(prefix="scale-", dir=options.folder) as folder:
             result = measure(Path(folder), frames, options.shard_frames, options.jobs, options.packed)
         print(json.dumps(result), flush=True)
         if options.json is not None:
             with options.json.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(result) + "\n")
+    if options.plot is not None:
+        from plot import draw_scale
+
+        draw_scale([json.loads(line) for line in options.json.read_text("utf-8").splitlines()], options.plot)
 
 
 def measure(folder: Path, frames: int, shard_frames: int, jobs: int, packed: bool) -> dict[str, Any]:
