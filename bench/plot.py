@@ -75,6 +75,6 @@ def draw_scale(results: Sequence[Mapping[str, Any]], path: Path) -> None:
     time.set_title("CPU per frame (dotted: the aim for the finish)")
     memory.set(xscale="log", xlabel="frames", ylabel="MiB", ylim=(0, None))
     memory.set_title("largest memory of a process")
-    memory.legend()
+    memory.legend(loc="upper left", bbox_to_anchor=(1, 1))
     figure.savefig(path, dpi=100)
     pyplot.close(figure)
