@@ -33,6 +33,8 @@ CLIP_MARGIN = 3
 # Standard deviation of reading an annotated object's level, in addition to that of its temperature; 8-bit levels.
 _READING_GREY = 5.0
 _FACE_K = 301.15
+# Width of the ring around a box, in lengths of its longer side.
+RING_REACH = 1.5
 # Standard deviation of the ground's temperature about the drawn one, beyond the scatter of the anchors' own.
 _GROUND_K = 2.0
 # An anchor on the other side of the ground's temperature gets its uncertainty multiplied by this factor.
@@ -127,15 +129,17 @@ class Anchor:
 
 @dataclass(frozen=True)
 class SharePrior:
-    """The local share expected before looking at the picture, 0 to 1.
+    """The local share expected before looking at the picture, 0 to 1, and the neighbourhood that it refers to.
 
     Attributes:
         mean: Expected share.
         sd: Standard deviation; at 0, and with a mean of 0 or 1, the mean is taken as exact.
+        reach: Width of the ring around an object's box, in lengths of the box's longer side.
     """
 
     mean: float = 1.0
     sd: float = 0.05
+    reach: float = RING_REACH
 
     @property
     def is_exact(self) -> bool:
@@ -150,6 +154,7 @@ def find_anchors(
     air_k: float,
     clothing_k: float = 6.0,
     ground_grey: float | None = None,
+    reach: float = RING_REACH,
 ) -> tuple[Anchor, ...]:
     """Read the anchors of a picture: people's clothes and, at night, car roofs, each known to 3 K.
 
@@ -163,6 +168,7 @@ def find_anchors(
         air_k: Air temperature. Car roofs are taken to look 8 K colder.
         clothing_k: Assumed excess of clothes over the air temperature.
         ground_grey: Level of the picture's ground; that of each anchor's surroundings if None.
+        reach: Width of the ring around each anchor, see `ring_level`.
     """
     found: list[Anchor] = []
     scale, levels = backdrop.grey_unit, backdrop.levels
@@ -173,7 +179,7 @@ def find_anchors(
         inside = picture[y0:y1, x0:x1]
         if inside.size < 20:
             continue
-        around = ring_level(picture, i.box_xyxy, free)
+        around = ring_level(picture, i.box_xyxy, free, reach)
         ring = 0.0 if ground_grey is None else around - ground_grey
         known = known_class(i.category)
         h, w = inside.shape
@@ -365,15 +371,17 @@ def _doubts(centre: float, bounds: Sequence[float], off: float, residuals: NDArr
     return [kind for kind in DOUBTS if found[kind]]
 
 
-def ring_level(picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free: NDArray[np.bool_]) -> float:
+def ring_level(
+    picture: NDArray[np.float32], box_xyxy: NDArray[np.float64], free: NDArray[np.bool_], reach: float = RING_REACH
+) -> float:
     """Return the median level of the free pixels around a box.
 
-    On each side the ring extends beyond the box by 1.5 times its longer side, at least 12 px. If too little of the ring
-    is free, all free pixels of the picture are used; if these are too few, the whole picture.
+    On each side the ring extends beyond the box by `reach` times its longer side, at least 12 px. If too little of the
+    ring is free, all free pixels of the picture are used; if these are too few, the whole picture.
     """
     x0, y0, x1, y1 = box_xyxy
-    reach = max(1.5 * max(x1 - x0, y1 - y0), 12.0)
-    left, top, right, bottom = pixel_box(np.array([x0 - reach, y0 - reach, x1 + reach, y1 + reach]), picture.shape)
+    width = max(reach * max(x1 - x0, y1 - y0), 12.0)
+    left, top, right, bottom = pixel_box(np.array([x0 - width, y0 - width, x1 + width, y1 + width]), picture.shape)
     inner = pixel_box(box_xyxy, picture.shape)
     use = np.zeros_like(free)
     use[top:bottom, left:right] = free[top:bottom, left:right]

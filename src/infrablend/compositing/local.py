@@ -175,7 +175,8 @@ def local_mapping(
         picture = low + high - picture
     free = backdrop.free()
     behind = look_behind(picture, free, backdrop.grey_unit, camera, weather)
-    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey)
+    reach = settings.local_share.reach
+    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
     against_sky = _land_anchors(behind, backdrop, weather)
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
     unit = backdrop.grey_unit
@@ -199,7 +200,7 @@ def local_mapping(
         used.add(which)
         gain = gains[which]
         middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
-        ring = ring_level(picture, insert.box_xyxy, _like(behind, free, kind))
+        ring = ring_level(picture, insert.box_xyxy, _like(behind, free, kind), reach)
         level, reference = _reference(behind, kind, weather, ring)
         clearer, hazier = _through_air(insert, weather, kind)
         level += share * (ring - level)

@@ -542,6 +542,9 @@ class LocalMatching(GreyMatching):
     local_share_spread: float = Field(0.05, ge=0, le=1)
     """Standard deviation of the expected local share. Each background's share is drawn from what it and the annotated
     objects of the background leave open; a share of 0 or 1 is exact."""
+    local_reach: float = Field(1.5, gt=0, le=10)
+    """How far the neighbourhood reaches around an object, in lengths of its box's longer side, at least 12 px. Cars of
+    HIT-UAV by night follow the ground within 0.5."""
     on_untrusted: Literal["use", "prior", "skip"] = "use"
     """What to do where the gain cannot be trusted (negative, at a bound, or anchors that contradict each other): `use`
     it, draw it from the `prior` instead, or `skip` the background."""

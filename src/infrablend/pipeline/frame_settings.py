@@ -84,9 +84,8 @@ def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> Lo
     if time_of_day == "day" and m.local_share_day is not None:
         share = m.local_share_day
     prior = GainPrior(mean, mean * m.gain_prior_spread, low, high)
-    return LocalSettings(
-        prior, m.polarity, m.clothing_above_air_k, SharePrior(share, m.local_share_spread), m.on_untrusted
-    )
+    local_share = SharePrior(share, m.local_share_spread, m.local_reach)
+    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, local_share, m.on_untrusted)
 
 
 def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None) -> Least | None:

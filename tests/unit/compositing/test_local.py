@@ -260,6 +260,24 @@ def test_the_local_share_decides_how_far_the_level_follows_the_place():
     assert levels[1.0][0] - 90 == pytest.approx(levels[0.0][0] - facts["behind_grey"]["ground"], abs=1e-6)
 
 
+def test_the_neighbourhood_reaches_as_far_as_stated():
+    """A bright strip of 15 px around an object and an anchor of 30 px, within half of their length."""
+    picture = np.full((512, 640), 90, np.uint8)
+    box = np.array([300.0, 250, 330, 280])
+    car = np.array([100.0, 250, 130, 280])
+    for x0, y0, x1, y1 in (box.astype(int), car.astype(int)):
+        picture[y0 - 15 : y1 + 15, x0 - 15 : x1 + 15] = 150
+    picture[250:280, 100:130] = 60
+    labels = [Instance("Car", car)]
+    for reach, ring in ((0.5, 150), (1.5, 90)):
+        prior = SharePrior(0.25, 0, reach)
+        _, facts = mapped(picture, [Insert(box)], labels, settings=LocalSettings(local_share=prior))
+        assert facts["ring_grey"] == [ring]
+        backdrop = Backdrop(picture, labels, "night", LEVELS)
+        (anchor,) = find_anchors(picture.astype(np.float32), backdrop.free(), backdrop, AIR_K, 6.0, 90.0, reach)
+        assert anchor.ring == ring - 90
+
+
 def camera(pitch_deg):
     return CameraSpec(100.0, np.radians(pitch_deg), 0.0, 84.69, 36.0, (320, 256))
 

@@ -9,7 +9,11 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.compositing.gain import SharePrior
+from infrablend.config.loading import load_recipe
+from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError
+from infrablend.pipeline.frame_settings import local_settings
 from infrablend.pipeline.record import FrameRecord, read_record
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
@@ -195,6 +199,14 @@ def test_the_expected_gain_may_differ_by_day(tmp_path):
         generate(data, tmp_path / name, "hit-uav-person", [*priors, *settings])
         found = {r.background["id"]: next(iter(r.facts["matching"]["gain"].values())) for r in records(tmp_path / name)}
         assert [found[i]["grey_per_k"] for i in RECORDS] == pytest.approx([by_day, 12, 12], rel=0.01)
+
+
+def test_the_local_share_and_its_neighbourhood_are_those_of_the_recipe():
+    cars = load_recipe("hit-uav-cars", ["matching.local_reach=0.7"]).matching
+    assert isinstance(cars, LocalMatching)
+    for time_of_day, share in (("night", cars.local_share), ("day", cars.local_share_day), (None, cars.local_share)):
+        assert local_settings(cars, time_of_day).local_share == SharePrior(share, cars.local_share_spread, 0.7)
+    assert cars.local_share != cars.local_share_day
 
 
 @pytest.mark.parametrize("recipe", ["hit-uav-people", "hit-uav-cars"])
