@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from infrablend import __version__
 from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.config.recipe import Recipe
 from infrablend.errors import ArgumentError, OutputError, Problem
@@ -100,8 +101,9 @@ class RecordedRun:
             )
         except (LookupError, TypeError, ValueError, AttributeError, ArgumentError) as error:
             raise OutputError(
-                f"{file}: damaged ({type(error).__name__}: {error}); expected the record of a run as "
-                "`infrablend generate` writes it. Repeat the command that wrote it with --resume or --overwrite."
+                f"{file}: {_state_of(record)} ({type(error).__name__}: {error}); expected the record of a run as "
+                f"`infrablend generate` {__version__} writes it. Repeat the command that wrote it with --resume or "
+                "--overwrite."
             ) from error
 
     def select(self, frames: tuple[str, ...]) -> RecordedRun:
@@ -124,6 +126,12 @@ class RecordedRun:
             recipe_warnings=self.warnings,
         )  # fmt: skip
         return replace(plan, request=self.request)
+
+
+def _state_of(record: Mapping[str, Any]) -> str:
+    """Return why a record cannot be read: it is damaged, or another version of InfraBlend wrote it."""
+    version = record.get("infrablend")
+    return "damaged" if version == __version__ else f"written by InfraBlend {str(version)[:40]!r}, or damaged"
 
 
 def _require(value: object, kind: type | tuple[type, ...], name: str) -> None:

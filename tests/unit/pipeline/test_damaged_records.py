@@ -140,6 +140,17 @@ def test_fields_of_a_run_record_of_another_type_are_named(
     done("check", made)
 
 
+def test_a_run_record_of_a_newer_version_is_named_as_such(made: Path) -> None:
+    def edit(record: dict[str, Any]) -> None:
+        record["infrablend"] = "9.1.0"
+        record["recipe"]["matching"]["from_the_future"] = 1
+        del record["sha256"]
+
+    change(made / "run.json", edit)
+    frame = next((made / "scenes").rglob("*.json")).relative_to(made / "scenes").with_suffix("").as_posix()
+    named(run("rerender", made, frame), "run.json: written by InfraBlend '9.1.0', or damaged", "from_the_future")
+
+
 # -- records of frames
 
 
