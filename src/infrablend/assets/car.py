@@ -35,16 +35,16 @@ _CHECKS = Checks("car")
 # part -> (material, description and source).
 _SURFACES: Mapping[str, tuple[str, str]] = {
     "roof": ("car_paint", "roof: faces the whole sky; HIT-UAV's night cars -46 DN against the ground, some -8 K"),
-    "bonnet": ("car_paint", "bonnet: +20..+50 K just after a drive, decays over 1-2 h; the brightest part in HIT-UAV"),
+    "bonnet": ("car_paint", "bonnet: its lining keeps the middle colder than the rim; cools within 1-2 h"),
     "cowl": ("car_paint", "rear third of the bonnet, behind the engine; blends into the bonnet (est.)"),
-    "wing": ("car_paint", "front wings along the bonnet: a bright rim round the nose of HIT-UAV's warm cars"),
+    "wing": ("car_paint", "front wings and edge of the bonnet: the bright rim round the nose of HIT-UAV's warm cars"),
     "boot": ("car_paint", "boot lid of a saloon, horizontal like the roof"),
     "side": (
         "car_paint",
         "doors, rear wings: upright, so half of their view is ground (est. from the roof)",
     ),
     "pillar": ("car_paint", "window frames: lean inwards, between roof and doors; hardly visible in HIT-UAV (est.)"),
-    "front": ("car_paint", "bumper and nose, ahead of the radiator (est.)"),
+    "front": ("car_paint", "bumper, nose and front edge of the bonnet, ahead of the radiator (est.)"),
     "rear": ("car_paint", "bumper and tailgate (est.)"),
     "trim": ("plastic", "mirrors and rails"),
     "windscreen": ("glass", "windscreen: -4 K by night, the darkest part; +5..+20 K when heated"),
@@ -86,10 +86,11 @@ _PARKED_COLD: Mapping[str, Range] = {
     "underbody": (-0.5, 2.0), "grille": (-1.5, 0.5), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
     "tail_lamp": (-3.5, -1.0),
 }  # fmt: skip
-# The same night, within the hour after a drive: a bonnet starts at +20..+50 K, and cools within one or two.
+# The same night, within the hour after a drive. Most of HIT-UAV's warm cars show a bright rim around a bonnet that is
+# near the level of the ground or half as bright (bench/warm_parts.py measures how many cars have parts how bright).
 _DRIVEN: Mapping[str, Range] = {
-    "roof": (-5.5, -3.0), "bonnet": (10.0, 40.0), "boot": (-5.5, -2.5), "cowl": (4.0, 20.0),
-    "wing": (6.0, 28.0), "side": (-2.0, 2.0), "pillar": (-5.5, -2.0), "front": (6.0, 28.0),
+    "roof": (-5.5, -3.0), "bonnet": (-3.0, 18.0), "boot": (-5.5, -2.5), "cowl": (-4.0, 9.0),
+    "wing": (5.0, 27.0), "side": (-2.0, 2.0), "pillar": (-5.5, -2.0), "front": (5.0, 27.0),
     "rear": (-1.5, 3.0), "trim": (-3.0, 0.0), "windscreen": (-2.0, 8.0), "rear_window": (-3.0, 5.0),
     "window": (-3.0, 3.0), "sunroof": (-4.0, 1.0), "tyre": (8.0, 11.0), "rim": (6.0, 16.0), "brake": (17.0, 60.0),
     "underbody": (5.0, 20.0), "grille": (10.0, 40.0), "exhaust": (50.0, 250.0), "headlamp": (10.0, 30.0),
@@ -244,8 +245,9 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
     "exhausts": (0.2, 0.55, 0.25),
     "spokes": (0.5, 0.2, 0.3),
 }
-# Shares of cars that are parked and that have been driven within the last minutes (est.).
-_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.85, 0.15, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
+# Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
+# with bright parts in HIT-UAV's train (bench/warm_parts.py), by day estimated.
+_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),
     "width": (0.97, 1.04),
@@ -554,15 +556,15 @@ def _add_lower_body(out: _Pieces, plan: _Plan) -> None:
     name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
     parts = np.full((len(middle), len(columns) - 1), name["side"], np.intp)
     foot = plan.body.screen_at[0] + 0.015
-    parts[share < foot, 8:] = name["bonnet"]
-    parts[(share < foot) & (share > 0.7 * foot), 8:] = name["cowl"]
-    parts[share < foot, 5:8] = name["wing"]
+    parts[share < foot, 9:] = name["bonnet"]
+    parts[(share < foot) & (share > 0.7 * foot), 9:] = name["cowl"]
+    parts[share < foot, 5:9] = name["wing"]
     if plan.p["body"] == "saloon":
         parts[share > plan.body.rear_at[1] - 0.015, 7:] = name["boot"]
     parts[middle > plan.axles_x[0] + plan.arch_radius, 3:5] = name["front"]
     parts[middle < plan.axles_x[1] - plan.arch_radius, 3:5] = name["rear"]
     parts[at_nose, 3:7] = name["front"]
-    parts[plan.to_nose(middle) > 0.93, 3:] = name["front"]
+    parts[plan.to_nose(middle) > 0.6, 3:] = name["front"]
     parts[at_tail, 3:7] = name["rear"]
     if plan.p["body"] != "saloon":
         parts[at_tail, 7:] = name["rear"]
