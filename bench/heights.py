@@ -1,8 +1,9 @@
 """Measure how stated heights differ from true ones: `bench/heights.py DATA [--recipe NAME] [--split train]`.
 
-For each known class, time of day and range of stated heights: the median of true over stated height that the annotated
-boxes show, the standard deviation of its logarithm, and the number of pictures. These are the factors of
-`camera.stated_heights.by_flight`. Boxes count as `camera.stated_heights.box_looseness` of the recipe says.
+For each known class, time of day and range of stated heights (with `--by-pitch`, of angles): the median of true over
+stated height that the annotated boxes show, the standard deviation of its logarithm, and the number of pictures. These
+are the factors of `camera.stated_heights.by_flight`. Boxes count as `camera.stated_heights.box_looseness` of the recipe
+says.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from infrablend.formats import detection
 from infrablend.sampling.calibration import REFERENCES, size_ratio
 
 BELOW_M = (75.0, 95.0, 115.0, math.inf)
+BELOW_DEG = (35.0, 65.0, math.inf)
 
 
 def main() -> None:
@@ -33,18 +35,21 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--recipe", default="hit-uav-cars", help="recipe with the lens of the dataset")
     parser.add_argument("--split", default="train")
+    parser.add_argument("--by-pitch", action="store_true", help="by the camera's pitch instead of the height")
     options = parser.parse_args()
     camera = load_recipe(options.recipe).camera
     assert isinstance(camera, MetricCamera), f"{options.recipe}: expected a recipe with placement.mode metric"
     factors: dict[tuple[str, str, float], list[float]] = defaultdict(list)
     for image in detection.read(options.data).images:
-        if image.split == options.split and image.altitude_m:
-            below = next(limit for limit in BELOW_M if image.altitude_m < limit)
+        if image.split == options.split and image.altitude_m and image.pitch_deg is not None:
+            value, limits = (image.pitch_deg, BELOW_DEG) if options.by_pitch else (image.altitude_m, BELOW_M)
+            below = next(limit for limit in limits if value < limit)
             for kind, factor in factors_of(image, camera).items():
                 factors[kind, image.time_of_day or "unknown", below].append(factor)
     for (kind, time_of_day, below), found in sorted(factors.items()):
         logs = np.log(found)
-        row = {"class": kind, "time_of_day": time_of_day, "below_m": None if math.isinf(below) else below}
+        limit = "below_pitch_deg" if options.by_pitch else "below_m"
+        row = {"class": kind, "time_of_day": time_of_day, limit: None if math.isinf(below) else below}
         shown = {"factor": round(float(np.exp(np.median(logs))), 3), "spread": round(float(logs.std()), 3)}
         print(json.dumps({**row, **shown, "pictures": len(found)}))
 

@@ -155,6 +155,8 @@ class FlightHeight(Strict):
     below_pitch_deg: float | None = Field(None, gt=-90, le=90)
     """These pictures are stated to have a smaller depression angle than this; any angle by default. Where names round
     angles, a level view is farther away than it seems."""
+    spread: float | None = Field(None, gt=0, le=1)
+    """Standard deviation of this factor's logarithm; by default that of all pictures."""
 
 
 class StatedHeights(Strict):
@@ -213,20 +215,22 @@ class Numbers(Strict):
 
 
 class FlightNumbers(Numbers):
-    """Numbers of objects in pictures of one time of day, or taken below a height."""
+    """Numbers of objects in pictures of one time of day, or taken below a height or at a low angle."""
 
     time_of_day: Literal["day", "night"] | None = None
     """Time of day of these pictures; any by default."""
     below_m: float | None = Field(None, gt=0)
     """These pictures are stated to be taken below this height, metres; any height by default."""
+    below_pitch_deg: float | None = Field(None, gt=-90, le=90)
+    """These pictures have a smaller depression angle than this; any angle by default. They show more ground."""
 
 
 class Count(Numbers):
     """A number of objects drawn for each frame."""
 
     by_flight: tuple[FlightNumbers, ...] = ()
-    """Numbers for pictures of some times of day and heights: the first entry that fits a picture applies to it, and the
-    numbers above apply where none fits. Pilots fly low over groups, and high over single objects."""
+    """Numbers for pictures of some times of day, heights and angles: the first entry that fits a picture applies to it,
+    and the numbers above apply where none fits. Pilots fly low over groups, and high over single objects."""
 
 
 class PartOverride(Strict):
@@ -251,6 +255,17 @@ class Group(Strict):
     otherwise in any direction with a heading of its own."""
     max_overlap: float = Field(0.3, ge=0, le=1)
     """Largest share of the object's box that may cover the box of another insert; 0.02 for objects outside groups."""
+
+
+class Align(Strict):
+    """Headings along the lines on the ground of each picture (edges of roads, kerbs, walls), as cars stand."""
+
+    share: float = Field(0.85, ge=0, le=1)
+    """Share of the objects that stand along one direction, the same for all of them in a picture: that of its lines, or
+    at right angles to them. A picture without clear lines gets a direction of its own. Either end may be in front. The
+    other objects have any heading in `yaw_deg`."""
+    spread_deg: float = Field(4.0, ge=0, le=45)
+    """Standard deviation of their headings from that direction, degrees."""
 
 
 CLASS_NAME = (
@@ -299,6 +314,9 @@ class MetricObject(ObjectKind):
     """Models that fly: distance from the camera, metres."""
     group: Group | None = None
     """Models that stand: place objects of this kind in groups, e.g. `{share: 0.7, apart_m: [0.6, 2.5]}`."""
+    align: Align | None = None
+    """Models that stand: headings along the lines of the picture, e.g. `{share: 0.85, spread_deg: 4}`; by default all
+    headings in `yaw_deg` are as likely."""
 
 
 Object = PaperObject | MetricObject

@@ -57,20 +57,21 @@ def prior_of(
     heights: StatedHeights, stated_m: float | None, pitch_deg: float | None, time_of_day: str | None
 ) -> HeightPrior:
     """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
-    factor = heights.factor
+    factor, spread = heights.factor, heights.spread
     for flight in heights.by_flight:
         if (
             flight.time_of_day in (None, time_of_day)
-            and _is_below(stated_m, flight.below_m)
-            and _is_below(pitch_deg, flight.below_pitch_deg)
+            and is_below(stated_m, flight.below_m)
+            and is_below(pitch_deg, flight.below_pitch_deg)
         ):
-            factor = flight.factor
+            factor, spread = flight.factor, flight.spread or spread
             break
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
-    return HeightPrior(factor, heights.spread, (low, high), heights.references, heights.box_looseness)
+    return HeightPrior(factor, spread, (low, high), heights.references, heights.box_looseness)
 
 
-def _is_below(value: float | None, limit: float | None) -> bool:
+def is_below(value: float | None, limit: float | None) -> bool:
+    """Return whether a known value is below a limit; True without a limit."""
     return limit is None or (value is not None and value < limit)
 
 

@@ -17,11 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import FixedAltitude, MetricObject, MetricRecipe, RandomAltitude, RealGround
+from infrablend.config.recipe import Align, FixedAltitude, MetricObject, MetricRecipe, RandomAltitude, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.ground_lines import find_ground_lines
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.margin import find_margin, on_margin
 from infrablend.core.mesh import FloatArray
@@ -55,6 +56,8 @@ _HIDDEN = 0.75
 _HIDING_PLACES = 8
 # Share of the attempts, from the first, that place a grouped object beside another; the rest place it anywhere.
 _IN_COMPANY = 0.5
+# Clarity of the lines on the ground below which they give no direction.
+_LEAST_CLARITY = 0.08
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
 
@@ -170,6 +173,20 @@ def real_camera(
     return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
 
+def common_heading(
+    camera: CameraSpec, view: View, recipe: MetricRecipe, site: Site, rng: np.random.Generator
+) -> float | None:
+    """Return the direction along which objects with `align` stand, radians; None if the recipe has none of them."""
+    if not any(isinstance(kind, MetricObject) and kind.align for kind in recipe.objects):
+        return None
+    turn, across = float(rng.random()), bool(rng.random() < 0.5)
+    boxes = [*boxes_of(site.labels), *site.text_boxes]
+    lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
+    if lines is None or lines.clarity < _LEAST_CLARITY:
+        return math.pi * turn
+    return lines.yaw_rad + (math.pi / 2 if across else 0.0)
+
+
 def place_metric(
     camera: CameraSpec,
     view: View,
@@ -179,10 +196,11 @@ def place_metric(
     rng: np.random.Generator,
     tally: DrawStatistics,
     occupied: Sequence[FloatArray] = (),
+    heading: float | None = None,
 ) -> list[Pose | None]:
     """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
 
-    `occupied` has the (4,) boxes of inserts that have their place already.
+    `occupied` has the (4,) boxes of inserts that have their place already, `heading` is that of `common_heading`.
     """
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
@@ -207,7 +225,7 @@ def place_metric(
         for attempt in range(attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * attempts
-            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng)
+            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng, heading)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -268,12 +286,16 @@ def _kind(item: PlacementRequest) -> MetricObject:
     return item.kind
 
 
-def _draw(camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator) -> Pose | str:
+def _draw(
+    camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator, heading: float | None
+) -> Pose | str:
     """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
     yaw = math.radians(rng.uniform(*kind.yaw_deg))
+    if kind.align is not None and heading is not None:
+        yaw = _aligned(yaw, kind.align, heading, rng)
     above = float(rng.uniform(*kind.z_m))
     away = float(rng.uniform(*kind.range_m))
     below = ground_point(camera, u, v, view.ground_z_m)
@@ -287,6 +309,12 @@ def _draw(camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random
         return "beyond_ground"
     place = camera.position_m + away * pixel_ray(camera, u, v)
     return float(place[0]), float(place[1]), float(place[2]), yaw
+
+
+def _aligned(yaw: float, align: Align, heading: float, rng: np.random.Generator) -> float:
+    """Return a heading along the common one, or the given one for objects that do not follow it."""
+    follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
+    return heading + (math.pi if back else 0.0) + math.radians(align.spread_deg) * off if follows else yaw
 
 
 def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose, item: PlacementRequest) -> bool:

@@ -39,7 +39,8 @@ from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, 
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import ModelError
 from infrablend.sampling.by_hand import place_by_hand
-from infrablend.sampling.metric import Site, place_metric, real_camera
+from infrablend.sampling.calibration import is_below
+from infrablend.sampling.metric import Site, common_heading, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.thermal.sky import dew_point
@@ -130,7 +131,8 @@ def sample_scene(
         if site is None:
             raise ValueError(f"{frame.frame_id}: metric placement needs the background")
         camera, view = real_camera(recipe, like, site, stream(seed, frame.frame_id, "camera"))
-        poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally)
+        heading = common_heading(camera, view, recipe, site, stream(seed, frame.frame_id, "heading"))
+        poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally, heading=heading)
     else:
         labels, ignored, margin = (site.labels, site.ignored, site.margin) if site else ((), frozenset(), None)
         camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally, margin)
@@ -323,7 +325,9 @@ def move_objects(
         requests.append(without_shadow(request))
     tally = DrawStatistics()
     occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
-    poses = dict(zip(moved, place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied), strict=True))
+    heading = common_heading(spec.camera, view, recipe, site, stream(seed, spec.frame_id, "heading"))
+    drawn = place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied, heading)
+    poses = dict(zip(moved, drawn, strict=True))
     objects = []
     for k, placed in enumerate(scene.objects):
         if k not in poses:
@@ -441,11 +445,13 @@ def _wanted(
 
 
 def _numbers(count: Count, frame: FrameKey) -> Numbers:
-    """Return the numbers of objects for the time of day and the height of a picture."""
+    """Return the numbers of objects for the time of day, the height and the angle of a picture."""
     for numbers in count.by_flight:
-        if numbers.time_of_day not in (None, frame.time_of_day):
-            continue
-        if numbers.below_m is None or (frame.altitude_m is not None and frame.altitude_m < numbers.below_m):
+        if (
+            numbers.time_of_day in (None, frame.time_of_day)
+            and is_below(frame.altitude_m, numbers.below_m)
+            and is_below(frame.pitch_deg, numbers.below_pitch_deg)
+        ):
             return numbers
     return count
 
