@@ -77,7 +77,9 @@ _SHADOW_OPACITY = 0.6
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
-# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky.
+# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Upright
+# parts see the ground instead: the side towards the camera is some 14 levels brighter than the ground, median, and
+# stores of heat (tyres, floor, engine bay) are warmer than the air for hours (bench/edge_profiles.py).
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-6.0, -4.0),
     "wing": (-2.0, 2.0), "side": (0.5, 5.5), "pillar": (-5.0, -2.5), "front": (1.0, 8.0),

@@ -13,7 +13,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import Site, is_even, relief_of
-from infrablend.sampling.scene import FrameKey, rebuild_scene, sample_scene
+from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
 
 WH = (640, 512)
 
@@ -102,6 +102,8 @@ def test_heights_are_corrected_as_the_recipe_states_for_its_dataset():
     prior = prior_of(heights, 60, 60, "night")
     assert calibrate(hit_uav_camera(60, 60), 60, [], prior).factor == pytest.approx(1.8)
     assert prior_of(StatedHeights(), 60, 60, "night") == FROM_TABLE
+    sure = StatedHeights(by_flight=(FlightHeight(factor=1.4, below_pitch_deg=35, spread=0.05),))
+    assert [prior_of(sure, 80, pitch, "day").sd for pitch in (30, 40, None)] == [0.05, 0.16, 0.16]
 
 
 def test_loose_boxes_do_not_make_the_camera_lower():
@@ -262,6 +264,63 @@ def test_cars_stand_in_rows():
     along = np.array([math.cos(first.yaw_rad), math.sin(first.yaw_rad)])
     away = np.array([np.subtract(o.position_m[:2], first.position_m[:2]) for o in spec.objects[1:]])
     assert (np.abs(away @ side) > 3 * np.abs(away @ along)).all()
+
+
+def lined(yaw_deg, pitch=90.0):
+    """A picture from above with kerbs along a direction on the ground."""
+    v, u = np.mgrid[0 : WH[1], 0 : WH[0]]
+    turn = math.radians(yaw_deg)
+    # Seen from straight above, up in the picture is +Y.
+    side = -v * math.cos(turn) - u * math.sin(turn)
+    return np.where(side % 90 < 6, 150, 120).astype(np.uint8)
+
+
+def off_deg(spec, yaw_deg, period_deg):
+    turns = (math.degrees(o.yaw_rad) - yaw_deg for o in spec.objects)
+    return np.array([abs((t + period_deg / 2) % period_deg - period_deg / 2) for t in turns])
+
+
+@pytest.mark.parametrize("yaw", [0, 30])
+def test_aligned_cars_stand_along_the_lines_of_the_picture(yaw):
+    settings = ["objects.0.count=6", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 3}"]
+    drawn = [draw(load_recipe("hit-uav-car", settings), lined(yaw), pitch=90.0, number=n) for n in range(8)]
+    off = np.concatenate([off_deg(s, yaw, 90) for s in drawn])
+    assert len(off) > 30 and off.max() < 14 and 1.5 < math.sqrt((off**2).mean()) < 4.5
+    # One picture has one of the two directions, the other pictures have either; both ends may be in front.
+    across = [off_deg(s, yaw, 180).mean() > 45 for s in drawn]
+    assert all(off_deg(s, yaw + 90 * a, 180).max() < 14 for s, a in zip(drawn, across, strict=True))
+    assert 0 < sum(across) < len(drawn)
+    assert any(np.ptp(np.cos([o.yaw_rad for o in s.objects])) > 1 or across[n] for n, s in enumerate(drawn))
+
+
+def test_some_cars_do_not_follow_the_lines():
+    settings = ["objects.0.count=6", "placement.max_relief_grey=0", "objects.0.align={share: 0.5, spread_deg: 1}"]
+    drawn = [draw(load_recipe("hit-uav-car", settings), lined(0), pitch=90.0, number=n) for n in range(12)]
+    off = np.concatenate([off_deg(s, 0, 90) for s in drawn])
+    assert 0.4 < (off < 4).mean() < 0.75
+
+
+def test_cars_of_a_picture_without_lines_share_a_direction():
+    settings = ["objects.0.count=5", "objects.0.align={share: 1, spread_deg: 2}"]
+    drawn = [draw(load_recipe("hit-uav-car", settings), number=n) for n in range(6)]
+    for s in drawn:
+        assert off_deg(s, math.degrees(s.objects[0].yaw_rad), 180).max() < 14
+    firsts = np.array([math.degrees(s.objects[0].yaw_rad) % 90 for s in drawn])
+    assert np.ptp(firsts) > 10
+
+
+def test_a_moved_car_stands_along_the_others():
+    settings = ["objects.0.count=4", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 2}"]
+    recipe = load_recipe("hit-uav-car", settings)
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    site = Site(lined(20), (), frozenset(), 80.0)
+    for n in range(4):
+        key = FrameKey(f"1_80_90_0_{n:05d}", "train", 0, WH, 90.0, "night")
+        scene = sample_scene(key, recipe, models, 0, site)
+        moved = move_objects(scene, range(4), recipe, models, 0, site, 1).spec
+        first = math.degrees(scene.spec.objects[0].yaw_rad)
+        assert moved.objects and off_deg(moved, first, 180).max() < 12
+        assert [o.position_m for o in moved.objects] != [o.position_m for o in scene.spec.objects]
 
 
 def test_draws_without_companions_are_unchanged():

@@ -96,13 +96,14 @@ def test_several_objects_and_empty_frames():
     assert 8 <= numbers.count(0) <= 34
 
 
-def test_numbers_of_objects_follow_time_of_day_and_height():
+def test_numbers_of_objects_follow_time_of_day_height_and_angle():
     count = {
         "values": [1],
         "by_flight": [
             {"time_of_day": "day", "below_m": 85, "values": [4]},
             {"time_of_day": "day", "values": [3]},
             {"below_m": 50, "values": [2]},
+            {"below_pitch_deg": 35, "values": [5]},
         ],
     }
     recipe = load_recipe("hit-uav-drone", {"objects.0.count": count})
@@ -115,6 +116,8 @@ def test_numbers_of_objects_follow_time_of_day_and_height():
     assert number(time_of_day="day", altitude_m=None) == 3
     assert number(time_of_day="night", altitude_m=49.0) == 2
     assert number(time_of_day="night", altitude_m=None) == 1
+    assert number(pitch_deg=30.0) == 5
+    assert number(pitch_deg=35.0) == 1
     assert number() == 1
 
 
