@@ -294,7 +294,7 @@ def _draw(
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
     yaw = math.radians(rng.uniform(*kind.yaw_deg))
-    if kind.align is not None and heading is not None:
+    if kind.align is not None and heading is not None and item.model.stands:
         yaw = _aligned(yaw, kind.align, heading, rng)
     above = float(rng.uniform(*kind.z_m))
     away = float(rng.uniform(*kind.range_m))

@@ -309,6 +309,12 @@ def test_cars_of_a_picture_without_lines_share_a_direction():
     assert np.ptp(firsts) > 10
 
 
+def test_flying_objects_have_headings_of_their_own():
+    plain = load_recipe("hit-uav-drone-physical", ["objects.0.count=2"])
+    aligned = load_recipe("hit-uav-drone-physical", ["objects.0.count=2", "objects.0.align={share: 1}"])
+    assert draw(plain, lined(0)).objects == draw(aligned, lined(0)).objects
+
+
 def test_a_moved_car_stands_along_the_others():
     settings = ["objects.0.count=4", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 2}"]
     recipe = load_recipe("hit-uav-car", settings)
