@@ -1,0 +1,77 @@
+"""Count what a detector finds, misses and takes for objects, in pictures with and without the class.
+
+`bench/false_alarms.py EVALUATION DATA [--category Car] [--split val] [--confidence 0.5]` reads the predictions of
+`infrablend evaluate` and prints, by time of day and range of pitch: objects, those found (IoU of at least 0.5),
+detections that overlap a further object by 0.3 to 0.5 (loose), and false ones in pictures with the class and in others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_iou
+from infrablend.core.dataset import ImageRecord
+from infrablend.formats.detection import read
+
+FOUND, LOOSE = 0.5, 0.3
+BELOW_DEG = (35.0, 65.0, np.inf)
+
+
+def main() -> None:
+    """Print a line per time of day and range of pitch, and one for all pictures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("evaluation", type=Path)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--category", default="Car")
+    parser.add_argument("--split", default="val")
+    parser.add_argument("--confidence", type=float, default=0.5)
+    options = parser.parse_args()
+    predictions = json.loads((options.evaluation / "predictions.json").read_bytes())
+    classes = {c["id"] for c in predictions["categories"] if c["name"] == options.category}
+    names = {i["id"]: Path(i["file_name"]).name for i in predictions["images"]}
+    detected: dict[str, list[tuple[float, NDArray[np.float64]]]] = defaultdict(list)
+    for found in predictions["annotations"]:
+        if found["category_id"] in classes and found["score"] >= options.confidence:
+            x, y, w, h = found["bbox"]
+            detected[names[found["image_id"]]].append((found["score"], np.array([x, y, x + w, y + h])))
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for image in read(options.data).images:
+        if image.split == options.split:
+            ordered = [box for _, box in sorted(detected[image.path.name], key=lambda d: -d[0])]
+            below = next(limit for limit in BELOW_DEG if (image.pitch_deg or 0) < limit)
+            seen = count(image, options.category, ordered)
+            counts[f"{image.time_of_day or 'unknown'}, pitch below {below:g}"] += seen
+            counts["all"] += seen
+    for group, seen in sorted(counts.items()):
+        print(
+            f"{group}: {seen['objects']} objects, {seen['found']} found, {seen['loose']} loose, "
+            f"{seen['false_beside']} false in pictures with {options.category}, {seen['false_elsewhere']} in others"
+        )
+
+
+def count(image: ImageRecord, category: str, ordered: list[NDArray[np.float64]]) -> Counter[str]:
+    """Count the detections of one picture, the surest first; each object is found once."""
+    left = [i.box_xyxy for i in image.instances if i.category == category]
+    seen = Counter({"objects": len(left)})
+    where = "false_beside" if left else "false_elsewhere"
+    for box in ordered:
+        shares = box_iou(box[None], np.array(left).reshape(-1, 4))[0]
+        most = shares.max(initial=0)
+        if most >= FOUND:
+            seen["found"] += 1
+            left.pop(int(shares.argmax()))
+        elif most >= LOOSE:
+            seen["loose"] += 1
+        else:
+            seen[where] += 1
+    return seen
+
+
+if __name__ == "__main__":
+    main()
