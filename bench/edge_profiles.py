@@ -81,7 +81,7 @@ _GRID = np.stack(np.meshgrid(np.linspace(-0.3, 0.3, 5), np.linspace(-0.3, 0.3, 5
 def _levels(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the levels at (n, 2) positions, interpolated."""
     x, y = (xy - 0.5).astype(np.float32).T
-    return np.asarray(cv2.remap(picture, x[None], y[None], cv2.INTER_LINEAR))[0]
+    return np.asarray(cv2.remap(picture, x[None], y[None], cv2.INTER_LINEAR)[0], np.float32)
 
 
 def _is_free(

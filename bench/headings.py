@@ -17,6 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import MetricCamera
@@ -25,6 +26,7 @@ from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.ground_lines import find_ground_lines
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m
 from infrablend.formats import detection
+from infrablend.formats.reading import Reading
 
 LEAST_ASPECT = 1.4
 WITHIN_DEG = 12.0
@@ -42,19 +44,20 @@ def main() -> None:
     options = parser.parse_args()
     lens = load_recipe(options.recipe).camera
     assert isinstance(lens, MetricCamera), f"{options.recipe}: expected a recipe with placement.mode metric"
-    reading = detection.Reading(options=dict(option.split("=", 1) for option in options.read))
+    reading = Reading(options=dict(option.split("=", 1) for option in options.read))
     angles: dict[str, list[tuple[float, float]]] = defaultdict(list)
     pairs: dict[str, list[float]] = defaultdict(list)
     for image in detection.read(options.data, reading).images:
         if image.split != options.split or image.pitch_deg is None or image.altitude_m is None:
             continue
+        assert image.size_wh is not None  # known for every picture with a pitch
         camera = CameraSpec(
             1.0, math.radians(image.pitch_deg), 0.0, lens.focal_length_mm, lens.sensor_width_mm, image.size_wh
         )
         camera = at_height(camera, image.altitude_m)
         ground = ground_z_m(camera, image.altitude_m)
         yaws = [y for i in image.instances if i.category == options.category and (y := yaw_of(i, camera, ground))]
-        when = image.time_of_day or "unknown"
+        when: str = image.time_of_day or "unknown"
         pairs[when] += [_apart(a - b, 180) for a, b in itertools.combinations(yaws, 2)]
         lines = find_ground_lines(_pixels(image), camera, ground, [i.box_xyxy for i in image.instances])
         if lines is not None:
@@ -88,11 +91,11 @@ def _apart(angle_deg: float, period_deg: float) -> float:
     return abs((angle_deg + period_deg / 2) % period_deg - period_deg / 2)
 
 
-def _pixels(image: ImageRecord) -> np.ndarray:
-    return np.asarray(cv2.imread(str(image.path), cv2.IMREAD_GRAYSCALE))
+def _pixels(image: ImageRecord) -> NDArray[np.uint8]:
+    return np.asarray(cv2.imread(str(image.path), cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
-def _quantiles(values: np.ndarray) -> str:
+def _quantiles(values: NDArray[np.float64]) -> str:
     return "/".join(f"{q:.1f}" for q in np.percentile(values, SHARES))
 
 
