@@ -48,9 +48,10 @@ def main() -> None:
     angles: dict[str, list[tuple[float, float]]] = defaultdict(list)
     pairs: dict[str, list[float]] = defaultdict(list)
     for image in detection.read(options.data, reading).images:
-        if image.split != options.split or image.pitch_deg is None or image.altitude_m is None:
+        if image.split != options.split or image.size_wh is None:
             continue
-        assert image.size_wh is not None  # known for every picture with a pitch
+        if image.pitch_deg is None or image.altitude_m is None:
+            continue
         camera = CameraSpec(
             1.0, math.radians(image.pitch_deg), 0.0, lens.focal_length_mm, lens.sensor_width_mm, image.size_wh
         )
