@@ -22,7 +22,7 @@ from infrablend.core.mesh import FloatArray
 _SMOOTH_PX = 2.0
 # Gradients count up to this quantile, so that one bright roof does not decide alone.
 _STRONGEST = 0.97
-# Shares of the picture's gradients that are projected: the strongest.
+# Share of the picture's gradients that are projected: the strongest.
 _USED = 0.2
 # Gradients this near the edge of the picture or a label's box do not count, px.
 _APART_PX = 6
@@ -96,7 +96,10 @@ def _counted(shape: tuple[int, ...], boxes_xyxy: Sequence[FloatArray] | FloatArr
 
 
 def _on_ground(camera: CameraSpec, xy: FloatArray, z_m: float) -> FloatArray:
-    """Return (n, 2) positions on the ground of (n, 2) pixel positions; NaN above the horizon and far away."""
+    """Return (n, 2) positions on the ground, from the point below the camera, of (n, 2) pixel positions.
+
+    NaN above the horizon and far away.
+    """
     w, h = camera.size_wh
     rays = np.column_stack([(xy - (w / 2, h / 2)) / camera.focal_px, np.ones(len(xy))]) @ camera.world_to_camera
     height = float(camera.position_m[2]) - z_m
