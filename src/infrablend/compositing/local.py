@@ -62,6 +62,7 @@ class LocalSettings:
         local_share: Share of the neighbourhood in the level of an object, as expected beforehand.
         on_untrusted: What to do with a gain that is not to be trusted: use it all the same, draw it from the prior
             instead, or insert nothing.
+        headroom: How far levels may lie outside those of the dataset before the optics, as a multiple of their range.
     """
 
     prior: GainPrior = field(default_factory=GainPrior)
@@ -69,6 +70,7 @@ class LocalSettings:
     clothing_k: float = 6.0
     local_share: SharePrior = field(default_factory=SharePrior)
     on_untrusted: OnDoubt = "use"
+    headroom: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,9 @@ def local_mapping(
         rings.append(round(ring, 3))
         kinds.append(kind)
     first = places[0]
-    mapping = GreyMapping(first.dark, first.bright, (low, high), tuple(places) if len(places) > 1 else ())
+    beyond = settings.headroom * (high - low)
+    limits = (low - beyond, high + beyond)
+    mapping = GreyMapping(first.dark, first.bright, limits, tuple(places) if len(places) > 1 else ())
     facts = {
         "ring_grey": rings,
         "behind": kinds,

@@ -40,7 +40,7 @@ class GreyMapping:
     Attributes:
         dark: Level of radiance 0.
         bright: Level of radiance 1.
-        limits: Darkest and brightest level that the camera writes; surfaces beyond them saturate there.
+        limits: Darkest and brightest level of surfaces, before the optics; surfaces beyond them saturate there.
         places: The mapping around each insert if there are several; `dark` and `bright` are then those of the first.
         scale: Scale of a background's temperatures; the mapping then gives radiance at the sensor, W m^-2 sr^-1,
             instead of levels (`radiometric`). None for backgrounds in grey levels.

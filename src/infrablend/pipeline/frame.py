@@ -27,7 +27,9 @@ from infrablend.config.recipe import (
     GreyMatching,
     LocalMatching,
     MetricSections,
+    MetricSensor,
     NoSensor,
+    PaperSensor,
     Overlay,
     RadiometricMatching,
 )
@@ -214,7 +216,9 @@ class FrameComposer:
         if isinstance(matching, LocalMatching) and scene.objects:
             assert levels is not None
             backdrop = Backdrop(background.pixels, source.instances, source.time_of_day, levels)
-            settings = local_settings(matching, source.time_of_day)
+            sensor = self._recipe.sensor
+            last = sensor if isinstance(sensor, PaperSensor | MetricSensor) else None
+            settings = local_settings(matching, source.time_of_day, last)
             # The same stream at each attempt, so that a moved object does not influence the gain.
             rng = stream(self._settings.seed, frame.frame_id, "matching")
             match = match_locally(scene, backdrop, settings, rng)

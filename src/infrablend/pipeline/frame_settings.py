@@ -73,8 +73,16 @@ class FrameDone:
     seconds: Mapping[str, float]
 
 
-def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> LocalSettings:
-    """Return the settings of matching by physics for a background of this time of day."""
+def local_settings(
+    matching: LocalMatching, time_of_day: TimeOfDay | None, sensor: PaperSensor | MetricSensor | None = None
+) -> LocalSettings:
+    """Return the settings of matching by physics for a background of this time of day.
+
+    Args:
+        matching: The recipe's matching.
+        time_of_day: Time of day of the background; None if unknown.
+        sensor: The recipe's sensor, which cuts off what exceeds the levels; None for none.
+    """
     m = matching
     low, high = m.gain_grey_per_k
     mean = m.gain_prior_grey_per_k
@@ -85,7 +93,8 @@ def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None) -> Lo
         share = m.local_share_day
     prior = GainPrior(mean, mean * m.gain_prior_spread, low, high)
     local_share = SharePrior(share, m.local_share_spread, m.local_reach)
-    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, local_share, m.on_untrusted)
+    headroom = 0.0 if sensor is None else sensor.headroom
+    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, local_share, m.on_untrusted, headroom)
 
 
 def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None) -> Least | None:
