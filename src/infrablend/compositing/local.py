@@ -35,6 +35,7 @@ from infrablend.compositing.gain import (
     ring_level,
 )
 from infrablend.compositing.mapping import GreyMapping, Place
+from infrablend.core.boxes import pixel_box
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.placed import PlacedObject, PlacedScene
@@ -47,6 +48,9 @@ _SEEN_SHARE = 0.2
 # Standard deviation of trees and ground near the horizon against the air, kelvin. That of the sky is not part of it:
 # the weather is drawn, and the gain follows from the weather that was drawn.
 _LAND_K = 4.0
+
+# A box shows the other kind if its pixels are nearer to that one's level by this factor.
+_CLEARLY = 0.5
 
 OnDoubt = Literal["use", "prior", "skip"]
 
@@ -197,12 +201,11 @@ def local_mapping(
 
     rings, kinds, places, used = [], [], [], set()
     for insert in inserts:
-        kind = behind.kind_at(insert.box_xyxy)
+        kind, ring = _kind_and_ring(behind, picture, free, insert.box_xyxy, reach)
         which = "sky" if kind == "sky" else "warm" if insert.warm else "cold"
         used.add(which)
         gain = gains[which]
         middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
-        ring = ring_level(picture, insert.box_xyxy, _like(behind, free, kind), reach)
         level, reference = _reference(behind, kind, weather, ring)
         clearer, hazier = _through_air(insert, weather, kind)
         level += share * (ring - level)
@@ -245,6 +248,31 @@ def _land_anchors(behind: Behind, backdrop: Backdrop, weather: Weather) -> tuple
     ceiling = backdrop.levels[1] - CLIP_MARGIN * backdrop.grey_unit
     clipped = behind.sky_grey + behind.step_grey >= ceiling
     return (Anchor("land_clipped" if clipped else "land", behind.step_grey, weather.air_k, _LAND_K),)
+
+
+def _kind_and_ring(
+    behind: Behind,
+    picture: NDArray[np.float32],
+    free: NDArray[np.bool_],
+    box_xyxy: NDArray[np.float64],
+    reach: float,
+) -> tuple[Kind, float]:
+    """Return what is behind a box, and the level of its surroundings of that kind.
+
+    The pixels in the box decide between sky and what stands above the horizon if they clearly look like the other one:
+    clouds that touch a roof are found as part of it, and trees without a steep edge as part of the sky.
+    """
+    kind = behind.kind_at(box_xyxy)
+    ring = ring_level(picture, box_xyxy, _like(behind, free, kind), reach)
+    if kind == "ground" or not (behind.land & free).any():
+        return kind, ring
+    other: Kind = "skyline" if kind == "sky" else "sky"
+    of_other = ring_level(picture, box_xyxy, _like(behind, free, other), reach)
+    x0, y0, x1, y1 = pixel_box(box_xyxy, picture.shape)
+    inside = float(np.median(picture[y0:y1, x0:x1]))
+    if abs(inside - of_other) < _CLEARLY * abs(inside - ring):
+        return other, inside
+    return kind, ring
 
 
 def _like(behind: Behind, free: NDArray[np.bool_], kind: Kind) -> NDArray[np.bool_]:
