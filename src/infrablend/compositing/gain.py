@@ -114,6 +114,7 @@ class Anchor:
         kelvin: Assumed apparent temperature.
         sd_k: Standard deviation of that temperature.
         ring: Level of the ground around it minus that of the picture's ground; 0 against the sky.
+        sky_radiance: Radiance of the sky it is compared with; None for the ground.
     """
 
     kind: AnchorKind
@@ -121,9 +122,15 @@ class Anchor:
     kelvin: float
     sd_k: float
     ring: float = 0.0
+    sky_radiance: float | None = None
+
+    def contrast(self, ground_radiance: float) -> float:
+        """Return its radiance above that of what it is compared with."""
+        behind = ground_radiance if self.sky_radiance is None else self.sky_radiance
+        return float(band_radiance(self.kelvin)) - behind
 
     def above_ground(self, share: float) -> float:
-        """Return the object's level above the picture's ground, without the local share of its surroundings."""
+        """Return the object's level above the picture's ground (or sky), without the local share of the surroundings."""
         return self.grey + (1 - share) * self.ring
 
 
@@ -251,7 +258,7 @@ def draw_gain(
     Args:
         anchors: Readings of the picture.
         air_k: Air temperature.
-        reference: Radiance that the anchors' levels are relative to: that of the ground, or of the sky.
+        reference: Radiance of the ground.
         scale: Levels of the picture per 8-bit level.
         prior: The gain expected beforehand.
         warm: Whether the gain is for inserts warmer than the reference; anchors on the other side get less weight.
@@ -272,12 +279,12 @@ def draw_gain(
     bounds = [prior.low * read.grey_per_k, prior.high * read.grey_per_k]
     for kind in ("face_clipped", "clothing_clipped", "land_clipped"):
         clipped = [a for a in anchors if a.kind == kind] if warm else []
-        hotter = float(band_radiance(clipped[0].kelvin)) - reference if clipped else 0.0
+        hotter = clipped[0].contrast(reference) if clipped else 0.0
         if hotter > 0:
             at_least = float(np.median([a.above_ground(share) for a in clipped])) / hotter
             bounds[0] = min(max(bounds[0], at_least), bounds[1])
     gain = _truncated_normal(rng, centre, sd, bounds[0], bounds[1])
-    offset = read.offset_variance * float((known @ (grey - gain * read.contrast)).sum())
+    offset = read.offset_variance * float(read.of_ground @ known @ (grey - gain * read.contrast))
     expected = prior.mean * read.grey_per_k * read.contrast
     alike = np.linalg.inv(read.covariance + variance * np.outer(read.contrast, read.contrast))
     off = abs(float((alike @ (grey - expected)).sum())) / math.sqrt(max(float(alike.sum()), 1e-12))
@@ -291,7 +298,9 @@ def draw_gain(
             "bounds": [round(b * unit, 4) for b in bounds],
             "anchors_used": len(grey),
             "offset_grey": round(offset / scale, 3),
-            "doubts": _doubts(centre, bounds, off, (grey - offset - centre * read.contrast) / read.noise),
+            "doubts": _doubts(
+                centre, bounds, off, (grey - offset * read.of_ground - centre * read.contrast) / read.noise
+            ),
         },
     )
 
@@ -306,7 +315,8 @@ class _Readings:
         grey: (n,) level above the surroundings.
         ring: (n,) level of the surroundings above the picture's ground.
         noise: (n,) standard deviation of the level, from the reading and the temperature.
-        offset_variance: Variance of the offset that all levels share.
+        of_ground: (n,) 1 for levels above the ground, 0 for those above the sky.
+        offset_variance: Variance of the offset that all levels above the ground share.
     """
 
     grey_per_k: float
@@ -314,6 +324,7 @@ class _Readings:
     grey: NDArray[np.float64]
     ring: NDArray[np.float64]
     noise: NDArray[np.float64]
+    of_ground: NDArray[np.float64]
     offset_variance: float
 
     @classmethod
@@ -329,23 +340,22 @@ class _Readings:
         """Read anchors; with `warm`, those on the other side of the reference count less."""
         rows = []
         for a in anchors:
-            contrast = float(band_radiance(a.kelvin)) - reference
+            contrast = a.contrast(reference)
             if a.kind.endswith("clipped") or abs(contrast) < 1e-6:
                 continue
             noise = math.hypot(_READING_GREY, prior.mean * a.sd_k) * scale
             if warm is not None and (contrast > 0) != warm:
                 noise *= _OTHER_SIDE
-            rows.append((contrast, a.grey, a.ring, noise))
-        contrasts, grey, ring, noises = np.array(rows, np.float64).reshape(-1, 4).T
-        # The sky's radiance is what the weather states, and the step to the land was measured beside it.
-        of_ground = any(a.kind not in {"land", "land_clipped"} for a in anchors)
-        offset = (prior.mean * _GROUND_K * scale) ** 2 if of_ground else 0.0
-        return cls(scale / float(band_radiance_slope(air_k)), contrasts, grey, ring, noises, offset)
+            # The sky's radiance is what the weather states, and the step to the land was measured beside it.
+            rows.append((contrast, a.grey, a.ring, noise, float(a.sky_radiance is None)))
+        contrasts, grey, ring, noises, of_ground = np.array(rows, np.float64).reshape(-1, 5).T
+        offset = (prior.mean * _GROUND_K * scale) ** 2
+        return cls(scale / float(band_radiance_slope(air_k)), contrasts, grey, ring, noises, of_ground, offset)
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """(n, n) covariance of the levels: own noise and common offset."""
-        return np.diag(self.noise**2) + self.offset_variance
+        """(n, n) covariance of the levels: own noise, and the common offset of those above the ground."""
+        return np.diag(self.noise**2) + self.offset_variance * np.outer(self.of_ground, self.of_ground)
 
     def above_ground(self, share: float) -> NDArray[np.float64]:
         """Return the (n,) levels above the picture's ground, without the local share of the surroundings."""

@@ -44,7 +44,7 @@ from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
 
 # Share of an object's labelled area that must stand out from the ground.
-_SEEN_SHARE = 0.2
+_SEEN_SHARE = 0.1
 # Standard deviation of trees and ground near the horizon against the air, kelvin. That of the sky is not part of it:
 # the weather is drawn, and the gain follows from the weather that was drawn.
 _LAND_K = 4.0
@@ -163,8 +163,8 @@ def local_mapping(
     """Return the mapping for the inserts of one frame, and the estimates behind it.
 
     Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
-    from warm anchors, that of cold ones from cold. In front of the sky the gain comes from the contrast between sky and
-    land, if the picture shows both.
+    from warm anchors, that of cold ones from cold. The contrast between sky and land, if the picture shows both, is an
+    anchor as well. The gain of warm inserts also holds in front of the sky, which is colder than everything else.
 
     Args:
         backdrop: The background.
@@ -184,15 +184,15 @@ def local_mapping(
     reach = settings.local_share.reach
     on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
     against_sky = _land_anchors(behind, backdrop, weather)
+    anchors = (*on_ground, *against_sky)
     of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
     unit = backdrop.grey_unit
     share, share_facts = draw_share(
         on_ground, weather.air_k, of_ground, unit, settings.local_share, settings.prior, rng
     )
     gains, offsets, gain_facts = {}, {}, {}
-    for which in ("warm", "cold", "sky"):  # always draw all, so that no insert's gain depends on the others
-        reference, anchors = (behind.sky_radiance, against_sky) if which == "sky" else (of_ground, on_ground)
-        args = (weather.air_k, reference, unit, settings.prior, which != "cold")
+    for which in ("warm", "cold"):  # always draw both, so that no insert's gain depends on the others
+        args = (weather.air_k, of_ground, unit, settings.prior, which == "warm")
         gains[which], offsets[which], gain_facts[which] = draw_gain(anchors, *args, rng, share)
         if settings.on_untrusted == "prior" and is_untrusted(gain_facts[which]["doubts"]):
             doubts = gain_facts[which]["doubts"]
@@ -202,7 +202,7 @@ def local_mapping(
     rings, kinds, places, used = [], [], [], set()
     for insert in inserts:
         kind, ring = _kind_and_ring(behind, picture, free, insert.box_xyxy, reach)
-        which = "sky" if kind == "sky" else "warm" if insert.warm else "cold"
+        which = "warm" if insert.warm or kind == "sky" else "cold"
         used.add(which)
         gain = gains[which]
         middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
@@ -232,7 +232,7 @@ def local_mapping(
         "warm": [i.warm for i in inserts],
         "local_share": share_facts,
         "gain": {which: gain_facts[which] for which in gains if which in used},
-        "anchors": {kind: sum(a.kind == kind for a in (*on_ground, *against_sky)) for kind in ANCHORS},
+        "anchors": {kind: sum(a.kind == kind for a in anchors) for kind in ANCHORS},
         "levels": [low, high],
     }
     return mapping, facts
@@ -245,9 +245,12 @@ def _land_anchors(behind: Behind, backdrop: Backdrop, weather: Weather) -> tuple
     """
     if behind.sky_grey is None or behind.step_grey <= 0:
         return ()
+    rise = behind.step_grey
+    if behind.ground_grey is not None:
+        rise = max(rise, behind.ground_grey - behind.sky_grey)
     ceiling = backdrop.levels[1] - CLIP_MARGIN * backdrop.grey_unit
-    clipped = behind.sky_grey + behind.step_grey >= ceiling
-    return (Anchor("land_clipped" if clipped else "land", behind.step_grey, weather.air_k, _LAND_K),)
+    clipped = behind.sky_grey + rise >= ceiling
+    return (Anchor("land_clipped" if clipped else "land", rise, weather.air_k, _LAND_K, 0.0, behind.sky_radiance),)
 
 
 def _kind_and_ring(
@@ -312,7 +315,7 @@ def is_warm(placed: PlacedObject, weather: Weather) -> bool:
 
 
 def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_grey: float, weather: Weather) -> float:
-    """Return the contrast to the ground, in picture levels, that a fifth of an object's labelled area reaches.
+    """Return the contrast to the ground, in picture levels, that a tenth of an object's labelled area reaches.
 
     Each part is assumed to reflect the ground or the zenith, and to have its coldest or its warmest temperature,
     whichever gives more contrast. The result is an upper estimate: an object that is too faint here is certainly too

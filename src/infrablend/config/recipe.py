@@ -96,9 +96,9 @@ class HorizonPitch(Strict):
     """A pitch found in each background: the row where sky and ground meet. For cameras that look level or up."""
 
     from_horizon: Literal[True]
-    """Take the pitch from the horizon in the picture."""
+    """Take the pitch from the horizon in the picture, where the background's metadata have none."""
     else_deg: range_of(-90, 100) | None = None  # type: ignore[valid-type]
-    """Range of the depression angle, degrees, where no horizon is found; it is drawn so that the horizon is below the
+    """Range of the depression angle, degrees, where neither is there; it is drawn so that the horizon is below the
     picture if that shows the sky alone. Without it, nothing is inserted into such backgrounds."""
 
 

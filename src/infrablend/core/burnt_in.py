@@ -1,9 +1,13 @@
-"""Finds text and logos that a camera has written into its pictures.
+"""Finds text, logos and symbols that a camera has written into its pictures.
 
-Glyphs are small, nearly as bright as the brightest level, sharper than any lens, and in rows of equal height.
+Glyphs are small, nearly as bright as the brightest level, sharper than any lens, and in rows of equal height. A picture
+with one such row has more marks, which need not be as clear: shorter rows, dimmer glyphs, the outline of a battery.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -11,50 +15,108 @@ from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray
 
-# A glyph is this much brighter than what surrounds it, and this near to the brightest level, 8-bit levels.
+# A glyph has pixels that are this much brighter than what surrounds them and this near to the brightest level, 8-bit
+# levels; its other pixels, which are smoothed, are brighter than the surroundings by the third figure.
 _ABOVE = 50.0
 _BELOW_BRIGHTEST = 40.0
-# Height and width of a glyph, px; a stroke is at most this wide.
-_HEIGHT_PX = (5, 14)
-_WIDTH_PX = 14
-_STROKE_PX = 5
-# Glyphs of a row: tops and heights that differ by at most this, gaps of at most that many heights, least number.
-_SAME_PX = 1
+_EDGE_ABOVE = 25.0
+# Least height of a glyph, px, greatest as a share of the picture's height, and greatest width in heights. A stroke is
+# at most this wide in small and in large glyphs.
+_LEAST_PX = 5
+_LARGEST = 0.1
+_WIDTH_HEIGHTS = 1.6
+_STROKES_PX = (5, 9)
+# Glyphs of a row: tops and heights that differ by at most this share of the height, at least 1 px; gaps of at most that
+# many heights; least number.
+_SAME = 0.12
 _GAP_HEIGHTS = 1.5
 _LEAST_GLYPHS = 4
+# Marks in a picture with text: their brightest pixel reaches the text's level less this, and marks with gaps of at most
+# this many px are one.
+_BELOW_TEXT = 60.0
+_JOIN_PX = 9
+_LEAST_MARK_PX = 4
 _MARGIN_PX = 2
 
 
+class _Glyph(NamedTuple):
+    x: int
+    y: int
+    w: int
+    h: int
+
+
 def find_burnt_in(picture: NDArray[np.float32], scale: float = 1.0) -> FloatArray:
-    """Return the (n, 4) boxes around rows of text in a picture.
+    """Return the (n, 4) boxes around text and other marks in a picture; none if it has no row of text.
+
+    Bright details of the scene may be among the marks of a picture that has text.
 
     Args:
         picture: (h, w) levels.
         scale: Levels of the picture per 8-bit level.
     """
     grey = np.asarray(picture, np.float32) / np.float32(scale)
-    strokes = cv2.morphologyEx(grey, cv2.MORPH_TOPHAT, np.ones((_STROKE_PX, _STROKE_PX), np.uint8)) > _ABOVE
-    strokes &= grey > float(grey.max()) - _BELOW_BRIGHTEST
-    _, _, found, _ = cv2.connectedComponentsWithStats(strokes.astype(np.uint8), connectivity=8)
-    low, high = _HEIGHT_PX
-    glyphs = sorted(
-        (int(x), int(y), int(w), int(h)) for x, y, w, h, _ in found[1:] if low <= h <= high and w <= _WIDTH_PX
-    )
-    rows: list[list[tuple[int, int, int, int]]] = []
+    rows = [row for stroke in _STROKES_PX for glyphs in _glyphs(grey, stroke) for row in _rows(glyphs)]
+    boxes = [
+        (min(g.x for g in row), min(g.y for g in row), max(g.x + g.w for g in row), max(g.y + g.h for g in row))
+        for row in rows
+    ]
+    if boxes:
+        level = float(np.median([grey[y0:y1, x0:x1].max() for x0, y0, x1, y1 in boxes]))
+        boxes += _marks(grey, level)
+    grown = np.array(boxes, np.float64).reshape(-1, 4)
+    return np.asarray(grown + np.array([-_MARGIN_PX, -_MARGIN_PX, _MARGIN_PX, _MARGIN_PX]))
+
+
+def _above_surroundings(grey: NDArray[np.float32], stroke_px: int) -> NDArray[np.float32]:
+    return np.asarray(cv2.morphologyEx(grey, cv2.MORPH_TOPHAT, np.ones((stroke_px, stroke_px), np.uint8)), np.float32)
+
+
+def _glyphs(grey: NDArray[np.float32], stroke_px: int) -> Iterable[list[_Glyph]]:
+    """Yield the connected strokes of the size of glyphs, from left to right, without and with smoothed edges.
+
+    Smoothed edges join the letters of small text; without them those of large text fall apart.
+    """
+    above = _above_surroundings(grey, stroke_px)
+    certain = (above > _ABOVE) & (grey > float(grey.max()) - _BELOW_BRIGHTEST)
+    highest = max(2.8 * _LEAST_PX, _LARGEST * grey.shape[0])
+    # Wide strokes are those of large glyphs.
+    least = _LEAST_PX if stroke_px == _STROKES_PX[0] else 2 * stroke_px
+    for strokes in (certain, above > _EDGE_ABOVE):
+        found = _components(strokes, certain)
+        yield sorted(g for g in found if least <= g.h <= highest and g.w <= _WIDTH_HEIGHTS * g.h)
+
+
+def _components(strokes: NDArray[np.bool_], certain: NDArray[np.bool_]) -> Iterable[_Glyph]:
+    """Yield the connected regions of the first mask that contain pixels of the second."""
+    count, names, facts, _ = cv2.connectedComponentsWithStats(strokes.astype(np.uint8), connectivity=8)
+    kept = np.bincount(names[certain], minlength=count) > 0
+    return (_Glyph(*(int(v) for v in facts[k, :4])) for k in range(1, count) if kept[k])
+
+
+def _rows(glyphs: list[_Glyph]) -> list[list[_Glyph]]:
+    """Return the glyphs of equal height that are beside each other, where they are enough for a row.
+
+    Takes them from left to right.
+    """
+    rows: list[list[_Glyph]] = []
     for glyph in glyphs:
-        x, y, _, h = glyph
+        same = max(1.0, _SAME * glyph.h)
         for row in rows:
             last = row[-1]
-            near = 0 <= x - (last[0] + last[2]) <= _GAP_HEIGHTS * h
-            if near and abs(y - last[1]) <= _SAME_PX and abs(h - last[3]) <= _SAME_PX:
+            near = 0 <= glyph.x - (last.x + last.w) <= _GAP_HEIGHTS * glyph.h
+            if near and abs(glyph.y - last.y) <= same and abs(glyph.h - last.h) <= same:
                 row.append(glyph)
                 break
         else:
             rows.append([glyph])
-    boxes = []
-    for row in rows:
-        if len(row) >= _LEAST_GLYPHS:
-            xs, ys = [(g[0], g[0] + g[2]) for g in row], [(g[1], g[1] + g[3]) for g in row]
-            boxes.append([min(x for x, _ in xs), min(y for y, _ in ys), max(x for _, x in xs), max(y for _, y in ys)])
-    grown = np.array(boxes, np.float64).reshape(-1, 4)
-    return np.asarray(grown + np.array([-_MARGIN_PX, -_MARGIN_PX, _MARGIN_PX, _MARGIN_PX]))
+    return [row for row in rows if len(row) >= _LEAST_GLYPHS]
+
+
+def _marks(grey: NDArray[np.float32], text_level: float) -> list[tuple[int, int, int, int]]:
+    """Return boxes around sharp details about as bright as the text, joined to words."""
+    above = _above_surroundings(grey, _STROKES_PX[0])
+    certain = (above > _ABOVE) & (grey > text_level - _BELOW_TEXT)
+    joined = cv2.morphologyEx((above > _EDGE_ABOVE).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, _JOIN_PX), np.uint8))
+    marks = _components(joined.astype(np.bool_), certain)
+    return [(m.x, m.y, m.x + m.w, m.y + m.h) for m in marks if m.h >= _LEAST_MARK_PX and m.w >= _LEAST_MARK_PX]

@@ -114,8 +114,11 @@ class FrameComposer:
         # Image and labels. Objects that nobody can see in the finished picture are moved, or left out in the end.
         moves = 0
         first: list[dict[str, Any]] = []
+        matching_facts: dict[str, Any] = {}
         while True:
-            scene, mapping, matching_facts, faint = self._match(scene, frame, background)
+            scene, mapping, facts, faint = self._match(scene, frame, background)
+            # What was estimated for objects that are left out in the end is still reported.
+            matching_facts = facts or matching_facts
             faint = movable(scene, faint)
             hidden: list[int] = []
             if not faint:

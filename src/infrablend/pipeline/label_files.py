@@ -325,6 +325,8 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         "frames_without_object_because": empty_frames(records),
         "frames_of_other_size": other_size,
     }
+    if pitches := pitch_sources(records):
+        counts["pitch_from"] = pitches
     if hiding := hiding_statistics(records):
         counts["partly_hidden"] = hiding
     if contrast := contrast_statistics(records):
@@ -346,6 +348,12 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))
+
+
+def pitch_sources(records: Sequence[FrameRecord]) -> dict[str, int]:
+    """Count where the pitch of the camera came from; empty unless the recipe takes it from the horizon."""
+    found = Counter(r.scene.draws["pitch_from"] for r in records if r.scene and "pitch_from" in r.scene.draws)
+    return dict(sorted(found.items()))
 
 
 def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:

@@ -87,6 +87,9 @@ class FrameKey:
         return f"{self.split}/{self.background_id}_c{self.configuration}"
 
 
+PitchFrom = Literal["metadata", "horizon", "recipe", "nothing"]
+
+
 def sample_scene(
     frame: FrameKey, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int, site: Site | None = None
 ) -> PlacedScene:
@@ -103,7 +106,7 @@ def sample_scene(
         site: The background; needed by metric placement and to keep clear of ignore regions.
     """
     rng = {s: stream(seed, frame.frame_id, s) for s in ("world", "shape", "heat", "placement")}
-    pitch = _pitch_deg(frame, recipe, rng["world"], site)
+    pitch, pitch_from = _pitch_deg(frame, recipe, rng["world"], site)
     # Without a pitch nothing is inserted; the camera of such a frame has no meaning.
     pitch_rad = math.radians(0.0 if pitch is None else pitch)
     unfit = site.unfit if site is not None and isinstance(recipe, MetricSections) else None
@@ -193,6 +196,7 @@ def sample_scene(
             "first_distance_m": tally.first_distance_m,
             "rejected": dict(sorted(tally.rejected.items())),
             "absent": {reason: count for reason, count in sorted(tally.absent.items()) if count},
+            **({"pitch_from": pitch_from} if isinstance(recipe.camera.pitch, HorizonPitch) else {}),
         },
         weather=weather,
         motion_px=_motion(frame, recipe, seed) if objects else (0.0, 0.0),
@@ -389,33 +393,35 @@ def _focal_length_mm(frame: FrameKey, recipe: Recipe) -> float:
     return c.sensor_width_mm / 2 / math.tan(math.radians(frame.hfov_deg) / 2)
 
 
-def _pitch_deg(frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: Site | None) -> float | None:
-    """Return the camera's pitch, degrees; None if it comes from a horizon that is neither found nor stated."""
+def _pitch_deg(
+    frame: FrameKey, recipe: Recipe, rng: np.random.Generator, site: Site | None
+) -> tuple[float | None, PitchFrom]:
+    """Return the camera's pitch, degrees, and where it comes from; None if no horizon is known, found or stated."""
     pitch = recipe.camera.pitch
     drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
     if isinstance(pitch, FixedPitch):
-        return pitch.fixed_deg
+        return pitch.fixed_deg, "recipe"
     if isinstance(pitch, RandomPitch):
         low, high = pitch.random_deg
-        return float(low + (high - low) * drawn)
-    if isinstance(pitch, HorizonPitch) and pitch.from_horizon:
+        return float(low + (high - low) * drawn), "recipe"
+    if isinstance(pitch, HorizonPitch) and frame.pitch_deg is None:
         if site is None:
             raise ValueError(f"{frame.frame_id}: the horizon is found in the background, which is missing")
         c = recipe.camera
         focal_px = _focal_length_mm(frame, recipe) / c.sensor_width_mm * frame.size_wh[0]
         half_px = frame.size_wh[1] / 2
         if site.horizon_px is not None:
-            return math.degrees(math.atan((half_px - site.horizon_px) / focal_px))
+            return math.degrees(math.atan((half_px - site.horizon_px) / focal_px)), "horizon"
         if pitch.else_deg is None:
-            return None
+            return None, "nothing"
         low, high = pitch.else_deg
         if site.shows_sky:
             # The picture shows the sky alone, so the horizon is below its lower edge.
             high = max(low, min(high, -math.degrees(math.atan(half_px / focal_px))))
-        return float(low + (high - low) * drawn)
+        return float(low + (high - low) * drawn), "recipe"
     if frame.pitch_deg is None:
         raise ValueError(f"{frame.frame_id}: no camera pitch; the plan must have left this background out")
-    return frame.pitch_deg
+    return frame.pitch_deg, "metadata"
 
 
 def _wanted(
