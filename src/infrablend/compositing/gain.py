@@ -130,7 +130,7 @@ class Anchor:
         return float(band_radiance(self.kelvin)) - behind
 
     def above_ground(self, share: float) -> float:
-        """Return the object's level above the picture's ground (or sky), without the local share of the surroundings."""
+        """Return the level above the picture's ground (or sky), without the local share of the surroundings."""
         return self.grey + (1 - share) * self.ring
 
 
@@ -355,7 +355,8 @@ class _Readings:
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(n, n) covariance of the levels: own noise, and the common offset of those above the ground."""
-        return np.diag(self.noise**2) + self.offset_variance * np.outer(self.of_ground, self.of_ground)
+        common = self.offset_variance * np.outer(self.of_ground, self.of_ground)
+        return np.asarray(np.diag(self.noise**2) + common, np.float64)
 
     def above_ground(self, share: float) -> NDArray[np.float64]:
         """Return the (n,) levels above the picture's ground, without the local share of the surroundings."""

@@ -273,9 +273,11 @@ def _kind_and_ring(
     of_other = ring_level(picture, box_xyxy, _like(behind, free, other), reach)
     x0, y0, x1, y1 = pixel_box(box_xyxy, picture.shape)
     inside = float(np.median(picture[y0:y1, x0:x1]))
-    if abs(inside - of_other) < _CLEARLY * abs(inside - ring):
-        return other, inside
-    return kind, ring
+    looks_like_other = abs(inside - of_other) < _CLEARLY * abs(inside - ring)
+    if kind == "skyline" and inside < of_other + behind.step_grey / 2:
+        # What passes for land around the box may be sky as well.
+        looks_like_other |= abs(inside - of_other) <= abs(inside - ring)
+    return (other, inside) if looks_like_other else (kind, ring)
 
 
 def _like(behind: Behind, free: NDArray[np.bool_], kind: Kind) -> NDArray[np.bool_]:

@@ -620,9 +620,9 @@ class Sensor(Strict):
     clip: bool = True
     """Keep inserts within the dataset's darkest and brightest level (before the codec)."""
     headroom: float = Field(0.0, ge=0, le=10)
-    """How far levels may lie outside the dataset's darkest and brightest level until the optics have blurred them, as
-    a multiple of the range between those; `clip` then cuts them off. 0: surfaces are cut off first, so saturated objects
-    get edges as soft as any others. A camera cuts off last, which gives them hard edges. Physical look only."""
+    """How far levels may exceed the dataset's darkest and brightest level before the optics blur them, as a multiple of
+    the range between those; `clip` then cuts them off. With 0, surfaces are cut off first, and the edges of saturated
+    objects are as soft as all others. A camera cuts off last, which gives them hard edges. Physical look only."""
     codec: float = Field(1.0, ge=0, le=2)
     """Compression of the 8 px blocks that the inserts touch, by JPEG of quality 100 - codec * (100 - q), where q is
     the profile's quality. 8-bit images only."""

@@ -135,7 +135,11 @@ def add_model(file: Path, out: Path | None, answers: ModelAnswers) -> Path:
         )
     target.parent.mkdir(parents=True, exist_ok=True)
     write_text(target, description(survey, name, os.path.relpath(real_path(file), real_path(target.parent))))
-    ready_model(str(target))
+    try:
+        ready_model(str(target))
+    except ModelError:
+        target.unlink(missing_ok=True)  # or the corrected command would be refused
+        raise
     return target
 
 

@@ -29,8 +29,8 @@ from infrablend.config.recipe import (
     MetricSections,
     MetricSensor,
     NoSensor,
-    PaperSensor,
     Overlay,
+    PaperSensor,
     RadiometricMatching,
 )
 from infrablend.core.cores import take_core
@@ -133,7 +133,8 @@ class FrameComposer:
                 labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
                 first = first or [i.to_json() for i in inserts]
-                hidden = movable(scene, too_hidden(labels, label_report, occluders, rules))
+                least = recipe.placement.min_visibility
+                hidden = movable(scene, too_hidden(labels, label_report, occluders, rules, least))
                 faint = movable(scene, {*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
             if not faint:
                 break

@@ -65,7 +65,9 @@ def measure_inserts(
         site: The background's own labels and levels.
     """
     found = []
-    boxes = [*(i.box_xyxy for i in site.labels), *(i.box_xyxy for i in labels)]
+    # Always the whole objects: which box is written must not decide what is seen, and so what is moved.
+    whole = [np.asarray(i.extra.get("amodal_box", i.box_xyxy), np.float64) for i in labels]
+    boxes = [*(i.box_xyxy for i in site.labels), *whole]
     for n, (number, label) in enumerate(zip(numbers, labels, strict=True)):
         others = boxes[: len(site.labels) + n] + boxes[len(site.labels) + n + 1 :]
         changed = visible_change(before, after, rendered.coverage[number], rendered.offset_xy, site.grey_unit)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import statistics
-import sys
 from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.looseness import loosen_image
-from infrablend.compositing.gain import Doubt
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES
@@ -29,8 +27,15 @@ from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.pipeline.run_warnings import (
+    absent_warnings,
+    air_warnings,
+    doubt_codes,
+    frame_warnings,
+    hiding_warnings,
+    limit_warnings,
+)
 from infrablend.report.card import write_card
-from infrablend.sampling.calibration import FACTOR_BOUNDS
 
 
 @dataclass(frozen=True)
@@ -157,136 +162,6 @@ def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRec
     return writing.write(name, out / name, images, plan.categories, settings=settings, source=plan.dataset)
 
 
-def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """Return the warnings about backgrounds, merged into one per kind."""
-    seen: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for r in records:
-        for w in r.warnings:
-            seen.setdefault(w["code"], {}).setdefault(w["where"], w)
-    warnings = []
-    for code, by_place in sorted(seen.items()):
-        first = min(by_place)
-        w = by_place[first]
-        where = first if len(by_place) == 1 else f"{first} and {len(by_place) - 1} more"
-        warnings.append(Problem(where, code, w["found"], w["expected"], w["todo"], "warning"))
-    return warnings
-
-
-def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
-    """Return a warning if at least half of the requested objects were not inserted, e.g. for lack of visible ground."""
-    absent, wanted = sum(draws.get("absent", {}).values()), draws.get("wanted", 0)
-    if not absent or 2 * absent < wanted:
-        return []
-    most = sorted(draws["rejected"].items(), key=lambda r: (-r[1], r[0]))[:3]
-    why = ", ".join(f"{name} {n}" for name, n in (*draws["absent"].items(), *most))
-    todo = "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
-    found = f"{absent} of {wanted} objects were not inserted ({why})"
-    return [Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning")]
-
-
-def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """Return a warning if radiometric frames have a drawn temperature of the air."""
-    drawn = sum(r.facts.get("matching", {}).get("air") == "drawn" for r in records)
-    if not drawn:
-        return []
-    found = f"the temperature of the air is not stated for {drawn} frame(s), and was drawn"
-    expected = "that of the flight, which the temperatures of all objects are relative to"
-    todo = "set environment.air_temperature_c to one number"
-    return [Problem("environment.air_temperature_c", "air-drawn", found, expected, todo, "warning")]
-
-
-_TRUST = "set matching.on_untrusted to prior or skip for such frames"
-_DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
-    "gain_at_bound": (
-        "gain-at-limit",
-        "the estimated gain is at a limit",
-        "a gain within matching.gain_grey_per_k",
-        "check matching.polarity and the weather, or set matching.gain_grey_per_k for this camera; or " + _TRUST,
-    ),
-    "gain_negative": (
-        "gain-negative",
-        "the estimated gain is negative: annotated objects that should be warm are dark",
-        "warm objects that are bright",
-        "check matching.polarity, time of day and matching.clothing_above_air_k; or " + _TRUST,
-    ),
-    "anchors_contradict": (
-        "anchors-contradict",
-        "annotated objects of known temperature imply different gains",
-        "gains that agree within their uncertainty",
-        "check class names and time of day; or " + _TRUST,
-    ),
-    "anchors_off": (
-        "anchors-off",
-        "annotated objects of known temperature are all brighter or darker than the weather allows",
-        "levels within 2.5 standard deviations of those expected from weather and gain",
-        "check matching.polarity, environment.ground_above_air_k and matching.clothing_above_air_k; or " + _TRUST,
-    ),
-    "no_anchor": (
-        "no-anchor",
-        "the gain is drawn from the prior alone, because nothing of known temperature is in sight",
-        "annotated people, cars by night, or a skyline",
-        "check matching.gain_prior_grey_per_k, which decides the contrast of these inserts",
-    ),
-}
-
-
-def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """Return a warning per estimate that is at its limit in at least a fifth of its frames, so that it may be wrong.
-
-    The estimates are the height of the camera (metric placement) and the gain (physical look).
-    """
-    heights: list[bool] = []
-    gains: list[Sequence[str]] = []
-    for r in records:
-        heights += [] if (at_limit := _height_at_limit(r)) is None else [at_limit]
-        gains += [tuple(map(sys.intern, doubts)) for doubts in _gain_doubts(r)]
-    problems = []
-    if heights and 5 * sum(heights) >= len(heights):
-        found = (
-            "the corrected height of the camera is as far from the stated one as is allowed in "
-            f"{sum(heights)} of {len(heights)} frames with annotated objects of known size"
-        )
-        todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
-        problems.append(Problem("camera", "height-at-limit", found, "a height between the limits", todo, "warning"))
-    for kind, (code, what, expected, todo) in _DOUBTS.items():
-        count = sum(kind in doubts for doubts in gains)
-        if gains and 5 * count >= len(gains):
-            problems.append(
-                Problem("matching", code, f"{what} in {count} of {len(gains)} cases", expected, todo, "warning")
-            )
-    return problems
-
-
-def _height_at_limit(record: FrameRecord) -> bool | None:
-    """Return whether the corrected height of the camera is at a limit; None if it was not corrected."""
-    view = None if record.scene is None else record.scene.view
-    if view is None or not view.anchors:
-        return None
-    factor = view.camera_height_m / view.stated_height_m
-    # Records of earlier versions have the factor alone.
-    return view.at_limit or any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
-
-
-def _gain_doubts(record: FrameRecord) -> list[Sequence[str]]:
-    """Return the doubts about each gain of a frame; records of earlier versions have none."""
-    gains = record.facts.get("matching", {}).get("gain", {})
-    return [g["doubts"] for g in gains.values() if "doubts" in g]
-
-
-def warning_codes(record: FrameRecord) -> set[str]:
-    """Return the codes of the warnings about a run that a frame contributes to, whether or not the run has them."""
-    codes = {str(w["code"]) for w in record.warnings}
-    if record.scene is not None and record.scene.draws.get("absent"):
-        codes.add("objects-absent")
-    if record.facts.get("matching", {}).get("air") == "drawn":
-        codes.add("air-drawn")
-    if _height_at_limit(record):
-        codes.add("height-at-limit")
-    if any("window" not in o for o in record.facts.get("occlusion", ())):
-        codes.add("nothing-in-front")
-    return codes | {_DOUBTS[kind][0] for kind in _DOUBTS for doubts in _gain_doubts(record) if kind in doubts}
-
-
 def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
     """Return counts and placement statistics of the finished frames."""
     pictures: Counter[str] = Counter()
@@ -300,6 +175,8 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
     removed: list[Mapping[str, Any]] = []
     reasons: Counter[str] = Counter()
     drops: Counter[str] = Counter()
+    doubts: Counter[str] = Counter()
+    pitches: Counter[str] = Counter()
     inserted: Counter[str] = Counter()
     covered = fallbacks = without = other_size = 0
     for r in records:
@@ -307,6 +184,9 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         reasons.update(item["reason"] for item in r.removed)
         drops.update(d["reason"] for d in r.facts.get("drops", ()))
         inserted.update(i.category for i in r.inserted)
+        doubts.update(doubt_codes(r))
+        if r.scene is not None and "pitch_from" in r.scene.draws:
+            pitches[r.scene.draws["pitch_from"]] += 1
         covered += len(r.covered)
         fallbacks += len(r.facts.get("mask_fallbacks", ()))
         without += not r.inserted
@@ -325,8 +205,10 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         "frames_without_object_because": empty_frames(records),
         "frames_of_other_size": other_size,
     }
-    if pitches := pitch_sources(records):
-        counts["pitch_from"] = pitches
+    if doubts:
+        counts["frames_in_doubt"] = dict(sorted(doubts.items()))
+    if pitches:
+        counts["pitch_from"] = dict(sorted(pitches.items()))
     if hiding := hiding_statistics(records):
         counts["partly_hidden"] = hiding
     if contrast := contrast_statistics(records):
@@ -350,12 +232,6 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
     return dict(sorted(reasons.items()))
 
 
-def pitch_sources(records: Sequence[FrameRecord]) -> dict[str, int]:
-    """Count where the pitch of the camera came from; empty unless the recipe takes it from the horizon."""
-    found = Counter(r.scene.draws["pitch_from"] for r in records if r.scene and "pitch_from" in r.scene.draws)
-    return dict(sorted(found.items()))
-
-
 def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
     """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
     wanted = hidden = 0
@@ -364,16 +240,6 @@ def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
         wanted += len(asked)
         hidden += sum("window" in o for o in asked)
     return {"wanted": wanted, "hidden": hidden} if wanted else {}
-
-
-def hiding_warnings(counts: Mapping[str, Any]) -> list[Problem]:
-    """Return a warning if backgrounds show too little to hide half of the objects that were to be partly hidden."""
-    n = counts.get("partly_hidden", {})
-    if not n or 2 * n["hidden"] >= n["wanted"]:
-        return []
-    found = f"{n['wanted'] - n['hidden']} of {n['wanted']} objects that were to be partly hidden are in front"
-    todo = "widen occlusion.visible, or use backgrounds with branches, masts or fences"
-    return [Problem("occlusion", "nothing-in-front", found, "structures that can hide them", todo, "warning")]
 
 
 def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:

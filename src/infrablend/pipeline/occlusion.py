@@ -131,10 +131,15 @@ def label_objects(
     return tuple(result), report
 
 
-def too_hidden(labels: Sequence[Instance], report: LabelReport, occluded: Iterable[int], rules: Occlusion) -> list[int]:
-    """Return the numbers of the partly hidden objects of which less is visible than the recipe asks for."""
+def too_hidden(
+    labels: Sequence[Instance], report: LabelReport, occluded: Iterable[int], rules: Occlusion, min_visibility: float
+) -> list[int]:
+    """Return the numbers of the partly hidden objects of which less is visible than the recipe asks for.
+
+    Both `occlusion.visible` and `placement.min_visibility` are limits.
+    """
     visible = {k: label.visibility or 0.0 for k, label in zip(report.kept, labels, strict=True)}
-    return [k for k in sorted(occluded) if visible.get(k, 0.0) < rules.visible[0]]
+    return [k for k in sorted(occluded) if visible.get(k, 0.0) < max(rules.visible[0], min_visibility)]
 
 
 def occlusion_facts(scene: PlacedScene, occluders: Mapping[int, Occluder]) -> list[dict[str, Any]]:

@@ -21,9 +21,9 @@ from infrablend.core.typed_command import run_command
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.excluded import read_choice
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.label_files import warning_codes
 from infrablend.pipeline.origin import recipe_yaml
 from infrablend.pipeline.record import FrameRecord, RecordError, load_record
+from infrablend.pipeline.run_warnings import warning_codes
 from infrablend.pipeline.written import changes_since_written
 from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page

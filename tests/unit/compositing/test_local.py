@@ -289,7 +289,10 @@ def sky_picture(row=190, sky=97.0, land=230.0):
 
 
 def test_in_front_of_the_sky_the_reference_is_the_sky():
-    """The gain follows from the step at the skyline, and a drone at air temperature is as bright as the land."""
+    """The gain follows from the step at the skyline, and a drone at air temperature is as bright as the land.
+
+    One gain holds above and below the horizon.
+    """
     picture = sky_picture()
     inserts = [Insert(np.array([100.0, 60, 116, 70]), range_m=40.0), Insert(np.array([100.0, 220, 116, 230]))]
     backdrop = Backdrop(picture, [], None, (0.0, 255.0))
@@ -301,7 +304,8 @@ def test_in_front_of_the_sky_the_reference_is_the_sky():
     for seed in range(40):
         m, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(seed), up)
         assert facts["behind"] == ["sky", "ground"]
-        assert facts["gain"]["sky"]["anchors_used"] == 1
+        assert facts["gain"]["warm"]["anchors_used"] == 1
+        assert set(facts["gain"]) == {"warm"}
         place = m.places[0]
         air.append(place.dark + (place.bright - place.dark) * float(band_radiance(AIR_K)))
     assert np.mean(air) == pytest.approx(230, abs=25)
@@ -309,6 +313,53 @@ def test_in_front_of_the_sky_the_reference_is_the_sky():
     assert facts["behind"] == ["ground", "ground"]
     place = blind.places[0]
     assert place.dark + (place.bright - place.dark) * float(band_radiance(WEATHER.ground_k)) == pytest.approx(97, abs=2)
+
+
+def test_people_and_the_skyline_agree_on_one_gain():
+    """Annotated people inform the gain in front of the sky, and the skyline that of objects on the ground."""
+    up = camera(-np.degrees(np.arctan(62 / 752.8)))
+    # The land is 133 levels above a sky that is some 14 K colder.
+    picture, prior = sky_picture(), GainPrior(3.0, 3.0, 1.0, 30.0)
+    settings, insert = LocalSettings(prior), [Insert(np.array([100.0, 220, 116, 230]))]
+    box = np.array([200.0, 200, 212, 224])
+    picture[200:224, 200:212] = 245
+    labels = [Instance("Person", box)]
+
+    def posterior(labels, camera):
+        backdrop = Backdrop(picture, labels, "night", (0.0, 255.0))
+        rng = np.random.default_rng(0)
+        return local_mapping(backdrop, insert, WEATHER, settings, rng, camera)[1]["gain"]["warm"]
+
+    alone, both = posterior([], up), posterior(labels, up)
+    assert (alone["anchors_used"], both["anchors_used"]) == (1, 2)
+    assert alone["posterior"][0] > 5 and alone["doubts"] == []
+    assert both["posterior"][1] < alone["posterior"][1]
+    assert posterior(labels, None)["anchors_used"] == 1
+
+
+@pytest.mark.parametrize("reach", [1.5, 0.5])
+def test_pixels_in_the_box_decide_between_sky_and_what_stands_above_the_horizon(reach):
+    """A cloud that a mast joins to the trees makes the sky between them part of the skyline."""
+    picture = sky_picture()
+    picture[150:190, 100:260] = 200  # trees
+    picture[60:66, 100:260] = 150  # cloud
+    picture[60:150, 100:104] = 200  # mast
+    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
+    up = camera(-np.degrees(np.arctan(62 / 752.8)))
+    inserts = [Insert(np.array([180.0, y, 196, y + 10]), range_m=40.0) for y in (100, 165)]
+    settings = LocalSettings(local_share=SharePrior(reach=reach))
+    m, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0), up)
+    assert facts["behind"] == ["sky", "skyline"]
+    assert facts["ring_grey"] == [pytest.approx(97, abs=2), pytest.approx(200, abs=2)]
+
+
+@pytest.mark.parametrize("headroom", [0.0, 2.0])
+def test_headroom_widens_the_levels_before_the_optics(headroom):
+    picture, labels = scene(6, people=3)
+    settings = LocalSettings(headroom=headroom)
+    m, facts = mapped(picture, INSERT, labels, settings=settings)
+    assert m.limits == (16 - 219 * headroom, 235 + 219 * headroom)
+    assert facts["levels"] == [16, 235]
 
 
 def test_trees_above_the_horizon_are_neither_sky_nor_ground():

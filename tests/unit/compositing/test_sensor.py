@@ -347,3 +347,20 @@ def test_a_run_with_all_strengths_0_is_one_without_the_sensor(pictures, tmp_path
     zero = generate(pictures, tmp_path / "zero", sensor_profile="hit-uav", sensor_clip=False, **none)
     for (_, a), (_, b) in zip(off, zero, strict=True):
         assert np.array_equal(a, b)
+
+
+def test_saturated_objects_have_hard_edges_if_they_are_cut_off_last():
+    """Levels far above the range are blurred and then cut off, as in a camera; cut off first, the edge stays soft."""
+    y, x = np.mgrid[:64, :64] - 31.5
+    alpha = (np.hypot(x, y) < 12).astype(np.float32)
+    result = RenderResult((0, 0), (64, 64), alpha, alpha, alpha[None])
+    background, widths = np.full((64, 64), 60, np.uint8), []
+    for headroom in (0.0, 2.0):
+        beyond = headroom * 255
+        mapping = GreyMapping(60.0, 700.0, (0 - beyond, 255 + beyond))
+        layer = make_layer(result, mapping, 1.0)
+        picture = apply_sensor(background, layer, Sensor("none", 1.0, limits=(0.0, 255.0))).astype(float)
+        line = (picture[32, 32:] - 60) / (picture[32, 32] - 60)
+        widths.append(np.interp(-0.1, -line, np.arange(32)) - np.interp(-0.9, -line, np.arange(32)))
+        assert picture[32, 32] == 255
+    assert widths[1] < 0.75 * widths[0]

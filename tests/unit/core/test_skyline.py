@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import Image, ImageDraw, ImageFont
 
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.skyline import find_skyline, noise_of
@@ -81,3 +82,21 @@ def test_text_is_found_and_nothing_else():
     boxes = find_burnt_in(picture)
     assert len(boxes)
     assert (boxes[:, 1] < 25).all() and (boxes[:, 3] < 30).all()
+
+
+@pytest.mark.parametrize("level", [255.0, 235.0, 200.0])
+@pytest.mark.parametrize("size", [10, 12, 16, 20, 26, 32])
+def test_all_text_is_found_at_any_size(size, level):
+    """Smoothed text that a camera writes, with marks that are no row of glyphs; no inserts may touch any of them."""
+    noise = np.random.default_rng(size).normal(110, 4, (256, 320))
+    picture = Image.fromarray(np.clip(noise, 0, 255).astype(np.uint8))
+    pen = ImageDraw.Draw(picture)
+    pen.text((20, 60), "WHITE HOT 12:45", fill=int(level), font=ImageFont.load_default(size))
+    pen.text((20, 130), "REC", fill=int(level) - 20, font=ImageFont.load_default(size))
+    pen.rectangle((250, 20, 272, 31), outline=int(level) - 10)  # a battery
+    grey = np.array(picture)
+    covered = np.zeros(grey.shape, bool)
+    for x0, y0, x1, y1 in find_burnt_in(grey.astype(np.float32)).astype(int):
+        covered[max(y0, 0) : y1, max(x0, 0) : x1] = True
+    assert covered[grey > 150].mean() > 0.98
+    assert covered.mean() < 0.4

@@ -16,9 +16,9 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.scene import View
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
-from infrablend.pipeline.label_files import limit_warnings
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.pipeline.run_warnings import limit_warnings
 from tests.run_files import without_times
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -499,10 +499,10 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
         ("camera", "height-at-limit", "warning"),
         ("matching", "gain-at-limit", "warning"),
     ]
-    assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 cases" in str(found[1])
+    assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 frames" in str(found[1])
     others = [with_estimates(115.0, -3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]
     assert [p.code for p in limit_warnings(others)] == ["gain-negative", "anchors-contradict", "no-anchor"]
-    assert all("in 1 of 3 cases" in str(p) and "Check " in str(p) for p in limit_warnings(others))
+    assert all("in 1 of 3 frames" in str(p) and "Check " in str(p) for p in limit_warnings(others))
 
 
 def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):

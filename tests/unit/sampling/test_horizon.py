@@ -20,11 +20,11 @@ def sky(row=190, noise=1.5):
     return np.clip(levels, 0, 255).round().astype(np.uint8)
 
 
-def draw(pixels, settings=(), name="a", **site):
+def draw(pixels, settings=(), name="a", pitch_deg=None, **site):
     recipe = load_recipe("drone-sky", dict(settings))
     models = {o.model: load_model(o.model) for o in recipe.objects}
     place = Site(pixels, max_noise_grey=recipe.placement.max_noise_grey, **site)
-    key = FrameKey(name, "train", 0, WH, None)
+    key = FrameKey(name, "train", 0, WH, pitch_deg)
     return sample_scene(key, recipe, models, 1, place), recipe, models, place
 
 
@@ -75,3 +75,17 @@ def test_moved_objects_keep_shape_and_temperature():
     again = move_objects(scene, [1], recipe, models, 1, site, 1)
     assert again.spec == moved.spec
     assert move_objects(scene, [1], recipe, models, 1, site, 2).objects[1].spec.position_m != new.position_m
+
+
+def test_a_known_pitch_comes_before_the_horizon_and_the_record_says_so():
+    found, *_ = draw(sky(190))
+    known, *_ = draw(sky(190), pitch_deg=-12.5)
+    assert math.degrees(known.spec.camera.pitch_rad) == pytest.approx(-12.5)
+    stated, *_ = draw(sky(400))
+    nothing, *_ = draw(sky(400), {"camera.pitch": {"from_horizon": True}})
+    assert [s.spec.draws["pitch_from"] for s in (found, known, stated, nothing)] == [
+        "horizon",
+        "metadata",
+        "recipe",
+        "nothing",
+    ]

@@ -41,6 +41,8 @@ REASONS: Mapping[str, str] = {
     "low_contrast": "too faint to be seen",
     "too_hidden": "too much hidden by the background",
     "untrusted": "gain of the background not trusted",
+    "no_horizon": "no horizon known, found or stated",
+    "noise": "the picture is little but noise",
 }
 
 

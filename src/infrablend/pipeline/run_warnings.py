@@ -1,0 +1,226 @@
+"""Warnings about a run as a whole, from the records of its frames."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from infrablend.compositing.gain import Doubt
+from infrablend.errors import Problem
+from infrablend.pipeline.record import FrameRecord
+from infrablend.sampling.calibration import FACTOR_BOUNDS
+
+_HEIGHT = "height-at-limit"
+
+
+def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return the warnings about backgrounds, merged into one per kind."""
+    seen: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for r in records:
+        for w in r.warnings:
+            seen.setdefault(w["code"], {}).setdefault(w["where"], w)
+    warnings = []
+    for code, by_place in sorted(seen.items()):
+        first = min(by_place)
+        w = by_place[first]
+        where = first if len(by_place) == 1 else f"{first} and {len(by_place) - 1} more"
+        warnings.append(Problem(where, code, w["found"], w["expected"], w["todo"], "warning"))
+    return warnings
+
+
+class _Reason(NamedTuple):
+    """What is said about objects that are left out for one reason, if they are at least a share of those wanted."""
+
+    code: str
+    where: str
+    found: str
+    expected: str
+    todo: str
+    least_share: float = 0.0
+
+
+# Reasons with a remedy of their own; all others are a matter of placement.
+_REASONS: Mapping[str, _Reason] = {
+    "no_horizon": _Reason(
+        "no-horizon",
+        "camera.pitch",
+        "no horizon is known, found in the picture or stated",
+        "a pitch in the metadata, a picture that shows where sky and ground meet, or a stated range",
+        "set camera.pitch.else_deg for such pictures, or camera.pitch={fixed_deg: ...}",
+    ),
+    "noise": _Reason(
+        "noise-only",
+        "placement.max_noise_grey",
+        "the picture is little but noise",
+        "pictures with less noise than placement.max_noise_grey",
+        "nothing, if these pictures may stay without inserted objects; or raise placement.max_noise_grey",
+    ),
+    "untrusted": _Reason(
+        "untrusted-left-out",
+        "matching.on_untrusted",
+        "the gain of the picture is not trusted, and matching.on_untrusted is skip",
+        "gains without doubts",
+        "see the other warnings about matching for the cause, or set matching.on_untrusted to use or prior",
+    ),
+    "low_contrast": _Reason(
+        "low-contrast",
+        "placement.min_contrast",
+        "nobody could see them in the finished picture, here or where they were moved to",
+        "at most a fifth left out for this",
+        "check temperatures, environment and matching.gain_prior_grey_per_k, or lower placement.min_contrast",
+        0.2,
+    ),
+    "too_hidden": _Reason(
+        "too-hidden",
+        "occlusion.visible",
+        "the background hides too much of them",
+        "at most a fifth left out for this",
+        "widen occlusion.visible, or lower placement.min_visibility or occlusion.share",
+        0.2,
+    ),
+}
+_LEAST_ABSENT = 0.5
+
+
+def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
+    """Return a warning per reason why objects were not inserted, with its own remedy.
+
+    Missing places are a warning if at least half of the requested objects have none.
+    """
+    absent, wanted = dict(draws.get("absent", {})), draws.get("wanted", 0)
+    problems = []
+    for name, reason in _REASONS.items():
+        count = absent.pop(name, 0)
+        if count and count > reason.least_share * wanted:
+            found = f"{count} of {wanted} objects were not inserted: {reason.found}"
+            problems.append(Problem(reason.where, reason.code, found, reason.expected, reason.todo, "warning"))
+    missing = sum(absent.values())
+    if missing and missing >= _LEAST_ABSENT * wanted:
+        most = sorted(draws["rejected"].items(), key=lambda r: (-r[1], r[0]))[:3]
+        found = f"{missing} of {wanted} objects were not inserted ({', '.join(f'{k} {n}' for k, n in absent.items())}"
+        found += f"; places refused: {', '.join(f'{k} {n}' for k, n in most)})" if most else ")"
+        todo = (
+            "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
+        )
+        problems.append(Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning"))
+    return problems
+
+
+def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning if radiometric frames have a drawn temperature of the air."""
+    drawn = sum(r.facts.get("matching", {}).get("air") == "drawn" for r in records)
+    if not drawn:
+        return []
+    found = f"the temperature of the air is not stated for {drawn} frame(s), and was drawn"
+    expected = "that of the flight, which the temperatures of all objects are relative to"
+    todo = "set environment.air_temperature_c to one number"
+    return [Problem("environment.air_temperature_c", "air-drawn", found, expected, todo, "warning")]
+
+
+_TRUST = "set matching.on_untrusted to prior or skip for such frames"
+_DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
+    "gain_at_bound": (
+        "gain-at-limit",
+        "the estimated gain is at a limit",
+        "a gain within matching.gain_grey_per_k",
+        "check matching.polarity and the weather, or set matching.gain_grey_per_k for this camera; or " + _TRUST,
+    ),
+    "gain_negative": (
+        "gain-negative",
+        "the estimated gain is negative: annotated objects that should be warm are dark",
+        "warm objects that are bright",
+        "check matching.polarity, time of day and matching.clothing_above_air_k; or " + _TRUST,
+    ),
+    "anchors_contradict": (
+        "anchors-contradict",
+        "annotated objects of known temperature imply different gains",
+        "gains that agree within their uncertainty",
+        "check class names and time of day; or " + _TRUST,
+    ),
+    "anchors_off": (
+        "anchors-off",
+        "annotated objects of known temperature are all brighter or darker than the weather allows",
+        "levels within 2.5 standard deviations of those expected from weather and gain",
+        "check matching.polarity, environment.ground_above_air_night_k and matching.clothing_above_air_k; or " + _TRUST,
+    ),
+    "no_anchor": (
+        "no-anchor",
+        "the gain is drawn from the prior, because nothing of known temperature is in sight, or only clipped objects, "
+        "which give a lower bound",
+        "annotated people or cars by night, or a skyline; by day the sun warms people and cars too unevenly",
+        "check matching.gain_prior_grey_per_k, which decides the contrast of these inserts",
+    ),
+}
+
+
+def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning per estimate that is not to be trusted in at least a fifth of its frames.
+
+    The estimates are the height of the camera (metric placement) and the gain (physical look).
+    """
+    heights = gains = 0
+    counts: Counter[str] = Counter()
+    for r in records:
+        heights += _height_at_limit(r) is not None
+        gains += bool(_gains(r))
+        counts.update(doubt_codes(r))
+    problems = []
+    if heights and 5 * counts[_HEIGHT] >= heights:
+        found = (
+            "the corrected height of the camera is as far from the stated one as is allowed in "
+            f"{counts[_HEIGHT]} of {heights} frames with annotated objects of known size"
+        )
+        todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
+        problems.append(Problem("camera", _HEIGHT, found, "a height between the limits", todo, "warning"))
+    for code, what, expected, todo in _DOUBTS.values():
+        if gains and 5 * counts[code] >= gains:
+            found = f"{what} (in {counts[code]} of {gains} frames)"
+            problems.append(Problem("matching", code, found, expected, todo, "warning"))
+    return problems
+
+
+def hiding_warnings(counts: Mapping[str, Any]) -> list[Problem]:
+    """Return a warning if backgrounds show too little to hide half of the objects that were to be partly hidden."""
+    n = counts.get("partly_hidden", {})
+    if not n or 2 * n["hidden"] >= n["wanted"]:
+        return []
+    found = f"{n['wanted'] - n['hidden']} of {n['wanted']} objects that were to be partly hidden are in front"
+    todo = "widen occlusion.visible, or use backgrounds with branches, masts or fences"
+    return [Problem("occlusion", "nothing-in-front", found, "structures that can hide them", todo, "warning")]
+
+
+def _height_at_limit(record: FrameRecord) -> bool | None:
+    """Return whether the corrected height of the camera is at a limit; None if it was not corrected."""
+    view = None if record.scene is None else record.scene.view
+    if view is None or not view.anchors:
+        return None
+    factor = view.camera_height_m / view.stated_height_m
+    # Records of earlier versions have the factor alone.
+    return view.at_limit or any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
+
+
+def _gains(record: FrameRecord) -> list[Mapping[str, Any]]:
+    """Return the estimates of a frame's gains that state their doubts; records of earlier versions have none."""
+    gains = record.facts.get("matching", {}).get("gain", {})
+    return [g for g in gains.values() if "doubts" in g]
+
+
+def doubt_codes(record: FrameRecord) -> set[str]:
+    """Return the codes of the doubts about a frame's estimates, one per kind."""
+    codes = {_DOUBTS[kind][0] for gain in _gains(record) for kind in gain["doubts"] if kind in _DOUBTS}
+    return codes | ({_HEIGHT} if _height_at_limit(record) else set())
+
+
+def warning_codes(record: FrameRecord) -> set[str]:
+    """Return the codes of the warnings about a run that a frame contributes to, whether or not the run has them."""
+    codes = {str(w["code"]) for w in record.warnings}
+    if record.scene is not None:
+        absent = record.scene.draws.get("absent", {})
+        codes |= {_REASONS[name].code if name in _REASONS else "objects-absent" for name in absent}
+    if record.facts.get("matching", {}).get("air") == "drawn":
+        codes.add("air-drawn")
+    if any("window" not in o for o in record.facts.get("occlusion", ())):
+        codes.add("nothing-in-front")
+    return codes | doubt_codes(record)
