@@ -118,6 +118,9 @@ def _frame_facts(record: FrameRecord) -> FrameFacts:
     dropped = [str(d["reason"]) for d in record.facts.get("drops", ())]
     if scene is not None:
         dropped += [reason for reason, n in scene.draws.get("absent", {}).items() for _ in range(int(n))]
+    view = None if scene is None else scene.view
+    # The height that the picture was made with, if its camera is the real one.
+    altitude = background.get("altitude_m") if view is None else round(view.stated_height_m, 1)
     path = str(background.get("path", ""))
     split = record.frame_id.partition("/")[0]
     names = {str(background.get("id", "")), path, Path(path).name, f"{split}/{Path(path).name}"}
@@ -128,7 +131,7 @@ def _frame_facts(record: FrameRecord) -> FrameFacts:
         background=frozenset(n for n in names if n),
         time_of_day=background.get("time_of_day"),
         pitch_deg=None if pitch is None else float(pitch),
-        altitude_m=background.get("altitude_m"),
+        altitude_m=altitude,
         inserts=_insert_facts(record),
         removed=tuple(
             RemovedLabel(

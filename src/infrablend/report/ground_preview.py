@@ -37,6 +37,8 @@ from infrablend.report.preview import (
 )
 from infrablend.report.preview import strip as text_strip
 
+# Plurals of the classes whose size in the scene is known.
+_MANY = {"person": "people", "car": "cars"}
 SCALE = 2
 PERSON_M = (0.3, 0.5, 1.7)  # depth, width, height
 CAR_M = (4.6, 1.8, 1.45)
@@ -119,7 +121,7 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
     view = scene.view
     assert view is not None
     canvas, spacing = draw_ground(to_rgb(frame.pixels), frame.instances, scene)
-    rests = ", ".join(f"{n} {k}" for k, n in sorted(view.anchors.items()))
+    rests = ", ".join(f"{n} {k if n == 1 else _MANY.get(k, k)}" for k, n in sorted(view.anchors.items()))
     as_stated = view.camera_height_m == view.stated_height_m
     source = f"from {rests}" if rests else "as stated" if as_stated else "no object of known size"
     pitch = math.degrees(scene.camera.pitch_rad)

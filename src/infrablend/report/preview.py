@@ -493,8 +493,10 @@ def _title(run: Path, entry: _Entry) -> str:
         record = load_json(RunLayout(run).record(f"{entry.split}/{name}"))
         facts = dict(record["background"])
         if record["scene"] is not None:
-            # The pitch of the virtual camera differs from the metadata if a recipe fixes or draws it.
+            # Pitch and height of the camera differ from the metadata if a recipe fixes or draws them.
             facts["pitch_deg"] = math.degrees(record["scene"]["camera"]["pitch_rad"])
+            if (view := record["scene"].get("view")) is not None:
+                facts["altitude_m"] = round(view["stated_height_m"], 1)
     except DAMAGED:
         log.debug("%s: no record, so its title is shorter", entry.path)
     if facts.get("pitch_deg") is not None:

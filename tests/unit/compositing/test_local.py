@@ -348,7 +348,7 @@ def test_pixels_in_the_box_decide_between_sky_and_what_stands_above_the_horizon(
     up = camera(-np.degrees(np.arctan(62 / 752.8)))
     inserts = [Insert(np.array([180.0, y, 196, y + 10]), range_m=40.0) for y in (100, 165)]
     settings = LocalSettings(local_share=SharePrior(reach=reach))
-    m, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0), up)
+    _, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0), up)
     assert facts["behind"] == ["sky", "skyline"]
     assert facts["ring_grey"] == [pytest.approx(97, abs=2), pytest.approx(200, abs=2)]
 
