@@ -36,6 +36,8 @@ _LEAST_GLYPHS = 4
 _BELOW_TEXT = 60.0
 _JOIN_PX = 9
 _LEAST_MARK_PX = 4
+# Details on a larger share of the picture are its texture.
+_MOST_MARKED = 0.25
 _MARGIN_PX = 2
 
 
@@ -118,5 +120,8 @@ def _marks(grey: NDArray[np.float32], text_level: float) -> list[tuple[int, int,
     above = _above_surroundings(grey, _STROKES_PX[0])
     certain = (above > _ABOVE) & (grey > text_level - _BELOW_TEXT)
     joined = cv2.morphologyEx((above > _EDGE_ABOVE).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, _JOIN_PX), np.uint8))
-    marks = _components(joined.astype(np.bool_), certain)
-    return [(m.x, m.y, m.x + m.w, m.y + m.h) for m in marks if m.h >= _LEAST_MARK_PX and m.w >= _LEAST_MARK_PX]
+    found = _components(joined.astype(np.bool_), certain)
+    marks = [m for m in found if m.h >= _LEAST_MARK_PX and m.w >= _LEAST_MARK_PX]
+    if sum(m.w * m.h for m in marks) > _MOST_MARKED * grey.size:
+        return []
+    return [(m.x, m.y, m.x + m.w, m.y + m.h) for m in marks]

@@ -404,7 +404,7 @@ def _pitch_deg(
     if isinstance(pitch, RandomPitch):
         low, high = pitch.random_deg
         return float(low + (high - low) * drawn), "recipe"
-    if isinstance(pitch, HorizonPitch) and frame.pitch_deg is None:
+    if isinstance(pitch, HorizonPitch) and pitch.from_horizon and frame.pitch_deg is None:
         if site is None:
             raise ValueError(f"{frame.frame_id}: the horizon is found in the background, which is missing")
         c = recipe.camera

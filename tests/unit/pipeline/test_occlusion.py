@@ -158,7 +158,7 @@ def test_what_would_be_less_visible_than_stated_is_left_out_and_counted(
 ) -> None:
     from infrablend.pipeline import frame
 
-    monkeypatch.setattr(frame, "too_hidden", lambda labels, report, occluded, rules: sorted(occluded))
+    monkeypatch.setattr(frame, "too_hidden", lambda labels, report, occluded, *limits: sorted(occluded))
     report = generate(folder(tmp_path / "data", wood(0)), tmp_path / "run", SHARE, "placement.contrast_redraws=1")
     (record,) = records(tmp_path / "run")
     assert record.scene is not None
