@@ -198,6 +198,9 @@ def local_mapping(
             doubts = gain_facts[which]["doubts"]
             gains[which], offsets[which], gain_facts[which] = draw_gain((), *args, rng, share)
             gain_facts[which].update(doubts=doubts, from_prior=True)
+    if any(facts.get("from_prior") for facts in gain_facts.values()):
+        # The share came from the same anchors.
+        share, share_facts = draw_share((), weather.air_k, of_ground, unit, settings.local_share, settings.prior, rng)
 
     rings, kinds, places, used = [], [], [], set()
     for insert in inserts:

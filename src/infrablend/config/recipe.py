@@ -564,8 +564,9 @@ class LocalMatching(GreyMatching):
     """How far the neighbourhood reaches around an object, in lengths of its box's longer side, at least 12 px. Cars of
     HIT-UAV by night follow the ground within 0.5."""
     on_untrusted: Literal["use", "prior", "skip"] = "use"
-    """What to do where the gain cannot be trusted (negative, at a bound, or anchors that contradict each other): `use`
-    it, draw it from the `prior` instead, or `skip` the background."""
+    """What to do where an estimate cannot be trusted (a negative gain, one at a bound, anchors that contradict each
+    other, a corrected height of the camera at its limit): `use` it; draw gain and local share from the `prior` instead,
+    which leaves the height as it is; or `skip` the background, which stays in the dataset without inserted objects."""
 
 
 class RadiometricMatching(Matching):

@@ -227,7 +227,8 @@ class FrameComposer:
             rng = stream(self._settings.seed, frame.frame_id, "matching")
             match = match_locally(scene, backdrop, settings, rng)
             facts = {"matching": match.facts}
-            if not (match.untrusted and matching.on_untrusted == "skip"):
+            height_at_limit = scene.spec.view is not None and scene.spec.view.at_limit
+            if not ((match.untrusted or height_at_limit) and matching.on_untrusted == "skip"):
                 faint = []
                 for k, (placed, contrast) in enumerate(zip(scene.objects, match.contrasts, strict=True)):
                     least = least_contrast(self._recipe, placed.spec.category, source.time_of_day)

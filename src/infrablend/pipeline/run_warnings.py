@@ -13,6 +13,7 @@ from infrablend.pipeline.record import FrameRecord
 from infrablend.sampling.calibration import FACTOR_BOUNDS
 
 _HEIGHT = "height-at-limit"
+_SUN = "sun-below-horizon"
 
 
 def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
@@ -158,7 +159,8 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
     """Return a warning per estimate that is not to be trusted in at least a fifth of its frames.
 
-    The estimates are the height of the camera (metric placement) and the gain (physical look).
+    The estimates are the height of the camera (metric placement) and the gain (physical look). A sun that is below the
+    horizon by day is a warning wherever it occurs.
     """
     heights = gains = 0
     counts: Counter[str] = Counter()
@@ -174,6 +176,10 @@ def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
         )
         todo = "check lens, altitude and class names; infrablend preview --ground shows whether the scale is right"
         problems.append(Problem("camera", _HEIGHT, found, "a height between the limits", todo, "warning"))
+    if counts[_SUN]:
+        found = f"capture time and environment.place have the sun below the horizon in {counts[_SUN]} frames by day"
+        todo = "check the time zone of the capture times, time_of_day and environment.place; the sun was drawn instead"
+        problems.append(Problem("environment.place", _SUN, found, "a sun above the horizon by day", todo, "warning"))
     for code, what, expected, todo in _DOUBTS.values():
         if gains and 5 * counts[code] >= gains:
             found = f"{what} (in {counts[code]} of {gains} frames)"
@@ -210,7 +216,16 @@ def _gains(record: FrameRecord) -> list[Mapping[str, Any]]:
 def doubt_codes(record: FrameRecord) -> set[str]:
     """Return the codes of the doubts about a frame's estimates, one per kind."""
     codes = {_DOUBTS[kind][0] for gain in _gains(record) for kind in gain["doubts"] if kind in _DOUBTS}
-    return codes | ({_HEIGHT} if _height_at_limit(record) else set())
+    if _height_at_limit(record):
+        codes.add(_HEIGHT)
+    if _sun_is_contradicted(record):
+        codes.add(_SUN)
+    return codes
+
+
+def _sun_is_contradicted(record: FrameRecord) -> bool:
+    weather = None if record.scene is None else record.scene.weather
+    return weather is not None and weather.sun is not None and weather.sun.source == "contradicted"
 
 
 def warning_codes(record: FrameRecord) -> set[str]:

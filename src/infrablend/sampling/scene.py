@@ -260,12 +260,14 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
     """
     low, high = environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)
-    source: Literal["computed", "drawn"] = "drawn"
+    source: Literal["computed", "drawn", "contradicted"] = "drawn"
     when, place = time_of(frame.captured), environment.place
     if place is not None and when is not None:
         _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
         if computed > 0:
             elevation, source = computed, "computed"
+        else:
+            source = "contradicted"
     direct, diffuse = irradiance(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)
 

@@ -395,5 +395,8 @@ def test_doubts_are_named_and_the_prior_replaces_such_gains():
     assert instead["gain"]["warm"]["doubts"] == doubts
     assert instead["gain"]["warm"]["from_prior"] is True
     assert instead["gain"]["warm"]["posterior"][0] == pytest.approx(6.0)
+    unsure = LocalSettings(on_untrusted="prior", local_share=SharePrior(0.3, 0.1))
+    _, instead = mapped(inverted, INSERT, labels, settings=unsure)
+    assert instead["local_share"]["posterior"] == [0.3, 0.1] and instead["local_share"]["anchors_used"] == 0
     _, good = mapped(picture, INSERT, labels, settings=trusted)
     assert good["gain"]["warm"]["doubts"] == []

@@ -140,6 +140,11 @@ def test_invisible_objects_are_counted_but_not_inserted(tmp_path):
     report = generate(data, tmp_path / "run", settings=["placement.min_contrast={change_grey: 255}"])
     assert report.counts["frames_without_object"] == 1
     assert report.counts["frames_without_object_because"] == {"low_contrast": 1}
+    # What was estimated for the object is recorded and counted all the same.
+    (record,) = records(tmp_path / "run")
+    assert record.facts["matching"]["gain"] and report.counts["frames_in_doubt"] == {"no-anchor": 1}
+    (found,) = [p for p in report.problems if p.code == "low-contrast"]
+    assert "placement.min_contrast" in str(found) and found.found.startswith("1 of 1 objects were not inserted")
     assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
-from infrablend.core.scene import View
+from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plan import make_plan
@@ -500,6 +500,10 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
         ("matching", "gain-at-limit", "warning"),
     ]
     assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 frames" in str(found[1])
+    day = Weather(290.0, 284.0, 0.0, 283.0, 292.0, Sun(0.0, 0.5, 800.0, 100.0, "contradicted"))
+    early = dataclasses.replace(record, scene=dataclasses.replace(scene, weather=day))
+    (sun,) = limit_warnings([good] * 9 + [early])
+    assert sun.code == "sun-below-horizon" and "in 1 frames" in sun.found
     others = [with_estimates(115.0, -3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]
     assert [p.code for p in limit_warnings(others)] == ["gain-negative", "anchors-contradict", "no-anchor"]
     assert all("in 1 of 3 frames" in str(p) and "Check " in str(p) for p in limit_warnings(others))
