@@ -94,8 +94,8 @@ class Sun:
         elevation_rad: Elevation above the horizon.
         direct_w_m2: Irradiance by its rays of a surface at right angles to them.
         diffuse_w_m2: Irradiance of level ground by the rest of the sky.
-        source: `computed` from capture time and place; `drawn`; or `contradicted` by time and place, which have it below
-            the horizon by day, and therefore drawn.
+        source: `computed` from capture time and place; `drawn`; or `contradicted`: drawn, because they have it below
+            the horizon by day.
     """
 
     azimuth_rad: float
