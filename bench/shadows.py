@@ -2,7 +2,7 @@
 
     .venv/bin/python bench/shadows.py RUN [DATA] [--category Car] [--pictures N]
 
-DATA is the folder of the backgrounds if it has moved. Prints quantiles of the darkest ground 4 to 20 px beside the boxes,
+DATA is the folder of the backgrounds if it has moved. Prints quantiles of the darkest ground 4 to 20 px beside boxes,
 in levels relative to the ground around, on even ground only: for inserted objects, for the same places without them,
 and for real objects in N pictures by day of the split train.
 """
