@@ -4,7 +4,7 @@
 
 Prints, per class, width and height: the median factor from the visible extent of an object to its box and the median
 margin of both sides together, each with the standard deviation of the logarithm of what it leaves unexplained. The
-smaller one is the better model. The visible extent is the outline that `infrablend realism` measures.
+smaller one is the better model. The visible extent is that of `infrablend realism` and `infrablend profile`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from infrablend import api
-from infrablend.core.boxes import boxes_mask
 from infrablend.formats.images import load_background
-from infrablend.realism.features import Outline, outline
+from infrablend.realism.contrasts import object_contrast
+from infrablend.realism.looseness import visible_extent
 
 _LEAST_OBJECTS = 30
 
@@ -35,13 +35,11 @@ def main() -> int:
         if image.split != args.split or not image.instances:
             continue
         picture = load_background(image.path).pixels.astype(np.float32)
-        free = ~boxes_mask((i.box_xyxy for i in image.instances), picture.shape)
         for label in image.instances:
-            seen = outline(picture, label.box_xyxy, free)
-            if isinstance(seen, Outline):
-                rows, columns = np.nonzero(seen.silhouette)
-                drawn = label.box_xyxy[2:] - label.box_xyxy[:2]
-                found[label.category].append([*drawn, np.ptp(columns) + 1, np.ptp(rows) + 1])
+            contrast = object_contrast(picture, label, image.instances)
+            extent = None if contrast is None else visible_extent(picture, label, image.instances, contrast)
+            if extent is not None:
+                found[label.category].append([*(label.box_xyxy[2:] - label.box_xyxy[:2]), *extent])
     print("class, side, objects".ljust(34) + "factor, spread     margin px, spread")
     for category, values in sorted(found.items()):
         table = np.array(values, np.float64)
