@@ -3,57 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from infrablend.config.recipe import Labels
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import TIGHT_BOX, TIGHT_OBB, ImageRecord, Instance
 from infrablend.core.mesh import FloatArray
 
-Factors = float | Mapping[str, float]
-"""Factor on width and height of boxes: one for all classes, or one per class (1 for classes that are not listed)."""
+PerClass = float | Mapping[str, float]
+"""One value for all classes, or one per class; classes that are not listed keep their boxes."""
 
 _LEAST_PX = 1e-9  # shorter movements are rounding errors
 
 
-def loosen_inserted(images: Sequence[ImageRecord], factors: Factors) -> tuple[list[ImageRecord], int]:
+@dataclass(frozen=True)
+class Looseness:
+    """How much larger boxes are to become.
+
+    Attributes:
+        factors: Factor of at least 1 on width and height.
+        px: Distance, px, by which each side moves outwards after that.
+    """
+
+    factors: PerClass = 1.0
+    px: PerClass = 0.0
+
+    @classmethod
+    def of_labels(cls, labels: Labels) -> Looseness:
+        """Return the looseness that a recipe asks for."""
+        return cls(labels.loosen, labels.loosen_px)
+
+    def __bool__(self) -> bool:
+        """Return whether boxes of some class become larger."""
+        return bool(self.to_counts())
+
+    def to_counts(self) -> dict[str, Any]:
+        """Return `loosened_by` and `loosened_by_px`, each where it enlarges boxes, as plain JSON values."""
+        counts = {}
+        if any(v > 1 for v in _values(self.factors)):
+            counts["loosened_by"] = self.factors
+        if any(v > 0 for v in _values(self.px)):
+            counts["loosened_by_px"] = self.px
+        return counts
+
+    def of(self, category: str) -> tuple[float, float]:
+        """Return the factor and the distance, px, of a class."""
+        factor = self.factors.get(category, 1.0) if isinstance(self.factors, Mapping) else self.factors
+        px = self.px.get(category, 0.0) if isinstance(self.px, Mapping) else self.px
+        return factor, px
+
+
+def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
     """Enlarge the boxes of inserted objects within the frame; masks and original labels stay unchanged.
 
     The exact boxes are kept in `Instance.extra`, see `TIGHT_BOX`.
 
     Args:
         images: Images with known sizes; others stay unchanged.
-        factors: Factors of at least 1 on width and height of the boxes.
+        by: How much larger the boxes become.
 
     Returns:
         The images, and the number of boxes that were enlarged.
     """
-    loose = [loosen_image(image, factors) for image in images]
+    loose = [loosen_image(image, by) for image in images]
     return [image for image, _ in loose], sum(count for _, count in loose)
 
 
-def loosen_image(image: ImageRecord, factors: Factors) -> tuple[ImageRecord, int]:
+def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
     """Enlarge the boxes of the inserted objects of one image, see `loosen_inserted`."""
     instances, count = [], 0
     for one in image.instances:
-        factor = factors.get(one.category, 1.0) if isinstance(factors, Mapping) else factors
-        if one.inserted and factor > 1 and image.size_wh is not None:
-            one, count = _loosened(one, factor, image.size_wh), count + 1
+        factor, px = by.of(one.category)
+        if one.inserted and (factor > 1 or px > 0) and image.size_wh is not None:
+            one, count = _loosened(one, factor, px, image.size_wh), count + 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
 
 
-def loosened_text(count: int, factors: Factors) -> str:
+def loosened_text(count: int, by: Looseness) -> str:
     """Return a sentence for a dataset's card on how many boxes were enlarged, and by how much."""
-    if isinstance(factors, Mapping):
-        by = ", ".join(f"{k} {v:g}" for k, v in factors.items())
-    else:
-        by = f"the factor {factors:g}"
     return (
-        f"The boxes of {count} inserted objects were enlarged by {by}, up to the border of the picture, because "
-        "hand-drawn boxes have a margin."
+        f"The boxes of {count} inserted objects were enlarged by {looseness_text(by.to_counts())}, up to the border of "
+        "the picture, because hand-drawn boxes have a margin."
     )
+
+
+def looseness_text(counts: Mapping[str, Any]) -> str:
+    """Return how much boxes were enlarged by, from the counts of a run or a conversion, see `Looseness.to_counts`."""
+    parts = []
+    if (factors := counts.get("loosened_by")) is not None:
+        parts.append(_listed(factors) if isinstance(factors, Mapping) else f"the factor {factors:g}")
+    if (px := counts.get("loosened_by_px")) is not None:
+        parts.append(f"{_listed(px) if isinstance(px, Mapping) else f'{px:g}'} px on each side")
+    return " and ".join(parts)
 
 
 def is_loosened(instance: Instance) -> bool:
@@ -61,29 +106,40 @@ def is_loosened(instance: Instance) -> bool:
     return TIGHT_BOX in instance.extra
 
 
-def _loosened(one: Instance, factor: float, size_wh: tuple[int, int]) -> Instance:
+def _values(of: PerClass) -> list[float]:
+    return list(of.values()) if isinstance(of, Mapping) else [of]
+
+
+def _listed(of: Mapping[str, float]) -> str:
+    return ", ".join(f"{k} {v:g}" for k, v in of.items())
+
+
+def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int]) -> Instance:
     x0, y0, x1, y1 = one.box_xyxy.tolist()
-    margin = np.array([x0 - x1, y0 - y1, x1 - x0, y1 - y0]) * (factor - 1) / 2
+    outwards = np.array([-1.0, -1, 1, 1])
+    margin = outwards * (np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0]) * (factor - 1) / 2 + px)
     exact: dict[str, list[float]] = {TIGHT_BOX: [x0, y0, x1 - x0, y1 - y0]}
     corners = one.corners_xy
     if corners is not None:
         exact[TIGHT_OBB] = corners.reshape(-1).tolist()
-        corners = loosen_rectangle(corners, factor, size_wh)
+        corners = loosen_rectangle(corners, factor, size_wh, px)
     box = clip_boxes(one.box_xyxy + margin, size_wh)
     return replace(one, box_xyxy=box, corners_xy=corners, extra={**one.extra, **exact})
 
 
-def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, int]) -> FloatArray:
+def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, int], px: float = 0.0) -> FloatArray:
     """Return a rectangle (4, 2) enlarged about its centre, with the same orientation.
 
-    A side that would leave the frame moves outwards only as far as the frame allows.
+    Each side moves outwards by its share of the factor and by `px`; one that would leave the frame, only as far as the
+    frame allows.
     """
     corners = corners_xy.copy()
     size = np.array(size_wh, np.float64)
     for k in range(4):
         # The side from corner k to the next one moves away from the opposite side.
         side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
-        shift = (corners_xy[side] - corners_xy[opposite]) * (factor - 1) / 2
+        across = corners_xy[side] - corners_xy[opposite]
+        shift = across * (factor - 1) / 2 + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
         room = np.where(shift > 0, size - corners[side], corners[side])
         moves = np.abs(shift) > _LEAST_PX
         part = float((room[moves] / np.abs(shift[moves])).min(initial=1.0))
@@ -91,3 +147,12 @@ def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, 
     inside = bool(((corners_xy >= 0) & (corners_xy <= size)).all())
     # Rounding may leave a corner just outside.
     return np.clip(corners, 0.0, size) if inside else corners
+
+
+def _outwards(across: FloatArray, along: FloatArray) -> FloatArray:
+    """Return the unit vector (2,) from the opposite side of a clockwise rectangle to the side `along`."""
+    outwards = across.mean(axis=0)
+    if np.hypot(*outwards) <= _LEAST_PX:  # no extent across: at right angles to the side
+        outwards = np.array([along[1], -along[0]])
+    length = float(np.hypot(*outwards))
+    return outwards / length if length > _LEAST_PX else np.zeros(2)

@@ -100,7 +100,8 @@ def check(
 
 def convert(
     source: str | Path, out: str | Path, to: str, *, reading: Reading = READ_ALL, classes: ClassChanges = KEEP_CLASSES,
-    selection: Selection = SELECT_ALL, loosen: float = 1.0, writing: WriteSettings | None = None,
+    selection: Selection = SELECT_ALL, loosen: float = 1.0, loosen_px: float = 0.0,
+    writing: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:  # fmt: skip
     """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
@@ -114,7 +115,8 @@ def convert(
     """
     dataset = read_dataset(source, reading)
     return convert_dataset(
-        dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, settings=writing,
+        dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, loosen_px=loosen_px,
+        settings=writing,
         overwrite=overwrite,
     )  # fmt: skip
 

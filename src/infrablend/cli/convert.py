@@ -111,6 +111,14 @@ def convert(
             help="Enlarge boxes of inserted objects by this factor, to match hand-drawn ones.",
         ),
     ] = 1.0,
+    loosen_px: Annotated[
+        float,
+        typer.Option(
+            "--loosen-inserted-px",
+            metavar="PX",
+            help="Move each side of these boxes outwards by this distance, after the factor.",
+        ),
+    ] = 0.0,
     ids: Annotated[Ids, typer.Option(help="New ids, or those of the source, where the format has ids.")] = Ids.NEW,
     category_ids: Annotated[
         CategoryIds, typer.Option(help="Category ids of the source, or from 1: many tools read 0 as background.")
@@ -145,6 +153,7 @@ def convert(
         classes=ClassChanges(key_values(pairs, "--rename"), comma_list(drop, "--drop-class") or (), only),
         selection=Selection(with_class, comma_list(without, "--without") or (), images, objects, like, seed),
         loosen=loosen,
+        loosen_px=loosen_px,
         writing=WriteSettings(ids.value, category_ids.value, dont_care.value, without_mask.value),
         overwrite=overwrite,
     )

@@ -96,6 +96,9 @@ def _object_lines(objects: Mapping[str, Any]) -> list[str]:
         line = f"boxes of {category}: {factor} times the visible extent, {boxes['n']:,} boxes"
         if against := boxes.get("against_rendered"):
             corrected = f"{against['factor']:.2f} ({against['ci'][0]:.2f} to {against['ci'][1]:.2f})"
-            line += f"; {corrected} times the boxes of inserted objects"
+            line += f"; {corrected} times the boxes of inserted objects (labels.loosen)"
+            margin, spread = max(against["margin_px"], 0.0), boxes["spread"]
+            fits = "fits" if spread["margin"] < spread["factor"] else "does not fit"
+            line += f", or {margin:.1f} px on each side (labels.loosen_px), which {fits} better"
         lines.append(line)
     return lines

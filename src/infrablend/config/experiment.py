@@ -100,6 +100,8 @@ class Convert(Strict):
     """Maximum number of images per split at each scale, drawn at random or as with `like`; all by default."""
     loosen: float = Field(1.0, ge=1, le=2)
     """Enlarge the boxes of inserted objects by this factor, to match hand-drawn boxes."""
+    loosen_px: float = Field(0.0, ge=0, le=32)
+    """Move each side of the boxes of inserted objects outwards by this distance, px, after `loosen`."""
     match: Name | None = None
     """Data item whose numbers of images and of `with_class` objects per split this part matches."""
     splits: tuple[Split, ...] = SPLITS

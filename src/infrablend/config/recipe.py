@@ -681,6 +681,7 @@ class Render(Strict):
 
 
 LooseFactor = Annotated[float, Field(ge=1, le=2)]
+LoosePx = Annotated[float, Field(ge=0, le=32)]
 
 
 class Labels(Strict):
@@ -699,6 +700,9 @@ class Labels(Strict):
     """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
     hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as
     they are; COCO and the frame records also have the exact boxes."""
+    loosen_px: LoosePx | dict[ClassName, LoosePx] = 0.0
+    """Distance, px, by which each side of these boxes moves outwards, after `loosen` and in the same formats: for
+    annotators whose margin does not depend on the size of the object."""
     occluded_box: Literal["visible", "amodal"] = "visible"
     """Boxes of objects that structures of the background hide in part: around the `visible` part, or `amodal`, as if
     nothing were in front. COCO contains both."""

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from infrablend.annotation.looseness import loosened_text
+from infrablend.annotation.looseness import Looseness, loosened_text
 from infrablend.annotation.merge import RemovalReason
 from infrablend.config.agc import describe_agc
 from infrablend.config.recipe import RadiometricMatching
@@ -110,7 +110,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
     if unlabelled := sum(counts["objects_without_label"].values()):
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
     if loosened := counts.get("boxes_loosened"):
-        texts.append(loosened_text(loosened, labels.loosen))
+        texts.append(loosened_text(loosened, Looseness.of_labels(labels)))
     if labels.rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in labels.rename.items()) + ".")
     left_out = Counter(p.code for p in plan.problems if p.severity == "error")

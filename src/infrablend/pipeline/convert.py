@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
-from infrablend.annotation.looseness import is_loosened, loosen_inserted, loosened_text
+from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -28,6 +28,8 @@ from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
+
+_LOOSEN, _LOOSEN_PX = "--loosen-inserted", "--loosen-inserted-px"
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def convert_dataset(
     classes: ClassChanges = KEEP_CLASSES,
     selection: Selection = SELECT_ALL,
     loosen: float = 1.0,
+    loosen_px: float = 0.0,
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
@@ -109,6 +112,7 @@ def convert_dataset(
         classes: Classes to rename and to leave out.
         selection: Pictures to select; class names apply after renaming and before dropping.
         loosen: Factor by which to enlarge the boxes of inserted objects, see `annotation.looseness`.
+        loosen_px: Distance, px, by which to move each side of these boxes outwards after that.
         settings: Settings of the writer.
         overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
 
@@ -135,17 +139,17 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
-    if loosen != 1:
-        _require_tight(dataset, loosen)
+    looseness = Looseness(loosen, loosen_px)
+    if (loosen, loosen_px) != (1, 0):
+        _require_tight(dataset, looseness)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
-    loosened = 0
-    if loosen > 1:
-        images, loosened = loosen_inserted(images, loosen)
-        if not loosened:
-            none = Problem("--loosen-inserted", "loosen-none", "no object marked as inserted", "at least one",
-                           "convert the coco folder of a run, which marks them")  # fmt: skip
-            raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
+    images, loosened = loosen_inserted(images, looseness)
+    if looseness and not loosened:
+        found, expected = "no object marked as inserted", "at least one"
+        todo = "convert the coco folder of a run, which marks them"
+        none = Problem(_loosen_option(looseness), "loosen-none", found, expected, todo)
+        raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
     if not images:
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)
@@ -158,7 +162,7 @@ def convert_dataset(
         "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
         "source_format": dataset.format,
         **({} if chosen is None else {"selection": chosen}),
-        **({"boxes_loosened": loosened, "loosened_by": loosen} if loosen > 1 else {}),
+        **({"boxes_loosened": loosened, **looseness.to_counts()} if looseness else {}),
     }
     header = {
         "source": str(dataset.root),
@@ -178,8 +182,8 @@ def convert_dataset(
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
-        if loosen > 1:
-            changes.append(loosened_text(loosened, loosen))
+        if looseness:
+            changes.append(loosened_text(loosened, looseness))
         card = dataset_card(
             origin_of(dataset, images, rename),
             images,
@@ -198,18 +202,27 @@ def convert_dataset(
     return report
 
 
-def _require_tight(dataset: Dataset, loosen: float) -> None:
-    """Check the factor, and that no earlier step has enlarged the boxes already."""
-    option = "--loosen-inserted"
-    if not 1 <= loosen <= 2:
-        factor = Problem(option, "loosen-range", f"{loosen:g}", "a factor from 1 to 2")
-        raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this factor", [factor])
+def _require_tight(dataset: Dataset, by: Looseness) -> None:
+    """Check the factor and the distance, and that no earlier step has enlarged the boxes already."""
+    (factor, px), faults = by.of(""), []
+    if not 1 <= factor <= 2:
+        faults.append(Problem(_LOOSEN, "loosen-range", f"{factor:g}", "a factor from 1 to 2"))
+    if not 0 <= px <= 32:
+        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{px:g}", "a distance from 0 to 32 px"))
+    if faults:
+        raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
     earlier = sum(is_loosened(i) for image in dataset.images for i in image.instances)
     earlier = earlier or _recorded_loosened(dataset.root)
     if earlier:
-        twice = Problem(option, "loosen-twice", f"{earlier} boxes that are enlarged already", "boxes that fit tightly",
-                        "leave the option out, or convert a run made with labels.loosen 1")  # fmt: skip
+        found, expected = f"{earlier} boxes that are enlarged already", "boxes that fit tightly"
+        todo = "leave the option out, or convert a run made without labels.loosen and labels.loosen_px"
+        twice = Problem(_loosen_option(by), "loosen-twice", found, expected, todo)
         raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])
+
+
+def _loosen_option(by: Looseness) -> str:
+    """Return the option that asked for larger boxes."""
+    return _LOOSEN if "loosened_by" in by.to_counts() else _LOOSEN_PX
 
 
 def _recorded_loosened(root: Path) -> int:

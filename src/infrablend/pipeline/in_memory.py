@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.annotation.looseness import loosen_inserted
+from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, ImageRecord, Instance
@@ -68,7 +68,8 @@ class Frame:
 def as_frame(planned: PlannedFrame, composed: ComposedFrame, recipe: Recipe) -> Frame:
     """Return a composed frame with decoded pixels, and labels as a run writes them."""
     record = composed.record
-    (image,), _ = loosen_inserted([labelled_image(planned, record, Path(record.image))], recipe.labels.loosen)
+    labelled = labelled_image(planned, record, Path(record.image))
+    image, _ = loosen_image(labelled, Looseness.of_labels(recipe.labels))
     pixels = decode_image(composed.image_bytes)
     pixels.setflags(write=False)
     return Frame(record.frame_id, pixels, image.instances, record.scene, image, record, composed.image_bytes)

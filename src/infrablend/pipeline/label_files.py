@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.annotation.looseness import loosen_image
+from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES
@@ -95,14 +95,14 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
     One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
     """
     records = finished_frames.records
-    loosened = 0
+    loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
 
     def labelled() -> Iterator[ImageRecord]:
         nonlocal loosened
         for frame, record in zip(finished_frames.frames, records, strict=True):
             # The records keep the exact boxes.
             image = labelled_image(frame, record, folder.image(record.image))
-            image, count = loosen_image(image, plan.recipe.labels.loosen)
+            image, count = loosen_image(image, looseness)
             loosened += count
             yield image
 
@@ -122,8 +122,8 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
     if loosened:
-        by = plan.recipe.labels.loosen
-        finished = replace(finished, counts={**finished.counts, "boxes_loosened": loosened, "loosened_by": by})
+        by = {"boxes_loosened": loosened, **looseness.to_counts()}
+        finished = replace(finished, counts={**finished.counts, **by})
     problems += absent_warnings(finished.draws)
     problems += limit_warnings(records)
     problems += air_warnings(records)

@@ -511,17 +511,15 @@ def _unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Prob
 
 
 def _require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
-    """Check that the classes of `labels.loosen` are classes of inserted objects; no other boxes are enlarged."""
-    factors = recipe.labels.loosen
-    unknown = [] if isinstance(factors, float) else sorted(set(factors) - set(inserted))
-    if unknown:
-        found, expected = (
-            f"found {', '.join(unknown)}",
-            f"classes of the inserted objects ({', '.join(sorted(inserted))})",
-        )
-        raise RecipeError(
-            f"recipe {recipe.name}: no such inserted class", [Problem("labels.loosen", "recipe-value", found, expected)]
-        )
+    """Check that `labels.loosen` and `labels.loosen_px` list classes of inserted objects; no other boxes change."""
+    expected = f"classes of the inserted objects ({', '.join(sorted(inserted))})"
+    faults = []
+    for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px)):
+        unknown = [] if isinstance(given, float) else sorted(set(given) - set(inserted))
+        if unknown:
+            faults.append(Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected))
+    if faults:
+        raise RecipeError(f"recipe {recipe.name}: no such inserted class", faults)
 
 
 def _require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.annotation.looseness import loosen_image
+from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.core.files import (
     flush,
     output_error,
@@ -215,7 +215,7 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
                 if _sha256(picture) != record.image_sha256:
                     raise _changed(frame.frame_id, "its picture was changed")
                 image = labelled_image(frame, record, folder.image(record.image))
-                image, _ = loosen_image(image, plan.recipe.labels.loosen)
+                image, _ = loosen_image(image, Looseness.of_labels(plan.recipe.labels))
                 key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
                 scene = read_regular(folder.record(frame.frame_id), folder.root)
                 offset = tar.add(key, Path(record.image).suffix[1:], picture)

@@ -60,6 +60,11 @@ class BoxExtent:
         return 0.5 * math.log(w * h / (a * b))
 
     @property
+    def margin_px(self) -> float:
+        """Distance, px, from extent to box on each side, the mean of all sides."""
+        return (sum(self.box_wh) - sum(self.extent_wh)) / 4
+
+    @property
     def size_class(self) -> int:
         """Half octave of the longer side of the extent."""
         return math.floor(2 * math.log2(max(self.extent_wh)))
@@ -117,8 +122,10 @@ def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
     """Return how much larger boxes of one class are than the visible extent.
 
     Returns:
-        `n`, the median `factor` from extent to box with its `ci` over resampled images, and the medians of `width` and
-        `height`, as plain JSON values; None with fewer than 30 boxes.
+        `n`, the median `factor` from extent to box with its `ci` over resampled images, the medians of `width` and
+        `height`, the median `margin_px` on each side, and `spread`: the standard deviation of the logarithm of widths
+        and heights that `factor` and `margin` leave, of which the smaller one is the better model. Plain JSON values;
+        None with fewer than 30 boxes.
     """
     if len(boxes) < MIN_BOXES:
         return None
@@ -130,6 +137,8 @@ def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
         "ci": ci,
         "width": round(float(width), 3),
         "height": round(float(height), 3),
+        "margin_px": round(float(np.median([b.margin_px for b in boxes])), 2),
+        "spread": _spread(boxes),
     }
 
 
@@ -140,17 +149,33 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
     to half an octave.
 
     Returns:
-        `n`, `factor` and `ci` as in `looseness`; None with fewer than 30 drawn boxes that have their like.
+        `n`, `factor`, `ci` and `margin_px` as in `looseness`, the margin less that of the exact boxes; None with fewer
+        than 30 drawn boxes that have their like.
     """
-    reference: dict[int, list[float]] = {}
+    reference: dict[int, list[BoxExtent]] = {}
     for e in exact:
-        reference.setdefault(e.size_class, []).append(e.log_factor)
-    typical = {size: float(np.median(of)) for size, of in reference.items() if len(of) >= MIN_REFERENCE}
+        reference.setdefault(e.size_class, []).append(e)
+    alike = {size: of for size, of in reference.items() if len(of) >= MIN_REFERENCE}
+    typical = {size: float(np.median([e.log_factor for e in of])) for size, of in alike.items()}
+    margins = {size: float(np.median([e.margin_px for e in of])) for size, of in alike.items()}
     used = [d for d in drawn if d.size_class in typical]
     if len(used) < MIN_BOXES:
         return None
     factor, ci = _median_factor([d.log_factor - typical[d.size_class] for d in used], [d.image for d in used])
-    return {"n": len(used), "factor": factor, "ci": ci}
+    margin = float(np.median([d.margin_px - margins[d.size_class] for d in used]))
+    return {"n": len(used), "factor": factor, "ci": ci, "margin_px": round(margin, 2)}
+
+
+def _spread(boxes: Sequence[BoxExtent]) -> dict[str, float]:
+    """Return what a factor and what a margin leave unexplained, each fitted to widths and heights by itself."""
+    left: dict[str, list[NDArray[np.float64]]] = {"factor": [], "margin": []}
+    for k in (0, 1):
+        box, extent = (
+            np.array([wh[k] for wh in of]) for of in ([b.box_wh for b in boxes], [b.extent_wh for b in boxes])
+        )
+        left["factor"].append(np.log(box / extent))
+        left["margin"].append(np.log(box / np.maximum(extent + np.median(box - extent), 1)))
+    return {model: round(float(np.sqrt(np.mean([np.var(of) for of in logs]))), 3) for model, logs in left.items()}
 
 
 def _median_factor(logs: Sequence[float], images: Sequence[str]) -> tuple[float, list[float]]:

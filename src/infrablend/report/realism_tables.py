@@ -77,6 +77,8 @@ def looseness_cells(boxes: Mapping[str, Any]) -> list[str]:
     for key in ("real", "inserted", "real_against_inserted"):
         found = boxes[key]
         factor = "-" if found is None else f"{found['factor']:.2f} ({found['ci'][0]:.2f} to {found['ci'][1]:.2f})"
+        if found is not None and "margin_px" in found:  # pages hold figures of earlier versions
+            factor += f", {found['margin_px']:.1f} px"
         cells += [factor, "-" if found is None else f"{found['n']:,}"]
     return cells
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.annotation.looseness import is_loosened, loosen_inserted, loosen_rectangle
+from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosen_rectangle
 from infrablend.core.boxes import corners_of_box, smallest_rectangle_inside
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.masks import Mask
@@ -23,7 +23,7 @@ def test_boxes_grow_about_their_centre_and_the_exact_ones_are_kept():
     mask[30:40, 20:40] = True
     person = Instance("Person", box, corners_of_box(box), Mask.from_array(mask), inserted=True, extra={"scr": 3.0})
     image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, (person, Instance("Person", box)))
-    (loose,), count = loosen_inserted([image], 1.5)
+    (loose,), count = loosen_inserted([image], Looseness(1.5))
     enlarged, original = loose.instances
     assert count == 1 and original is image.instances[1]
     np.testing.assert_allclose(enlarged.box_xyxy, [15, 27.5, 45, 42.5])
@@ -38,19 +38,49 @@ def test_classes_that_are_not_listed_keep_their_boxes():
     box = np.array([20.0, 30, 40, 40])
     both = (Instance("Person", box, inserted=True), Instance("Car", box, inserted=True))
     image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, both)
-    (loose,), count = loosen_inserted([image], {"Car": 1.2, "Dog": 2.0})
+    (loose,), count = loosen_inserted([image], Looseness({"Car": 1.2, "Dog": 2.0}))
     assert count == 1
     assert loose.instances[0] is both[0]
     np.testing.assert_allclose(loose.instances[1].box_xyxy, [18, 29, 42, 41])
 
 
+def test_a_margin_in_px_moves_each_side_after_the_factor():
+    box = np.array([20.0, 30, 40, 40])
+    turned = np.array([[50.0, 20], [65, 35], [55, 45], [40, 30]])
+    both = (Instance("Person", box, turned, inserted=True), Instance("Car", box, inserted=True))
+    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, both)
+    (loose,), count = loosen_inserted([image], Looseness(1.5, {"Person": 3.5}))
+    person, car = loose.instances
+    assert count == 2
+    np.testing.assert_allclose(person.box_xyxy, [15 - 3.5, 27.5 - 3.5, 45 + 3.5, 42.5 + 3.5])
+    np.testing.assert_allclose(car.box_xyxy, [15, 27.5, 45, 42.5])
+    assert person.extra["tight_bbox"] == [20, 30, 20, 10]
+    sides = np.hypot(*(np.roll(turned, -1, axis=0) - turned).T)
+    enlarged = person.corners_xy
+    np.testing.assert_allclose(np.hypot(*(np.roll(enlarged, -1, axis=0) - enlarged).T), 1.5 * sides + 7)
+    np.testing.assert_allclose(enlarged.mean(axis=0), turned.mean(axis=0))
+    assert Looseness(1.5, {"Person": 3.5}).to_counts() == {"loosened_by": 1.5, "loosened_by_px": {"Person": 3.5}}
+    assert not Looseness() and not Looseness({"Car": 1.0}, {"Car": 0.0})
+
+
+def test_margins_end_at_the_border_and_widen_what_has_no_extent():
+    corner = Instance("Person", np.array([0.0, 0, 4, 4]), corners_of_box(np.array([0.0, 0, 4, 4])), inserted=True)
+    flat = Instance("Person", np.array([20.0, 30, 28, 30]), corners_of_box(np.array([20.0, 30, 28, 30])), inserted=True)
+    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, (corner, flat))
+    (loose,), _ = loosen_inserted([image], Looseness(px=3.0))
+    for one, expected in zip(loose.instances, ([0, 0, 7, 7], [17, 27, 31, 33]), strict=True):
+        np.testing.assert_allclose(one.box_xyxy, expected)
+        low, high = one.corners_xy.min(axis=0), one.corners_xy.max(axis=0)
+        np.testing.assert_allclose([*low, *high], expected)
+
+
 coordinates = st.tuples(st.floats(0, WH[0]), st.floats(0, WH[1]))
 
 
-@given(st.lists(coordinates, min_size=3, max_size=6), st.floats(1, 2))
-def test_an_enlarged_rectangle_contains_the_exact_one_and_stays_in_the_frame(points, factor):
+@given(st.lists(coordinates, min_size=3, max_size=6), st.floats(1, 2), st.floats(0, 32))
+def test_an_enlarged_rectangle_contains_the_exact_one_and_stays_in_the_frame(points, factor, px):
     tight = smallest_rectangle_inside(np.array(points), WH)
-    loose = loosen_rectangle(tight, factor, WH)
+    loose = loosen_rectangle(tight, factor, WH, px)
     assert (loose >= 0).all() and (loose <= WH).all()
     for a, b, near, far in zip(tight, np.roll(tight, -1, axis=0), loose, np.roll(loose, -1, axis=0), strict=True):
         side = b - a

@@ -375,8 +375,42 @@ def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(datas
     for labels in ("coco", "native", ""):
         with pytest.raises(DatasetError, match="8 boxes that are enlarged already"):
             api.convert(tmp_path / "loose" / labels, tmp_path / "twice", "coco", loosen=1.1)
-    with pytest.raises(RecipeError, match="found Drone; expected classes of the inserted objects"):
-        generate(dataset, tmp_path / "unknown", settings={"labels.loosen": {"Drone": 1.3}})
+    with pytest.raises(RecipeError, match="found Drone; expected classes of the inserted objects") as caught:
+        wrong = {"labels.loosen": {"Drone": 1.3}, "labels.loosen_px": {"Drone": 2}}
+        generate(dataset, tmp_path / "unknown", settings=wrong)
+    assert [p.where for p in caught.value.problems] == ["labels.loosen", "labels.loosen_px"]
+
+
+def test_boxes_of_inserted_objects_are_enlarged_by_pixels_in_all_formats(dataset, tmp_path):
+    settings = {"output.image": "png", "output.formats": ["coco", "yolo", "yolo-obb"], "configurations": 1}
+    generate(dataset, tmp_path / "tight", settings=settings)
+    loose = generate(dataset, tmp_path / "loose", settings={**settings, "labels.loosen_px": 3.5})
+    assert (loose.counts["boxes_loosened"], loose.counts["loosened_by_px"]) == (4, 3.5)
+    assert "loosened_by" not in loose.counts
+    assert "enlarged by 3.5 px on each side" in (tmp_path / "loose" / "README.md").read_text()
+    for form in ("coco", "yolo", "yolo-obb"):
+        exact, drawn = (
+            {
+                (i.path.name, k): o
+                for i in api.read_dataset(tmp_path / run / form).images
+                for k, o in enumerate(i.instances)
+            }
+            for run in ("tight", "loose")
+        )
+        changed = 0
+        for key, a in exact.items():
+            b = drawn[key]
+            if a.category != "drone":
+                np.testing.assert_allclose(a.box_xyxy, b.box_xyxy, atol=1e-3)
+                continue
+            if form == "yolo-obb":
+                sides = [np.hypot(*(np.roll(c, -1, axis=0) - c).T) for c in (a.corners_xy, b.corners_xy)]
+                assert (sides[1] <= sides[0] + 7 + 0.05).all() and (sides[1] >= sides[0] - 0.05).all()
+            else:
+                grown = np.abs(b.box_xyxy - a.box_xyxy)
+                assert (grown <= 3.5 + 1e-2).all() and grown.max() >= 3.5 - 1e-2
+            changed += 1
+        assert changed == 4, form
 
 
 def test_label_modes_and_categories(dataset, tmp_path):

@@ -215,6 +215,18 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     counts = json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]
     assert (counts["boxes_loosened"], counts["loosened_by"]) == (2, 1.2)
     assert "boxes of 2 inserted objects were enlarged by the factor 1.2" in (tmp_path / "out" / "README.md").read_text()
+    words = [*words[:3], tmp_path / "px", "--to", "coco", "--loosen-inserted-px", 2]
+    done = CliRunner().invoke(build_app(), [str(w) for w in words])
+    assert done.exit_code == 0, done.output
+    (again,) = api.read_dataset(tmp_path / "px").images
+    boxes = sorted(i.box_xyxy.tolist() for i in again.instances)
+    np.testing.assert_allclose(boxes, [[0, 48, 12, 64], [18, 18, 32, 42], [40, 20, 50, 40]])
+    counts = json.loads((tmp_path / "px" / "convert.json").read_text())["counts"]
+    assert (counts["boxes_loosened"], counts["loosened_by_px"]) == (2, 2) and "loosened_by" not in counts
+    with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
+        api.convert(tmp_path / "px", tmp_path / "twice", "coco", loosen_px=1)
+    with pytest.raises(DatasetError, match=r"--loosen-inserted-px: -1"):
+        api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen_px=-1)
     with pytest.raises(DatasetError, match=r"--loosen-inserted: 0\.5"):
         api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen=0.5)
 

@@ -221,8 +221,24 @@ def test_exact_boxes_cancel_the_bias_of_the_extent():
     against = looseness_against(boxes(1.2) * 2, boxes(1.0) * 3)
     assert against["factor"] == pytest.approx(1.2)
     assert against["ci"] == pytest.approx([1.2, 1.2])
+    assert looseness(boxes(1.2))["spread"]["factor"] == pytest.approx(0, abs=1e-6)
     assert looseness(boxes(1.2)[:20]) is None
     assert looseness_against(boxes(1.2), boxes(1.0)[:5]) is None
+
+
+def test_margins_in_px_are_told_from_factors():
+    sizes = np.arange(10, 40)
+
+    def boxes(margin):
+        return [
+            BoxExtent("Person", str(s % 7), "night", (s + 2 * margin, s + 2 * margin), (float(s), float(s)))
+            for s in sizes
+        ]
+
+    found = looseness(boxes(3.5))
+    assert found["margin_px"] == 3.5
+    assert found["spread"]["margin"] < 1e-6 and found["spread"]["factor"] > 0.05
+    assert looseness_against(boxes(3.5) * 2, boxes(0.5) * 3)["margin_px"] == 3.0
 
 
 def test_readings_leave_out_inserted_objects_and_regions_to_ignore(tmp_path):

@@ -99,12 +99,12 @@ def _make_part(job: StageJob) -> dict[str, Any]:
     dataset = replace(dataset, images=tuple(images))
     known = {c.name for c in dataset.categories}
     classes = ClassChanges({old: new for old, new in spec.rename.items() if old in known}, spec.drop, spec.only)
-    report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen)
+    report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen, loosen_px=spec.loosen_px)
     return {**dataset_facts(read_dataset(out)), **_loosened(report.counts), "dataset": "out", "there": ["out"]}
 
 
 def _loosened(counts: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: counts[k] for k in ("boxes_loosened", "loosened_by") if k in counts}
+    return {k: counts[k] for k in ("boxes_loosened", "loosened_by", "loosened_by_px") if k in counts}
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from infrablend.annotation.looseness import looseness_text
 from infrablend.core.dataset import SPLITS
 from infrablend.report.results.text import duration
 
@@ -46,13 +47,12 @@ def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
     loosened: dict[str, int] = {}
     for s in facts["stages"]:
         if s.get("boxes_loosened"):
-            by = s["loosened_by"]
-            text = ", ".join(f"{v:g} ({k})" for k, v in by.items()) if isinstance(by, Mapping) else f"{by:g}"
+            text = looseness_text(s)
             loosened[text] = loosened.get(text, 0) + s["boxes_loosened"]
-    for factor, n in sorted(loosened.items()):
+    for text, n in sorted(loosened.items()):
         yield (
-            f"The training boxes of {n:,} inserted objects are enlarged by {factor} in width and height, to match "
-            "the boxes drawn by the source's annotators; masks and images are unchanged."
+            f"The training boxes of {n:,} inserted objects are enlarged by {text}, to match the boxes drawn by the "
+            "source's annotators; masks and images are unchanged."
         )
 
 
