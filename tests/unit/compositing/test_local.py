@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from infrablend.compositing.behind import Behind
 from infrablend.compositing.gain import (
     Anchor,
     Backdrop,
@@ -13,7 +14,7 @@ from infrablend.compositing.gain import (
     find_anchors,
     ring_level,
 )
-from infrablend.compositing.local import Insert, LocalSettings, local_mapping
+from infrablend.compositing.local import Insert, LocalSettings, _land_anchors, local_mapping
 from infrablend.compositing.mapping import GreyMapping, measure_levels
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
@@ -400,3 +401,21 @@ def test_doubts_are_named_and_the_prior_replaces_such_gains():
     assert instead["local_share"]["posterior"] == [0.3, 0.1] and instead["local_share"]["anchors_used"] == 0
     _, good = mapped(picture, INSERT, labels, settings=trusted)
     assert good["gain"]["warm"]["doubts"] == []
+
+
+@pytest.mark.parametrize(
+    ("ground", "step", "rise"),
+    [
+        (150.0, 40.0, 90.0),  # a soft skyline: the step beside it is only a part of the rise
+        (150.0, 120.0, 120.0),  # local enhancement took contrast from the large areas
+        (None, 40.0, 40.0),  # no ground in sight but what rises above the horizon
+    ],
+)
+def test_the_rise_from_sky_to_land_is_the_larger_of_two_readings(ground, step, rise):
+    nothing = np.zeros((512, 640), np.bool_)
+    behind = Behind(ground, 60.0, 1.2, None, nothing, nothing, step_grey=step)
+    (land,) = _land_anchors(behind, Backdrop(np.zeros((512, 640), np.uint8), [], "day", LEVELS), WEATHER)
+    assert (land.kind, land.grey) == ("land", rise)
+    clipped = Behind(ground, 130.0, 1.2, None, nothing, nothing, step_grey=120.0)
+    (land,) = _land_anchors(clipped, Backdrop(np.zeros((512, 640), np.uint8), [], "day", LEVELS), WEATHER)
+    assert land.kind == "land_clipped"

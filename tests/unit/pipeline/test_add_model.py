@@ -69,6 +69,22 @@ def test_written_description_loads_as_a_model(file: Path, tmp_path: Path) -> Non
         add_model(file, tmp_path / "out", answers)
 
 
+def test_a_description_that_does_not_load_is_removed(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(name: str) -> None:
+        assert Path(name).is_file()
+        raise ModelError("no volume")
+
+    answers = ModelAnswers("drone", 0.5, {"Thing": "antenna"})
+    with monkeypatch.context() as patch:
+        patch.setattr("infrablend.pipeline.add_model.ready_model", fail)
+        with pytest.raises(ModelError, match="no volume"):
+            add_model(file, tmp_path / "out", answers)
+    assert list((tmp_path / "out").iterdir()) == []
+    assert add_model(file, tmp_path / "out", answers).is_file()  # the same command, once the fault is mended
+
+
 def test_animals_stand_on_the_ground(file: Path, tmp_path: Path) -> None:
     model = load_model(str(add_model(file, None, ModelAnswers("fox", 0.7, {"Thing": "eye"}))))
     assert model.stands

@@ -328,3 +328,28 @@ def test_untrusted_gains_leave_the_background_empty_if_the_recipe_says_so(tmp_pa
     assert report.counts["frames_without_object_because"] == {"untrusted": 2}
     found = generate(data, tmp_path / "used", settings=fixed[:2])
     assert {"gain-at-limit"} <= {p.code for p in found.problems}
+
+
+def test_doubtful_heights_leave_the_background_empty_if_the_recipe_says_so(tmp_path):
+    """People three times as large as at the stated height: the correction of the height ends at its limit."""
+    data = tmp_path / "data"
+    rows = ["file,pitch_deg,altitude_m,time_of_day"]
+    for n, (wide, high) in enumerate(((12, 21), (36, 63))):
+        rows.append(f"{n}.png,60,80,night")
+        pixels = scenery(n)
+        lines = []
+        for k in range(8):
+            x, y = 40 + 72 * k, 240
+            level = int(pixels[y : y + high, x : x + wide].mean())
+            pixels[y : y + high, x : x + wide] = min(level + 45, 225)  # warm, and nothing strange but the size
+            lines.append(f"0 {(x + wide / 2) / 640} {(y + high / 2) / 512} {wide / 640} {high / 512}")
+        write_yolo(data, f"{n}", pixels, lines)
+    (data / "data.yaml").write_text("path: .\ntrain: images/train\nval: images/train\nnames: [Person]\n")
+    (data / "metadata.csv").write_text("\n".join(rows) + "\n")
+    generate(data, tmp_path / "used")
+    usual, large = records(tmp_path / "used")
+    assert (usual.scene.view.at_limit, large.scene.view.at_limit) == (False, True)
+    generate(data, tmp_path / "skipped", settings=["matching.on_untrusted=skip"])
+    usual, large = records(tmp_path / "skipped")
+    assert len(usual.inserted) == 1 and not large.inserted
+    assert large.scene.draws["absent"] == {"untrusted": 1}

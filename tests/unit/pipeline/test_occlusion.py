@@ -164,3 +164,24 @@ def test_what_would_be_less_visible_than_stated_is_left_out_and_counted(
     assert record.scene is not None
     assert record.scene.draws["absent"]["too_hidden"] >= 1
     assert report.counts["frames_without_object"] == int(not record.inserted)
+
+
+def test_the_least_visibility_of_all_objects_holds_for_those_behind_branches(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0), wood(1))
+    generate(data, tmp_path / "run", SHARE)
+    shown = [i.visibility for r in records(tmp_path / "run") for i in r.inserted if i.extra.get("occluded")]
+    assert min(shown) < 0.7
+    generate(data, tmp_path / "held", SHARE, "placement.min_visibility=0.7")
+    held = [i.visibility for r in records(tmp_path / "held") for i in r.inserted if i.extra.get("occluded")]
+    assert all(v >= 0.7 for v in held)
+
+
+def test_the_box_that_is_written_does_not_decide_what_is_seen(tmp_path: Path) -> None:
+    data = folder(tmp_path / "data", wood(0))
+    measured = []
+    for name in ("visible", "amodal"):
+        generate(data, tmp_path / name, SHARE, f"labels.occluded_box={name}", "placement.min_contrast=real")
+        (record,) = records(tmp_path / name)
+        assert any(i.extra.get("occluded") for i in record.inserted)
+        measured.append((record.facts["contrast"], record.image_sha256))
+    assert measured[0] == measured[1]

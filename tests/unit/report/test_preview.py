@@ -312,6 +312,14 @@ def test_load_frames(run):
     assert drone.mask == rectangle_mask(40, 30, 70, 50)
 
 
+def test_the_title_shows_the_height_of_the_camera_that_was_used(run):
+    path = run / "scenes" / "test" / "a_c0.json"
+    record = json.loads(path.read_text())
+    record["scene"]["view"] = {"stated_height_m": 60.04}
+    path.write_text(json.dumps(record))
+    assert load_frames(run)[0].title == "test/a_c0   pitch 0°   altitude 60 m   night"
+
+
 def test_polygons_and_plain_run_lengths_are_masks_too(run):
     path = run / "coco" / "test.json"
     document = json.loads(path.read_text())
