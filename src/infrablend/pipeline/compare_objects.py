@@ -397,6 +397,8 @@ def compare(
         v.facts["contrast"] = compare_contrasts(
             found.contrasts_of("real", v.category), found.contrasts_of("inserted", v.category)
         )
+        if written := found.contrasts_of("as_written", v.category):
+            v.facts["contrast_as_written"] = compare_contrasts(found.contrasts_of("real", v.category), written)
         boxes = {population: found.extents_of(population, v.category) for population in ("real", "inserted")}
         v.facts["box_looseness"] = {
             **{population: looseness(extents) for population, extents in boxes.items()},

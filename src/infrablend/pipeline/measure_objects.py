@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
@@ -96,7 +97,8 @@ class Measurements:
         objects: Measured objects by population: `real`, `inserted`, `floor`, `hard_paste`, or a sensor step.
         left_out: Objects that were not measured: `<population>/<class>` to reason to number.
         unreadable: Messages about pictures that could not be read.
-        contrasts: Contrast of all `real` and `inserted` objects, whether or not they are in `objects`.
+        contrasts: Contrast of all `real` and `inserted` objects, whether or not they are in `objects`. `as_written` are
+            the inserted ones in the boxes of the label files, where the recipe enlarges these.
         extents: Box and visible extent of those objects, where the extent can be found.
     """
 
@@ -186,7 +188,19 @@ class ObjectMeasurer:
     def _inserted(self, source: ImageRecord, record: FrameRecord) -> Measurements:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
         picture, labels = eight_bit(pixels, self._settings.levels), _labels_of(source, record)
-        return self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
+        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
+        looseness = Looseness.of_labels(self._recipe.labels)
+        if looseness:
+            image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
+            loose, _ = loosen_image(image, looseness)
+            level, time = float(np.median(picture)), source.time_of_day or "unknown"
+            for exact, instance in zip(record.inserted, loose.instances, strict=True):
+                others = [instance, *(o for o in labels if o is not exact)]
+                contrast = object_contrast(picture, instance, others)
+                if instance.category in self._settings.categories and contrast is not None:
+                    of_object = ObjectContrast(instance.category, record.frame_id, time, contrast, level)
+                    found.contrasts.setdefault("as_written", []).append(of_object)
+        return found
 
     def _all_of(
         self,

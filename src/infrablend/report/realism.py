@@ -20,6 +20,7 @@ from infrablend.report.page import render_page
 from infrablend.report.picture_mark import CROP_SHEET
 from infrablend.report.preview import FAINT, INK, PAPER
 from infrablend.report.realism_tables import (
+    AS_WRITTEN,
     CHECK_HEAD,
     LOOSENESS_HEAD,
     QUANTILE_HEAD,
@@ -159,6 +160,8 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
         "looseness_rows": [["factor", *looseness_cells(f["box_looseness"])]],
         "check_head": CHECK_HEAD,
         "check_rows": check_rows(f["contrast"]),
+        "as_written": AS_WRITTEN.replace("`", ""),
+        "as_written_rows": check_rows(f.get("contrast_as_written", {})),
         "cue_rows": [
             [
                 t["feature"],

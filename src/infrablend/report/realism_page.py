@@ -19,6 +19,7 @@ from infrablend.core.output import require_replaceable
 from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_COMPARED, MIN_LEAST_RATIO
 from infrablend.report.figures import compact, interval, markdown_table, plot_text
 from infrablend.report.realism_tables import (
+    AS_WRITTEN,
     CHECK_HEAD,
     LOOSENESS_HEAD,
     QUANTILE_HEAD,
@@ -99,6 +100,11 @@ def _merged(earlier: Mapping[str, Any], of_class: Mapping[str, Any], facts: Mapp
         "time_of_day": first,
         "by_time": scores,
         "contrast": {**earlier.get("contrast", {}), **of_times},
+        "contrast_as_written": {
+            # A run with exact boxes has none; figures of an earlier run do not stay beside it.
+            **{t: c for t, c in earlier.get("contrast_as_written", {}).items() if t not in of_times},
+            **of_class.get("contrast_as_written", {}),
+        },
     }
 
 
@@ -127,6 +133,7 @@ def page_text(page: Mapping[str, Any], charts: Sequence[tuple[str, str]] = (), l
         f"so have no slope, quartiles of contrast within {100 * MAX_QUARTILE_DIFFERENCE:.0f} %. In brackets the 95 % "
         f"interval over resampled images. No verdict below {MIN_COMPARED} objects.",
         markdown_table(CHECK_HEAD, checks),
+        *_as_written(page["classes"]),
         "## Slope within images",
         "How far an object's level follows the median of the ring around its box: 1 if it does, 0 if objects look the "
         "same everywhere in a picture. Only unclipped levels count, in images with at least three such objects.",
@@ -165,6 +172,14 @@ def _source_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
             backgrounds = f"{run['backgrounds']} ({', '.join(run['splits'])})"
             real = f"{run['real']} ({', '.join(run['real_splits'])})"
             yield [_name(name, time), f"`{run['recipe']}`", str(run["seed"]), f"{run['frames']:,}", backgrounds, real]
+
+
+def _as_written(classes: Mapping[str, Any]) -> Iterator[str]:
+    rows = [r for name, c in classes.items() for r in check_rows(_by_time(c.get("contrast_as_written", {})), name)]
+    if rows:
+        yield "### In boxes as written"
+        yield AS_WRITTEN
+        yield markdown_table(CHECK_HEAD, rows)
 
 
 def _looseness_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:

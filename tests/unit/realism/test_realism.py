@@ -409,6 +409,7 @@ def crowd(tmp_path_factory):
         "camera.distance_m": [90, 130],
         "placement.min_contrast": "off",  # the flat renderer shows people fainter than they are
         "output.group_by": ["pitch", "day_night"],
+        "labels.loosen_px": 2,
     }
     run = root / "run"
     api.generate(
@@ -441,11 +442,16 @@ def test_a_run_is_compared(crowd, tmp_path, short_training):
     assert person["contrast"]["night"]["real"]["n"] >= 60
     assert person["contrast"]["night"]["inserted"]["n"] >= 20
     assert person["contrast"]["night"]["checks"]["change_p1"]["real"] > 20
+    exact, written = (person[key]["night"]["inserted"] for key in ("contrast", "contrast_as_written"))
+    assert written["n"] >= 20  # of wider boxes, a smaller part is the object
+    assert abs(written["signed"]["p50"]) < abs(exact["signed"]["p50"])
     assert person["box_looseness"]["real"]["factor"] == pytest.approx(
         1.12, abs=0.1
     )  # 1 px wider than ellipses of 10 to 24
-    assert "| person by night |" in api.realism_page(report, tmp_path / "page").read_text()
+    text = api.realism_page(report, tmp_path / "page").read_text()
+    assert "| person by night |" in text and "### In boxes as written" in text
     page = (tmp_path / "a" / "realism.html").read_text()
+    assert "labels.loosen_px" in page
     assert "http" not in page
     assert page.count("data:image/png") == 4
     assert {p.name for p in (tmp_path / "a").iterdir()} == {
