@@ -93,12 +93,12 @@ def _object_lines(objects: Mapping[str, Any]) -> list[str]:
         lines.append(f"local share of the camera, {time}: {bound}; for recipes: {field}={share['recommended']}")
     for category, boxes in objects["box_looseness"].items():
         factor = f"{boxes['factor']:.2f} ({boxes['ci'][0]:.2f} to {boxes['ci'][1]:.2f})"
-        line = f"boxes of {category}: {factor} times the visible extent, {boxes['n']:,} boxes"
+        fits = "better" if boxes["spread"]["margin"] < boxes["spread"]["factor"] else "worse"
+        margin = f"{boxes['margin_px']:.1f} px on each side, which fits {fits}"
+        line = f"boxes of {category}: {factor} times the visible extent, or wider by {margin}; {boxes['n']:,} boxes"
         if against := boxes.get("against_rendered"):
             corrected = f"{against['factor']:.2f} ({against['ci'][0]:.2f} to {against['ci'][1]:.2f})"
             line += f"; {corrected} times the boxes of inserted objects (labels.loosen)"
-            margin, spread = max(against["margin_px"], 0.0), boxes["spread"]
-            fits = "fits" if spread["margin"] < spread["factor"] else "does not fit"
-            line += f", or {margin:.1f} px on each side (labels.loosen_px), which {fits} better"
+            line += f", or wider by {max(against['margin_px'], 0.0):.1f} px on each side (labels.loosen_px)"
         lines.append(line)
     return lines

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.annotation.looseness import tighten_image
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
@@ -55,12 +56,14 @@ def read_objects(
         dataset: Dataset of the pictures; regions to ignore are no objects.
         images: Pictures to read.
         levels: Darkest and brightest level, for 16-bit pictures.
-        inserted: Whether to measure inserted objects instead of annotated ones.
+        inserted: Whether to measure inserted objects, in their exact boxes, instead of annotated ones.
         on_picture: Called after each picture.
     """
     ignored = {c.name for c in dataset.categories if c.ignore}
     found = ObjectReadings()
-    for image in images:
+    for given in images:
+        # Enlarged boxes of inserted objects say nothing about those of annotators.
+        image = tighten_image(given) if inserted else given
         with contextlib.suppress(DatasetError):  # the problems of pictures are reported where the camera is fitted
             picture = eight_bit(load_background(image.path, image.size_wh).pixels, levels)
             objects = [o for o in image.instances if o.inserted == inserted and o.category not in ignored]

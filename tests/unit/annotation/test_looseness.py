@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosen_rectangle
+from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosen_rectangle, tighten_image
 from infrablend.core.boxes import corners_of_box, smallest_rectangle_inside
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.masks import Mask
@@ -32,6 +32,10 @@ def test_boxes_grow_about_their_centre_and_the_exact_ones_are_kept():
     assert enlarged.extra["tight_bbox"] == [20, 30, 20, 10] and enlarged.extra["scr"] == 3.0
     np.testing.assert_array_equal(np.reshape(enlarged.extra["tight_obb"], (4, 2)), person.corners_xy)
     assert is_loosened(enlarged) and not is_loosened(person)
+    exact, unchanged = tighten_image(loose).instances
+    assert not is_loosened(exact) and unchanged is original and exact.extra == person.extra
+    np.testing.assert_array_equal(exact.box_xyxy, person.box_xyxy)
+    np.testing.assert_array_equal(exact.corners_xy, person.corners_xy)
 
 
 def test_classes_that_are_not_listed_keep_their_boxes():
