@@ -95,9 +95,10 @@ def looseness_text(counts: Mapping[str, Any]) -> str:
     """Return how much boxes were enlarged by, from the counts of a run or a conversion, see `Looseness.to_counts`."""
     parts = []
     if (factors := counts.get("loosened_by")) is not None:
-        parts.append(_listed(factors) if isinstance(factors, Mapping) else f"the factor {factors:g}")
+        by_class = isinstance(factors, Mapping)
+        parts.append(f"the factors {_listed(factors, 1)}" if by_class else f"the factor {factors:g}")
     if (px := counts.get("loosened_by_px")) is not None:
-        parts.append(f"{_listed(px) if isinstance(px, Mapping) else f'{px:g}'} px on each side")
+        parts.append(f"{_listed(px, 0) if isinstance(px, Mapping) else f'{px:g}'} px on each side")
     return " and ".join(parts)
 
 
@@ -124,8 +125,8 @@ def _values(of: PerClass) -> list[float]:
     return list(of.values()) if isinstance(of, Mapping) else [of]
 
 
-def _listed(of: Mapping[str, float]) -> str:
-    return ", ".join(f"{k} {v:g}" for k, v in of.items())
+def _listed(of: Mapping[str, float], nothing: float) -> str:
+    return ", ".join(f"{k} {v:g}" for k, v in sorted(of.items()) if v != nothing)
 
 
 def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int]) -> Instance:

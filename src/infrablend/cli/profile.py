@@ -93,12 +93,12 @@ def _object_lines(objects: Mapping[str, Any]) -> list[str]:
         lines.append(f"local share of the camera, {time}: {bound}; for recipes: {field}={share['recommended']}")
     for category, boxes in objects["box_looseness"].items():
         factor = f"{boxes['factor']:.2f} ({boxes['ci'][0]:.2f} to {boxes['ci'][1]:.2f})"
-        fits = "better" if boxes["spread"]["margin"] < boxes["spread"]["factor"] else "worse"
-        margin = f"{boxes['margin_px']:.1f} px on each side, which fits {fits}"
+        margin = f"{boxes['margin_px']:.1f} px on each side"
         line = f"boxes of {category}: {factor} times the visible extent, or wider by {margin}; {boxes['n']:,} boxes"
         if against := boxes.get("against_rendered"):
             corrected = f"{against['factor']:.2f} ({against['ci'][0]:.2f} to {against['ci'][1]:.2f})"
             line += f"; {corrected} times the boxes of inserted objects (labels.loosen)"
             line += f", or wider by {max(against['margin_px'], 0.0):.1f} px on each side (labels.loosen_px)"
+            line += f"; the {against['better']} fits better"
         lines.append(line)
     return lines

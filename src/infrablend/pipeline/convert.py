@@ -11,25 +11,25 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
-from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosened_text
+from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.files import load_json
 from infrablend.core.finished import CONVERT_FILE, require_unchanged
 from infrablend.core.format_table import NATIVE, find_writer, written_names
 from infrablend.core.output import require_apart
-from infrablend.core.run_layout import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.dataset_folder import DatasetFolder
+from infrablend.pipeline.enlarged import count_enlarged
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 _LOOSEN, _LOOSEN_PX = "--loosen-inserted", "--loosen-inserted-px"
+_WITHOUT_BOXES = ("yolo-seg", "masks")
 
 
 @dataclass(frozen=True)
@@ -139,14 +139,14 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
-    looseness = Looseness(loosen, loosen_px)
+    looseness, earlier = Looseness(loosen, loosen_px), count_enlarged(dataset)
     if (loosen, loosen_px) != (1, 0):
-        _require_tight(dataset, looseness)
+        _require_tight(dataset, looseness, earlier, writer.name)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
     images, loosened = loosen_inserted(images, looseness)
     if looseness and not loosened:
-        found, expected = "no object marked as inserted", "at least one"
+        found, expected = "no object marked as inserted, among those that are written", "at least one"
         todo = "convert the coco folder of a run, which marks them"
         none = Problem(_loosen_option(looseness), "loosen-none", found, expected, todo)
         raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
@@ -162,7 +162,9 @@ def convert_dataset(
         "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
         "source_format": dataset.format,
         **({} if chosen is None else {"selection": chosen}),
-        **({"boxes_loosened": loosened, **looseness.to_counts()} if looseness else {}),
+        # Those of the source count as well, or a further step would enlarge them again.
+        **({"boxes_loosened": loosened or earlier} if loosened or earlier else {}),
+        **(looseness.to_counts() if looseness else {}),
     }
     header = {
         "source": str(dataset.root),
@@ -182,6 +184,8 @@ def convert_dataset(
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
+        if earlier:
+            changes.append(f"{earlier} boxes of inserted objects were enlarged before, to match hand-drawn ones.")
         if looseness:
             changes.append(loosened_text(loosened, looseness))
         card = dataset_card(
@@ -202,17 +206,21 @@ def convert_dataset(
     return report
 
 
-def _require_tight(dataset: Dataset, by: Looseness) -> None:
+def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: str) -> None:
     """Check the factor and the distance, and that no earlier step has enlarged the boxes already."""
-    (factor, px), faults = by.of(""), []
-    if not 1 <= factor <= 2:
-        faults.append(Problem(_LOOSEN, "loosen-range", f"{factor:g}", "a factor from 1 to 2"))
-    if not 0 <= px <= 32:
-        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{px:g}", "a distance from 0 to 32 px"))
+    faults = []
+    if not isinstance(by.factors, int | float) or not 1 <= by.factors <= 2:
+        faults.append(Problem(_LOOSEN, "loosen-range", f"{by.factors}", "a factor from 1 to 2"))
+    if not isinstance(by.px, int | float) or not 0 <= by.px <= 32:
+        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{by.px}", "a distance from 0 to 32 px"))
     if faults:
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
-    earlier = sum(is_loosened(i) for image in dataset.images for i in image.instances)
-    earlier = earlier or _recorded_loosened(dataset.root)
+    if to in _WITHOUT_BOXES:
+        found, todo = f"{to}, which has masks instead of boxes", "leave the option out, or write another format"
+        raise DatasetError(
+            f"{dataset.root}: no box to enlarge",
+            [Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)],
+        )
     if earlier:
         found, expected = f"{earlier} boxes that are enlarged already", "boxes that fit tightly"
         todo = "leave the option out, or convert a run made without labels.loosen and labels.loosen_px"
@@ -223,16 +231,6 @@ def _require_tight(dataset: Dataset, by: Looseness) -> None:
 def _loosen_option(by: Looseness) -> str:
     """Return the option that asked for larger boxes."""
     return _LOOSEN if "loosened_by" in by.to_counts() else _LOOSEN_PX
-
-
-def _recorded_loosened(root: Path) -> int:
-    """Return how many boxes the run or the conversion that wrote the dataset enlarged; not all formats mark them."""
-    for record in (root / CONVERT_FILE, root / RUN_FILE, root.parent / RUN_FILE):
-        try:
-            return int(load_json(record)["counts"]["boxes_loosened"])
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
-    return 0
 
 
 def _changes(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from infrablend.annotation.looseness import Looseness, loosen_image
+from infrablend.annotation.looseness import Looseness, is_loosened, loosen_image
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
@@ -194,10 +194,12 @@ class ObjectMeasurer:
             image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
             loose, _ = loosen_image(image, looseness)
             level, time = float(np.median(picture)), source.time_of_day or "unknown"
-            for exact, instance in zip(record.inserted, loose.instances, strict=True):
-                others = [instance, *(o for o in labels if o is not exact)]
+            drawn = [*labels[: len(labels) - len(record.inserted)], *loose.instances]
+            for instance in loose.instances:
+                others = [instance, *(o for o in drawn if o is not instance)]
                 contrast = object_contrast(picture, instance, others)
-                if instance.category in self._settings.categories and contrast is not None:
+                enlarged = is_loosened(instance) and instance.category in self._settings.categories
+                if enlarged and contrast is not None:
                     of_object = ObjectContrast(instance.category, record.frame_id, time, contrast, level)
                     found.contrasts.setdefault("as_written", []).append(of_object)
         return found

@@ -67,7 +67,9 @@ def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts
 
 def recipe_yaml(recipe: Recipe) -> str:
     """Return the settings that differ from the defaults, as YAML; user models appear without their local folder."""
-    data = json.loads(recipe.model_dump_json(exclude_defaults=True))
+    # Mappings by name in one order, whether the recipe was read from its file or from a run's record.
+    ordered = recipe_from_json(json.dumps(json.loads(recipe.model_dump_json()), sort_keys=True))
+    data = json.loads(ordered.model_dump_json(exclude_defaults=True))
     for o in data["objects"]:
         if is_description(o["model"]):
             o["model"] = Path(o["model"]).name

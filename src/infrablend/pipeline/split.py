@@ -24,6 +24,7 @@ from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.pipeline.dataset_folder import DatasetFolder
+from infrablend.pipeline.enlarged import count_enlarged
 from infrablend.pipeline.origin import origin_of
 from infrablend.report.card import dataset_card, write_card, written_layout
 
@@ -178,7 +179,11 @@ def split_dataset(
         report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
         report = replace(report, problems=(*report.problems, *folder.problems()))
         require_unchanged(dataset.root, dataset.markers)
-        folder.finish({}, report.to_json())  # without the source: the same bytes wherever the dataset is
+        enlarged = count_enlarged(dataset)
+        content = report.to_json()  # without the source: the same bytes wherever the dataset is
+        if enlarged:
+            content["counts"] = {"boxes_loosened": enlarged}
+        folder.finish({}, content)
     return report
 
 

@@ -124,8 +124,7 @@ def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
     Returns:
         `n`, the median `factor` from extent to box with its `ci` over resampled images, the medians of `width` and
         `height`, the median `margin_px` on each side, and `spread`: the standard deviation of the logarithm of widths
-        and heights that `factor` and `margin` leave, of which the smaller one is the better model. Plain JSON values;
-        None with fewer than 30 boxes.
+        and heights that `factor` and `margin` leave. Plain JSON values; None with fewer than 30 boxes.
     """
     if len(boxes) < MIN_BOXES:
         return None
@@ -150,7 +149,8 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
 
     Returns:
         `n`, `factor`, `ci` and `margin_px` as in `looseness`, the margin less that of the exact boxes; None with fewer
-        than 30 drawn boxes that have their like.
+        than 30 drawn boxes that have their like. `better` is `margin` where it leaves less than the factor by more than
+        it does for the exact boxes, whose small objects have inexact extents, too; else `factor`.
     """
     reference: dict[int, list[BoxExtent]] = {}
     for e in exact:
@@ -163,7 +163,9 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
         return None
     factor, ci = _median_factor([d.log_factor - typical[d.size_class] for d in used], [d.image for d in used])
     margin = float(np.median([d.margin_px - margins[d.size_class] for d in used]))
-    return {"n": len(used), "factor": factor, "ci": ci, "margin_px": round(margin, 2)}
+    gains = [of["factor"] - of["margin"] for of in (_spread(used), _spread([e for v in alike.values() for e in v]))]
+    better = "margin" if gains[0] > max(gains[1], 0.0) else "factor"
+    return {"n": len(used), "factor": factor, "ci": ci, "margin_px": round(margin, 2), "better": better}
 
 
 def _spread(boxes: Sequence[BoxExtent]) -> dict[str, float]:

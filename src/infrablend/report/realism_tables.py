@@ -30,7 +30,8 @@ _QUANTITIES = {
 }
 AS_WRITTEN = (
     "Contrast is measured in a box, and wider boxes show less of it. Where a run enlarges the boxes of inserted "
-    "objects to match drawn ones (`labels.loosen`, `labels.loosen_px`), this is the contrast in those."
+    "objects to match drawn ones (`labels.loosen`, `labels.loosen_px`), this is the contrast in those. More objects "
+    "are large enough to be measured in wider boxes."
 )
 LOOSENESS_HEAD = ["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"]
 SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"]

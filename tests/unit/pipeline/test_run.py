@@ -351,7 +351,10 @@ def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(datas
     loose = generate(dataset, tmp_path / "loose", settings={**settings, "labels.loosen": {"drone": 1.3}})
     assert "boxes_loosened" not in tight.counts
     assert (loose.counts["boxes_loosened"], loose.counts["loosened_by"]) == (8, {"drone": 1.3})
-    assert "boxes of 8 inserted objects were enlarged by drone 1.3" in (tmp_path / "loose" / "README.md").read_text()
+    assert (
+        "boxes of 8 inserted objects were enlarged by the factors drone 1.3"
+        in (tmp_path / "loose" / "README.md").read_text()
+    )
     for before, after in zip(records(tmp_path / "tight"), records(tmp_path / "loose"), strict=True):
         assert before.image_sha256 == after.image_sha256
         np.testing.assert_array_equal(before.inserted[0].box_xyxy, after.inserted[0].box_xyxy)

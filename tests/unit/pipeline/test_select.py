@@ -26,6 +26,7 @@ from infrablend.pipeline.select import (
     draw_with_sum,
     select,
 )
+from infrablend.pipeline.split import SplitRule
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
 
@@ -225,6 +226,22 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     assert (counts["boxes_loosened"], counts["loosened_by_px"]) == (2, 2) and "loosened_by" not in counts
     with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
         api.convert(tmp_path / "px", tmp_path / "twice", "coco", loosen_px=1)
+    for to in ("yolo-seg", "masks"):
+        with pytest.raises(DatasetError, match="masks instead of boxes"):
+            api.convert(tmp_path / "data", tmp_path / to, to, loosen_px=1)
+    # Neither a conversion without the option nor a new split hides that boxes are enlarged.
+    api.convert(tmp_path / "px", tmp_path / "voc", "voc")
+    api.split(tmp_path / "px", tmp_path / "split", SplitRule("gap"), to="voc")
+    for made in ("voc", "split"):
+        again = api.convert(tmp_path / made, tmp_path / f"{made}-yolo", "yolo")
+        assert again.counts["boxes_loosened"] == 2
+        assert "2 boxes of inserted objects were enlarged before" in (again.out / "README.md").read_text()
+        with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
+            api.convert(again.out, tmp_path / "thrice", "coco", loosen_px=1)
+    with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
+        api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
+    with pytest.raises(DatasetError, match=r"--loosen-inserted-px: \{"):
+        api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen_px={"Person": 1})
     with pytest.raises(DatasetError, match=r"--loosen-inserted-px: -1"):
         api.convert(tmp_path / "data", tmp_path / "tight", "coco", loosen_px=-1)
     with pytest.raises(DatasetError, match=r"--loosen-inserted: 0\.5"):

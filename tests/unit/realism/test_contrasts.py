@@ -238,7 +238,10 @@ def test_margins_in_px_are_told_from_factors():
     found = looseness(boxes(3.5))
     assert found["margin_px"] == 3.5
     assert found["spread"]["margin"] < 1e-6 and found["spread"]["factor"] > 0.05
-    assert looseness_against(boxes(3.5) * 2, boxes(0.5) * 3)["margin_px"] == 3.0
+    against = looseness_against(boxes(3.5) * 2, boxes(0.5) * 3)
+    assert (against["margin_px"], against["better"]) == (3.0, "margin")
+    # Exact boxes with the same preference show that it is none of the annotators.
+    assert looseness_against(boxes(3.5) * 2, boxes(3.5) * 3)["better"] == "factor"
 
 
 def test_readings_leave_out_inserted_objects_and_regions_to_ignore(tmp_path):

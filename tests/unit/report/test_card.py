@@ -143,6 +143,17 @@ def test_user_models_folder_is_not_recorded(data, tmp_path):
     assert "secret" not in text
 
 
+def test_the_recipe_of_a_card_has_one_order_however_it_was_read():
+    from infrablend.config.loading import load_recipe
+    from infrablend.config.modes import recipe_from_json
+    from infrablend.pipeline.origin import recipe_yaml
+
+    recipe = load_recipe("hit-uav-people", ["labels.loosen_px={Person: 3.5, Adult: 2}"])
+    recorded = recipe_from_json(json.dumps(json.loads(recipe.model_dump_json()), sort_keys=True))
+    assert recipe_yaml(recorded) == recipe_yaml(recipe)
+    assert recipe_yaml(recipe).index("Adult") < recipe_yaml(recipe).index("Person: 3.5")
+
+
 def test_edited_card_is_kept_and_unedited_card_is_replaced(data, tmp_path):
     run = tmp_path / "run"
     generate(data, run)

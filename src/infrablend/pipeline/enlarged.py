@@ -1,0 +1,28 @@
+"""How many boxes of a dataset's inserted objects are enlarged already, so that no step enlarges them twice."""
+
+from __future__ import annotations
+
+from infrablend.annotation.looseness import is_loosened
+from infrablend.core.dataset import Dataset
+from infrablend.core.files import load_json
+from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
+from infrablend.core.run_layout import RUN_FILE
+
+
+def count_enlarged(dataset: Dataset) -> int:
+    """Return how many boxes are enlarged: by their marks, or else by the record of the command that wrote the dataset.
+
+    COCO and shards mark enlarged boxes; other formats do not.
+    """
+    marked = sum(is_loosened(i) for image in dataset.images for i in image.instances)
+    return marked or _recorded(dataset)
+
+
+def _recorded(dataset: Dataset) -> int:
+    root = dataset.root
+    for record in (root / CONVERT_FILE, root / SPLIT_FILE, root / RUN_FILE, root.parent / RUN_FILE):
+        try:
+            return int(load_json(record)["counts"]["boxes_loosened"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return 0
