@@ -169,10 +169,10 @@ def test_what_would_be_less_visible_than_stated_is_left_out_and_counted(
 def test_the_least_visibility_of_all_objects_holds_for_those_behind_branches(tmp_path: Path) -> None:
     data = folder(tmp_path / "data", wood(0), wood(1))
     generate(data, tmp_path / "run", SHARE)
-    shown = [i.visibility for r in records(tmp_path / "run") for i in r.inserted if i.extra.get("occluded")]
+    shown = [i.visibility or 0.0 for r in records(tmp_path / "run") for i in r.inserted if i.extra.get("occluded")]
     assert min(shown) < 0.7
     generate(data, tmp_path / "held", SHARE, "placement.min_visibility=0.7")
-    held = [i.visibility for r in records(tmp_path / "held") for i in r.inserted if i.extra.get("occluded")]
+    held = [i.visibility or 0.0 for r in records(tmp_path / "held") for i in r.inserted if i.extra.get("occluded")]
     assert all(v >= 0.7 for v in held)
 
 

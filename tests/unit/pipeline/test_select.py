@@ -233,11 +233,11 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     api.convert(tmp_path / "px", tmp_path / "voc", "voc")
     api.split(tmp_path / "px", tmp_path / "split", SplitRule("gap"), to="voc")
     for made in ("voc", "split"):
-        again = api.convert(tmp_path / made, tmp_path / f"{made}-yolo", "yolo")
-        assert again.counts["boxes_loosened"] == 2
-        assert "2 boxes of inserted objects were enlarged before" in (again.out / "README.md").read_text()
+        report = api.convert(tmp_path / made, tmp_path / f"{made}-yolo", "yolo")
+        assert report.counts["boxes_loosened"] == 2
+        assert "2 boxes of inserted objects were enlarged before" in (report.out / "README.md").read_text()
         with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
-            api.convert(again.out, tmp_path / "thrice", "coco", loosen_px=1)
+            api.convert(report.out, tmp_path / "thrice", "coco", loosen_px=1)
     with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
         api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
     with pytest.raises(DatasetError, match=r"--loosen-inserted-px: \{"):
