@@ -16,7 +16,7 @@ from infrablend.config.recipe import CLASS_NAME
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.finished import CONVERT_FILE, require_unchanged
-from infrablend.core.format_table import NATIVE, find_writer, written_names
+from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
 from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
@@ -29,7 +29,6 @@ from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 _LOOSEN, _LOOSEN_PX = "--loosen-inserted", "--loosen-inserted-px"
-_WITHOUT_BOXES = ("yolo-seg", "masks")
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def convert_dataset(
     wanted = drop_classes(renamed, drop)
     looseness, earlier = Looseness(loosen, loosen_px), count_enlarged(dataset)
     if (loosen, loosen_px) != (1, 0):
-        _require_tight(dataset, looseness, earlier, writer.name)
+        _require_tight(dataset, looseness, earlier, writer)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
     images, loosened = loosen_inserted(images, looseness)
@@ -206,7 +205,7 @@ def convert_dataset(
     return report
 
 
-def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: str) -> None:
+def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) -> None:
     """Check the factor and the distance, and that no earlier step has enlarged the boxes already."""
     faults = []
     if not isinstance(by.factors, int | float) or not 1 <= by.factors <= 2:
@@ -215,8 +214,8 @@ def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: str) -> No
         faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{by.px}", "a distance from 0 to 32 px"))
     if faults:
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
-    if to in _WITHOUT_BOXES:
-        found, todo = f"{to}, which has masks instead of boxes", "leave the option out, or write another format"
+    if {"boxes", "obb"} <= to.lacks:
+        found, todo = f"{to.name}, which has masks instead of boxes", "leave the option out, or write another format"
         raise DatasetError(
             f"{dataset.root}: no box to enlarge",
             [Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)],

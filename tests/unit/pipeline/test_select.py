@@ -226,9 +226,11 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     assert (counts["boxes_loosened"], counts["loosened_by_px"]) == (2, 2) and "loosened_by" not in counts
     with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
         api.convert(tmp_path / "px", tmp_path / "twice", "coco", loosen_px=1)
-    for to in ("yolo-seg", "masks"):
-        with pytest.raises(DatasetError, match="masks instead of boxes"):
-            api.convert(tmp_path / "data", tmp_path / to, to, loosen_px=1)
+    with pytest.raises(DatasetError, match="masks instead of boxes"):
+        api.convert(tmp_path / "data", tmp_path / "yolo-seg", "yolo-seg", loosen_px=1)
+    api.convert(tmp_path / "data", tmp_path / "masks", "masks", loosen_px=2)  # these have boxes beside the masks
+    (with_masks,) = api.read_dataset(tmp_path / "masks").images
+    np.testing.assert_allclose(sorted(i.box_xyxy.tolist() for i in with_masks.instances), boxes)
     # Neither a conversion without the option nor a new split hides that boxes are enlarged.
     api.convert(tmp_path / "px", tmp_path / "voc", "voc")
     api.split(tmp_path / "px", tmp_path / "split", SplitRule("gap"), to="voc")
