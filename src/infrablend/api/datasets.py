@@ -101,13 +101,13 @@ def check(
 def convert(
     source: str | Path, out: str | Path, to: str, *, reading: Reading = READ_ALL, classes: ClassChanges = KEEP_CLASSES,
     selection: Selection = SELECT_ALL, loosen: float = 1.0, loosen_px: float = 0.0,
-    writing: WriteSettings | None = None,
-    overwrite: bool = False,
+    writing: WriteSettings | None = None, overwrite: bool = False,
 ) -> ConvertReport:  # fmt: skip
     """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
 
     `to` is a format such as yolo, yolo-obb, yolo-seg or coco, or `native` for the format of the source. `loosen`
-    enlarges the axis-aligned boxes of inserted objects by a factor from 1 to 2, to match hand-drawn boxes.
+    enlarges the boxes of inserted objects by a factor from 1 to 2, to match hand-drawn boxes, and `loosen_px` moves
+    each of their sides outwards by 0 to 32 px.
 
     >>> people = ClassChanges(only="Person")
     >>> convert("hit-uav", "converted", "coco", classes=people).format
@@ -116,8 +116,7 @@ def convert(
     dataset = read_dataset(source, reading)
     return convert_dataset(
         dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, loosen_px=loosen_px,
-        settings=writing,
-        overwrite=overwrite,
+        settings=writing, overwrite=overwrite,
     )  # fmt: skip
 
 

@@ -143,7 +143,9 @@ def convert_dataset(
         _require_tight(dataset, looseness, earlier, writer)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
     images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
-    images, loosened = loosen_inserted(images, looseness)
+    loosened = 0
+    if looseness:
+        images, loosened = loosen_inserted(images, looseness)
     if looseness and not loosened:
         found, expected = "no object marked as inserted, among those that are written", "at least one"
         todo = "convert the coco folder of a run, which marks them"

@@ -14,8 +14,12 @@ def count_enlarged(dataset: Dataset) -> int:
 
     COCO and shards mark enlarged boxes; other formats do not.
     """
-    marked = sum(is_loosened(i) for image in dataset.images for i in image.instances)
-    return marked or _recorded(dataset)
+    return count_marked(dataset) or _recorded(dataset)
+
+
+def count_marked(dataset: Dataset) -> int:
+    """Return how many boxes are marked as enlarged, and so have their exact box beside them."""
+    return sum(is_loosened(i) for image in dataset.images for i in image.instances)
 
 
 def _recorded(dataset: Dataset) -> int:

@@ -193,15 +193,13 @@ class ObjectMeasurer:
         if looseness:
             image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
             loose, _ = loosen_image(image, looseness)
-            level, time = float(np.median(picture)), source.time_of_day or "unknown"
+            level = float(np.median(picture))
             drawn = [*labels[: len(labels) - len(record.inserted)], *loose.instances]
             for instance in loose.instances:
-                others = [instance, *(o for o in drawn if o is not instance)]
-                contrast = object_contrast(picture, instance, others)
-                enlarged = is_loosened(instance) and instance.category in self._settings.categories
-                if enlarged and contrast is not None:
-                    of_object = ObjectContrast(instance.category, record.frame_id, time, contrast, level)
-                    found.contrasts.setdefault("as_written", []).append(of_object)
+                if is_loosened(instance) and instance.category in self._settings.categories:
+                    of_object = _contrast(picture, level, instance, drawn, source, record.frame_id)
+                    if of_object is not None:
+                        found.contrasts.setdefault("as_written", []).append(of_object)
         return found
 
     def _all_of(
@@ -219,10 +217,8 @@ class ObjectMeasurer:
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
-            contrast = object_contrast(picture, instance, labels)
-            if contrast is not None:
-                time = source.time_of_day or "unknown"
-                of_object = ObjectContrast(instance.category, key, time, contrast, level)
+            of_object = _contrast(picture, level, instance, labels, source, key)
+            if of_object is not None:
                 found.contrasts.setdefault(population, []).append(of_object)
                 extent = box_extent(picture, instance, labels, of_object)
                 if extent is not None:
@@ -289,6 +285,15 @@ def _labels_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
 
 def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageRecord, key: str) -> Measured:
     return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.altitude_m)
+
+
+def _contrast(
+    picture: Picture, level: float, instance: Instance, labels: Sequence[Instance], source: ImageRecord, key: str
+) -> ObjectContrast | None:
+    """Return the contrast of an object; `level` is the picture's median. None where the ring is too small."""
+    contrast = object_contrast(picture, instance, labels)
+    time = source.time_of_day or "unknown"
+    return None if contrast is None else ObjectContrast(instance.category, key, time, contrast, level)
 
 
 def _after_saving(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:

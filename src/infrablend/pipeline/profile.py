@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from infrablend.annotation.looseness import is_loosened
 from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Survey, SurveySummary, chain_readings, fit_profile
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.arguments import require_whole
@@ -28,7 +27,7 @@ from infrablend.core.output import require_apart, require_no_foreign
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
-from infrablend.pipeline.enlarged import count_enlarged
+from infrablend.pipeline.enlarged import count_enlarged, count_marked
 from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.report.profile_plots import draw_profile
 
@@ -290,12 +289,9 @@ def _require_exact(rendered: Dataset) -> None:
     Raises:
         DatasetError: They were enlarged, and its labels do not have the exact ones.
     """
-    marked = any(is_loosened(i) for image in rendered.images for i in image.instances)
-    if not marked and (enlarged := count_enlarged(rendered)):
-        found, todo = (
-            f"{enlarged} boxes that are enlarged",
-            "give a run with coco in output.formats, or with exact boxes",
-        )
+    if not count_marked(rendered) and (enlarged := count_enlarged(rendered)):
+        found = f"{enlarged} boxes that are enlarged"
+        todo = "give a run with coco in output.formats, or with exact boxes"
         unknown = Problem("--rendered", "boxes-enlarged", found, "the exact boxes", todo)
         raise DatasetError(f"{rendered.root}: the exact boxes of inserted objects are not known", [unknown])
 

@@ -201,7 +201,7 @@ def _unpack(files: ShardFiles, record: Mapping[str, Any]) -> None:
 def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) -> None:
     """Write tar, table and marker of the frames in the folder, one frame in memory at a time."""
     ids = {c.name: c.id for c in plan.categories}
-    packed = 0
+    packed, looseness = 0, Looseness.of_labels(plan.recipe.labels)
     with replace_atomically(files.tar, durable=True) as tar_part, replace_atomically(files.table) as table_part:
         with tar_part.open("wb") as stream, TarWriter(stream) as tar, TableWriter(table_part, ids) as table:
             for frame in plan.frames:
@@ -215,7 +215,7 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
                 if _sha256(picture) != record.image_sha256:
                     raise _changed(frame.frame_id, "its picture was changed")
                 image = labelled_image(frame, record, folder.image(record.image))
-                image, _ = loosen_image(image, Looseness.of_labels(plan.recipe.labels))
+                image, _ = loosen_image(image, looseness)
                 key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
                 scene = read_regular(folder.record(frame.frame_id), folder.root)
                 offset = tar.add(key, Path(record.image).suffix[1:], picture)

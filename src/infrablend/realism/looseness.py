@@ -170,14 +170,16 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
 
 def _spread(boxes: Sequence[BoxExtent]) -> dict[str, float]:
     """Return what a factor and what a margin leave unexplained, each fitted to widths and heights by itself."""
-    left: dict[str, list[NDArray[np.float64]]] = {"factor": [], "margin": []}
-    for k in (0, 1):
-        box, extent = (
-            np.array([wh[k] for wh in of]) for of in ([b.box_wh for b in boxes], [b.extent_wh for b in boxes])
-        )
-        left["factor"].append(np.log(box / extent))
-        left["margin"].append(np.log(box / np.maximum(extent + np.median(box - extent), 1)))
-    return {model: round(float(np.sqrt(np.mean([np.var(of) for of in logs]))), 3) for model, logs in left.items()}
+    box, extent = np.array([b.box_wh for b in boxes]), np.array([b.extent_wh for b in boxes])
+    of_sides = np.array([side_spreads(box[:, k], extent[:, k]) for k in (0, 1)])
+    factor, margin = np.sqrt(np.mean(of_sides**2, axis=0))
+    return {"factor": round(float(factor), 3), "margin": round(float(margin), 3)}
+
+
+def side_spreads(box: NDArray[np.float64], extent: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the standard deviations of the logarithm that a factor and a margin leave, for (n,) sides of boxes, px."""
+    with_margin = np.maximum(extent + np.median(box - extent), 1)
+    return float(np.log(box / extent).std()), float(np.log(box / with_margin).std())
 
 
 def _median_factor(logs: Sequence[float], images: Sequence[str]) -> tuple[float, list[float]]:

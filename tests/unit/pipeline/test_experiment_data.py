@@ -178,6 +178,5 @@ def test_experiments_on_drones_are_planned_and_share_stages(birds: Path, drones:
     assert {f"train:{n}{k}" for n in ("inserted", "pasted", "real") for k in ("", "-1", "-2")} <= set(drone)
     assert mix["evaluate:with-0"] == drone["evaluate:inserted"]
     assert mix["evaluate:real-185"] == drone["evaluate:real"]
-    assert (
-        len({v for k, v in mix.items() if k.startswith("merge")}) == 14
-    )  # three draws of 10 and of 40 pictures, and all 185, each with and without
+    # Three draws of 10 and of 40 pictures, and all 185, each with and without inserts.
+    assert len({v for k, v in mix.items() if k.startswith("merge")}) == 14
