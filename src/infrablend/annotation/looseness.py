@@ -145,23 +145,36 @@ def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int])
 def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, int], px: float = 0.0) -> FloatArray:
     """Return a rectangle (4, 2) enlarged about its centre, with the same orientation.
 
-    Each side moves outwards by its share of the factor and by `px`; one that would leave the frame, only as far as the
-    frame allows.
+    Each side moves outwards by its share of the factor and by `px`. All sides move together, and one that would leave
+    the frame stops there, so that the result does not depend on which corner is the first.
     """
-    corners = corners_xy.copy()
+    corners = corners_xy.astype(np.float64)
     size = np.array(size_wh, np.float64)
-    for k in range(4):
-        # The side from corner k to the next one moves away from the opposite side.
-        side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
-        across = corners_xy[side] - corners_xy[opposite]
-        shift = across * (factor - 1) / 2 + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
-        room = np.where(shift > 0, size - corners[side], corners[side])
-        moves = np.abs(shift) > _LEAST_PX
-        part = float((room[moves] / np.abs(shift[moves])).min(initial=1.0))
-        corners[side] += max(part, 0.0) * shift
+    shifts = np.array([_shift_of_side(corners, k, factor, px) for k in range(4)])
+    left = np.where(np.hypot(*shifts.T) > _LEAST_PX, 1.0, 0.0)  # part of its way that each side has still to go
+    while (moving := left > 0).any():
+        # Corner k belongs to the side that starts there and to the one that ends there.
+        own = shifts * moving[:, None]
+        way = own + np.roll(own, 1, axis=0)
+        room = np.maximum(np.where(way > 0, size - corners, corners), 0.0)
+        steps = np.divide(room, np.abs(way), out=np.full((4, 2), np.inf), where=np.abs(way) > _LEAST_PX)
+        step = float(min(left[moving].min(), steps.min()))
+        corners += step * way
+        left[moving] = np.maximum(left[moving] - step, 0.0)
+        for corner, axis in np.argwhere(steps <= step):
+            for side in (corner, (corner - 1) % 4):
+                if shifts[side, axis] * way[corner, axis] > 0:
+                    left[side] = 0.0
     inside = bool(((corners_xy >= 0) & (corners_xy <= size)).all())
     # Rounding may leave a corner just outside.
     return np.clip(corners, 0.0, size) if inside else corners
+
+
+def _shift_of_side(corners_xy: FloatArray, k: int, factor: float, px: float) -> FloatArray:
+    """Return by how much (2,) the side from corner k to the next one moves away from the opposite side."""
+    side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
+    across = corners_xy[side] - corners_xy[opposite]
+    return across.mean(axis=0) * (factor - 1) / 2 + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
 
 
 def _outwards(across: FloatArray, along: FloatArray) -> FloatArray:

@@ -94,6 +94,22 @@ def test_an_enlarged_rectangle_contains_the_exact_one_and_stays_in_the_frame(poi
         assert normal @ (near - a) >= -1e-6 * max(length, 1.0)  # further out: corners are clockwise
 
 
+@given(st.lists(coordinates, min_size=3, max_size=6), st.floats(1, 2), st.floats(0, 32), st.integers(1, 3))
+def test_the_numbering_of_the_corners_does_not_matter(points, factor, px, first):
+    tight = smallest_rectangle_inside(np.array(points), WH)
+    loose = loosen_rectangle(np.roll(tight, first, axis=0), factor, WH, px)
+    np.testing.assert_allclose(loose, np.roll(loosen_rectangle(tight, factor, WH, px), first, axis=0), atol=1e-5)
+
+
+def test_near_a_border_the_sides_share_what_room_there_is():
+    # The left corner is 2 px from the border; its two sides are alike, so each moves by half of what fits.
+    tight = np.array([[2.0, 40], [22, 20], [42, 40], [22, 60]])
+    loose = loosen_rectangle(tight, 1.0, WH, px=4.0)
+    np.testing.assert_allclose(loose[0], [0, 40], atol=1e-9)
+    np.testing.assert_allclose(loose[1], [21 + 4 * np.sqrt(0.5), 19 - 4 * np.sqrt(0.5)], atol=1e-9)
+    np.testing.assert_allclose(loose[2], [42 + 4 * np.sqrt(2), 40], atol=1e-9)
+
+
 @pytest.mark.parametrize("factor", [1.2, 2.0])
 def test_a_rectangle_away_from_the_edge_grows_by_the_factor(factor):
     tight = np.array([[50.0, 20], [65, 35], [55, 45], [40, 30]])
