@@ -174,7 +174,8 @@ def _shift_of_side(corners_xy: FloatArray, k: int, factor: float, px: float) -> 
     """Return by how much (2,) the side from corner k to the next one moves away from the opposite side."""
     side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
     across = corners_xy[side] - corners_xy[opposite]
-    return across.mean(axis=0) * (factor - 1) / 2 + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
+    middle: FloatArray = across.mean(axis=0)
+    return middle * ((factor - 1) / 2) + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
 
 
 def _outwards(across: FloatArray, along: FloatArray) -> FloatArray:

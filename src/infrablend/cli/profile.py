@@ -100,5 +100,7 @@ def _object_lines(objects: Mapping[str, Any]) -> list[str]:
             line += f"; {corrected} times the boxes of inserted objects (labels.loosen)"
             line += f", or wider by {max(against['margin_px'], 0.0):.1f} px on each side (labels.loosen_px)"
             line += f"; the {against['better']} fits better"
+        else:
+            line += "; not for recipes, as parts that cannot be seen are beyond this extent: see --rendered"
         lines.append(line)
     return lines

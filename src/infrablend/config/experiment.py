@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
+from infrablend.config.recipe import LooseFactor, LoosePx
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.file_names import real_path
 from infrablend.core.shipped import shipped_names
@@ -98,9 +99,9 @@ class Convert(Strict):
     """Draw images to match time of day, altitude, pitch and grey level of those that show this class."""
     images: dict[Scale, Limits] = Field(default_factory=dict)
     """Maximum number of images per split at each scale, drawn at random or as with `like`; all by default."""
-    loosen: float = Field(1.0, ge=1, le=2)
+    loosen: LooseFactor = 1.0
     """Enlarge the boxes of inserted objects by this factor, to match hand-drawn boxes."""
-    loosen_px: float = Field(0.0, ge=0, le=32)
+    loosen_px: LoosePx = 0.0
     """Move each side of the boxes of inserted objects outwards by this distance, px, after `loosen`."""
     match: Name | None = None
     """Data item whose numbers of images and of `with_class` objects per split this part matches."""

@@ -680,8 +680,9 @@ class Render(Strict):
     """Samples per pixel; overrides `quality`."""
 
 
-LooseFactor = Annotated[float, Field(ge=1, le=2)]
-LoosePx = Annotated[float, Field(ge=0, le=32)]
+MAX_LOOSEN, MAX_LOOSEN_PX = 2.0, 32.0
+LooseFactor = Annotated[float, Field(ge=1, le=MAX_LOOSEN)]
+LoosePx = Annotated[float, Field(ge=0, le=MAX_LOOSEN_PX)]
 
 
 class Labels(Strict):

@@ -25,6 +25,8 @@ from infrablend.formats.run_root import labels_of_run
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import hidden_pictures, unread_label_files
 
+DATASET_INSIDE = "dataset-inside"
+"""Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
 
@@ -171,7 +173,7 @@ def _unread(dataset: Dataset) -> Sequence[Problem]:
     found = f"{len(inside)} dataset(s) inside, whose labels are not read: {listed}"
     todo = f"give one of them, such as {dataset.root / next(iter(inside))}"
     others = [p for p in unread if p.where.partition("/")[0] not in inside]
-    return [Problem(dataset.root.name, "dataset-inside", found, "the folder of one dataset", todo), *others]
+    return [Problem(dataset.root.name, DATASET_INSIDE, found, "the folder of one dataset", todo), *others]
 
 
 def _with_regular_pictures(dataset: Dataset) -> Dataset:

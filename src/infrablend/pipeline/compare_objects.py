@@ -144,7 +144,8 @@ def measure_populations(
     if lost:
         raise DatasetError(
             f"{dataset.root}: {len(lost)} of the backgrounds of {run} are missing, e.g. {lost[0]}; "
-            "expected the dataset that the run was made from. Give it with --against"
+            "expected the dataset that the run was made from. Give it with --against, and a dataset of other pictures "
+            "whose real objects are to be compared with --real"
         )
     _require_one_depth(backgrounds, real)
     chosen = _categories(run, real, records, request.categories)

@@ -12,7 +12,7 @@ from typing import Any
 
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened_text
-from infrablend.config.recipe import CLASS_NAME
+from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.finished import CONVERT_FILE, require_unchanged
@@ -210,10 +210,10 @@ def convert_dataset(
 def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) -> None:
     """Check the factor and the distance, and that no earlier step has enlarged the boxes already."""
     faults = []
-    if not isinstance(by.factors, int | float) or not 1 <= by.factors <= 2:
-        faults.append(Problem(_LOOSEN, "loosen-range", f"{by.factors}", "a factor from 1 to 2"))
-    if not isinstance(by.px, int | float) or not 0 <= by.px <= 32:
-        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{by.px}", "a distance from 0 to 32 px"))
+    if not isinstance(by.factors, int | float) or not 1 <= by.factors <= MAX_LOOSEN:
+        faults.append(Problem(_LOOSEN, "loosen-range", f"{by.factors}", f"a factor from 1 to {MAX_LOOSEN:g}"))
+    if not isinstance(by.px, int | float) or not 0 <= by.px <= MAX_LOOSEN_PX:
+        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{by.px}", f"a distance from 0 to {MAX_LOOSEN_PX:g} px"))
     if faults:
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
     if {"boxes", "obb"} <= to.lacks:

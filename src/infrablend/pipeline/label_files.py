@@ -177,6 +177,7 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
     drops: Counter[str] = Counter()
     doubts: Counter[str] = Counter()
     pitches: Counter[str] = Counter()
+    behind: Counter[str] = Counter()
     inserted: Counter[str] = Counter()
     covered = fallbacks = without = other_size = 0
     for r in records:
@@ -185,6 +186,7 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         drops.update(d["reason"] for d in r.facts.get("drops", ()))
         inserted.update(i.category for i in r.inserted)
         doubts.update(doubt_codes(r))
+        behind.update(r.facts.get("matching", {}).get("behind", ()))
         if r.scene is not None and "pitch_from" in r.scene.draws:
             pitches[r.scene.draws["pitch_from"]] += 1
         covered += len(r.covered)
@@ -209,6 +211,8 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         counts["frames_in_doubt"] = dict(sorted(doubts.items()))
     if pitches:
         counts["pitch_from"] = dict(sorted(pitches.items()))
+    if behind.keys() - {"ground"}:
+        counts["in_front_of"] = dict(sorted(behind.items()))
     if hiding := hiding_statistics(records):
         counts["partly_hidden"] = hiding
     if contrast := contrast_statistics(records):
@@ -226,7 +230,7 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
         if r.scene is None or r.inserted:
             continue
         found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
-        if r.scene.draws.get("empty_by_recipe"):
+        if r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))

@@ -24,6 +24,7 @@ from infrablend.core.files import sha256_of_json
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.flight import FOR_ALL, was_extracted
 from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, from_radiometric_files, implausible_scales
 from infrablend.formats.writing import WriteSettings, unwritable
@@ -234,6 +235,9 @@ def make_plan(
         of_chosen = {image for image, _ in chosen}
         images = [image for image in images if id(image) in of_chosen]
     remarks = dataset.problems
+    if whole := [p for p in remarks if p.code == DATASET_INSIDE]:
+        # Their labels would be lost, and their objects become unlabelled background.
+        raise DatasetError(f"{dataset.root}: a folder of datasets, not of one dataset", whole)
     if isinstance(recipe.matching, RadiometricMatching) and any(p.code == IMPLAUSIBLE for p in remarks):
         # The recipe may know better than the files that the pictures show the sky.
         if implausible := implausible_scales(dataset, lambda image: is_ground(image, recipe)):

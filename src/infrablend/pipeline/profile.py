@@ -8,6 +8,7 @@ import itertools
 import os
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.pipeline.enlarged import count_enlarged, count_marked
 from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
+from infrablend.realism.looseness import MIN_BOXES
 from infrablend.report.profile_plots import draw_profile
 
 # Percentiles of the used range of levels without a few stray pixels, as in `compositing.mapping.measure_levels`.
@@ -97,7 +99,8 @@ def profile_dataset(
 
     Raises:
         ArgumentError: `count` is below 1.
-        DatasetError: No picture is usable, bit depths are mixed, contrast is too low, or there are too few clean edges.
+        DatasetError: No picture is usable, bit depths are mixed, contrast is too low, or there are too few clean edges;
+            or `rendered` has no inserted objects, or not their exact boxes.
         RecipeError: There is no shipped profile named `against`.
         OutputError: `out` cannot be written.
     """
@@ -115,6 +118,10 @@ def profile_dataset(
     survey = Survey(levels, len(usable), scale)
     annotated = annotated_pictures(dataset)
     inserted = [] if rendered is None else annotated_pictures(rendered, inserted=True)
+    if rendered is not None and not inserted:
+        todo = "give a run of `infrablend generate` that inserts the annotated classes"
+        none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
+        raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
     tick = _counter(len(usable) + len(annotated) + len(inserted), on_progress)
     for image in usable:
         picture = load_background(image.path, image.size_wh)
@@ -124,6 +131,7 @@ def profile_dataset(
         read_objects(dataset, annotated, levels, on_picture=tick),
         None if rendered is None else read_objects(rendered, inserted, levels, inserted=True, on_picture=tick),
     )
+    problems += [] if rendered is None else _not_compared(rendered, objects)
     name = name or real_path(dataset.root).name or "pictures"
     edges = len(survey.edges)
     if edges < MIN_EDGES:
@@ -294,6 +302,18 @@ def _require_exact(rendered: Dataset) -> None:
         todo = "give a run with coco in output.formats, or with exact boxes"
         unknown = Problem("--rendered", "boxes-enlarged", found, "the exact boxes", todo)
         raise DatasetError(f"{rendered.root}: the exact boxes of inserted objects are not known", [unknown])
+
+
+def _not_compared(rendered: Dataset, objects: Mapping[str, Any]) -> list[Problem]:
+    """Return a warning if a run has too few inserted objects to correct the looseness of some annotated class."""
+    given = Counter(o.category for i in rendered.images for o in i.instances if o.inserted)
+    lacking = [c for c, boxes in objects["box_looseness"].items() if not boxes.get("against_rendered")]
+    if not lacking:
+        return []
+    found = "the run does not correct the boxes of " + ", ".join(f"{c} ({given[c]} inserted)" for c in lacking)
+    expected = f"about {4 * MIN_BOXES} inserted objects of each class, as large as the annotated ones"
+    todo = "give a larger run of these classes, at the same time of day"
+    return [Problem("--rendered", "too-few-rendered", found, expected, todo, "warning")]
 
 
 def _require_own_profile(out: Path) -> None:

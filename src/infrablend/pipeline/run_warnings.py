@@ -83,6 +83,10 @@ _REASONS: Mapping[str, _Reason] = {
     ),
 }
 _LEAST_ABSENT = 0.5
+_LOOKS_DOWN = (
+    "at these distances (objects.N.range_m) and the recipe's height of the camera, objects would be below the ground: "
+    "use a recipe for cameras that look down, or correct pitch and height"
+)
 
 
 def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
@@ -105,6 +109,8 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
         todo = (
             "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
         )
+        if most and most[0][0] == "beyond_ground":
+            todo = _LOOKS_DOWN
         problems.append(Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning"))
     return problems
 

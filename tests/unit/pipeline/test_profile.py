@@ -17,8 +17,10 @@ from infrablend.compositing.overlay import Layer
 from infrablend.compositing.sensor import PIXEL_BOX_VARIANCE, Sensor, apply_sensor
 from infrablend.config.loading import load_recipe
 from infrablend.config.sensor_profile import read_profile
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, RecipeError
 from infrablend.formats.images import load_background
+from infrablend.formats.writing import write
 from infrablend.pipeline.profile import jpeg_quality
 
 
@@ -247,3 +249,32 @@ def test_hit_uav_night_profile_is_reproduced(real_data, tmp_path):
     assert 0.8 <= report.profile.psf_sigma_px <= 1.2
     assert 0.3 <= report.profile.halo_gain <= 0.8
     assert 1.0 <= report.profile.noise_grain_px <= 1.3
+
+
+def annotated(root, inserted):
+    """Write pictures with three warm squares each, of which the first `inserted` of the first picture are inserted."""
+    records = []
+    for n in range(12):
+        picture, labels = scene(n), []
+        for k, y in enumerate((60, 150, 240)):
+            picture[y : y + 14, 300:314] = 190
+            box = np.array([297.0, y - 3, 317, y + 17])
+            labels.append(Instance("Person", box, inserted=n == 0 and k < inserted))
+        path = root.parent / f"{root.name}-{n:02}.png"
+        Image.fromarray(picture).save(path)
+        records.append(ImageRecord(path.stem, path, "train", (384, 320), None, None, "night", tuple(labels)))
+    categories = (Category(0, "Person"),)
+    write("coco", root, records, categories, source=Dataset(root.parent, "coco", categories, tuple(records)))
+    return root
+
+
+def test_a_run_that_cannot_correct_the_boxes_is_named(tmp_path):
+    data, run = annotated(tmp_path / "data", 0), annotated(tmp_path / "run", 2)
+    with pytest.raises(DatasetError, match=r"(?s)data: no exact boxes .*--rendered: no inserted object; expected"):
+        api.profile(data, tmp_path / "out", rendered=data)
+    report = api.profile(data, tmp_path / "out", rendered=run)
+    (found,) = [p for p in report.problems if p.code == "too-few-rendered"]
+    assert (found.severity, "Person (2 inserted)" in found.found) == ("warning", True)
+    assert "too-few-rendered" not in {p.code for p in api.profile(data, tmp_path / "out").problems}
+    done = CliRunner().invoke(build_app(), ["-q", "profile", str(data), "--out", str(tmp_path / "out")])
+    assert "not for recipes" in done.output

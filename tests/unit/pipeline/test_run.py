@@ -18,7 +18,7 @@ from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.record import FrameRecord, read_record
-from infrablend.pipeline.run_warnings import limit_warnings
+from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
 from tests.run_files import without_times
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -610,6 +610,27 @@ def test_the_physical_look_places_objects_as_the_artistic_one_does(dataset, tmp_
 def test_one_split_of_a_dataset_is_not_read_alone(dataset, tmp_path):
     with pytest.raises(DatasetError, match="lose every label"):
         generate(dataset / "normal_json" / "train", tmp_path / "run")
+
+
+def test_a_folder_of_datasets_is_refused(dataset, tmp_path):
+    shutil.copytree(dataset, tmp_path / "both" / "one")
+    with pytest.raises(DatasetError, match=r"(?s)a folder of datasets, not of one dataset.*1 dataset\(s\) inside"):
+        generate(tmp_path / "both", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_frames_for_which_the_recipe_drew_no_object_are_empty_by_recipe(dataset, tmp_path):
+    objects = [{"model": "drone", "count": {"values": [0]}}]
+    report = generate(dataset, tmp_path / "run", settings={"output.image": "png", "objects": objects})
+    assert report.counts["frames_without_object_because"] == {"recipe": report.counts["images"]}
+
+
+def test_pictures_that_look_down_have_no_place_for_a_recipe_of_the_sky():
+    draws = {"wanted": 8, "absent": {"no_place": 8}, "rejected": {"beyond_ground": 1200, "overlap": 3}}
+    (found,) = absent_warnings(draws)
+    assert "use a recipe for cameras that look down" in found.todo
+    (other,) = absent_warnings({**draws, "rejected": {"overlap": 1200, "beyond_ground": 3}})
+    assert "look down" not in other.todo
 
 
 def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):

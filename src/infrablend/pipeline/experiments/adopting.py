@@ -11,7 +11,7 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.config.experiment import Generate
-from infrablend.config.loading import load_recipe
+from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import LINK_OUT, link_or_copy, load_json
@@ -85,7 +85,7 @@ def _check_run(job: StageJob, folder: Path) -> None:
     """Check that a run of the generator is the one the stage asks for."""
     record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
-    recipe = load_recipe(spec.recipe, spec.settings)
+    recipe = read_recipe(spec.recipe, spec.settings).recipe
     recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
     source, seed = job.needs["of"], job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)

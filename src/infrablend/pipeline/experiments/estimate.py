@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.config.experiment import Generate
-from infrablend.config.loading import load_recipe
+from infrablend.config.loading import read_recipe
 from infrablend.core.cores import available_cores
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, read_stage_record
@@ -92,7 +92,7 @@ def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> 
 def _mean_objects(spec: Generate) -> float:
     """Return the mean number of objects that a recipe inserts into a frame."""
     total = 0.0
-    for o in load_recipe(spec.recipe, spec.settings).objects:
+    for o in read_recipe(spec.recipe, spec.settings).recipe.objects:
         if isinstance(o.count, int):
             total += o.count
         else:

@@ -21,7 +21,7 @@ from infrablend.config.experiment import (
     Source,
     Training,
 )
-from infrablend.config.loading import load_recipe
+from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, Problem
@@ -299,7 +299,7 @@ DataInputs = tuple[dict[str, Any], dict[str, int]]
 
 
 def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
-    recipe = load_recipe(spec.recipe, spec.settings)
+    recipe = read_recipe(spec.recipe, spec.settings).recipe
     times = recipe.configurations + int(recipe.output.originals)
     inputs = {**recipe_inputs(spec), "seed": request.seed, "renderer": request.renderer}
     return inputs, {s: images["of"][s] * times for s in spec.splits if s in images["of"]}

@@ -9,13 +9,13 @@ from typing import Any
 from infrablend import __version__
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.experiment import Generate
-from infrablend.config.loading import load_recipe
+from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import NOT_IN_KEY, Recipe
 
 
 def recipe_inputs(spec: Generate) -> dict[str, Any]:
     """Return the contribution of a run's recipe to the stage's key; the user's own models count by their content."""
-    recipe = load_recipe(spec.recipe, spec.settings)
+    recipe = read_recipe(spec.recipe, spec.settings).recipe
     own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
     return {
         "recipe": deciding_fields(recipe),
