@@ -50,9 +50,11 @@ class FrameSelection:
             return images[: self.limit]
         if self.sample is None or self.sample >= len(images):
             return images
-        # One from each of equal parts, so that no sequence is left out by chance.
+        # One from each of equal parts, so that no sequence is left out by chance. The parts share no picture.
         shares = stream(seed, "backgrounds", self.sample).random(self.sample)
-        return [images[int((k + share) * len(images) / self.sample)] for k, share in enumerate(shares.tolist())]
+        ends = [k * len(images) // self.sample for k in range(self.sample + 1)]
+        parts = zip(ends, ends[1:], shares.tolist(), strict=False)
+        return [images[low + int(share * (high - low))] for low, high, share in parts]
 
 
 ALL_FRAMES = FrameSelection()

@@ -16,7 +16,7 @@ from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.plan import LENS_REPLACED, RunPlan, as_text, is_text, make_plan
+from infrablend.pipeline.plan import LENS_REPLACED, PITCH_REPLACED, RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.shard import ShardRequest
@@ -74,7 +74,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
-        "kept_fields": [str(p) for p in plan.problems if p.code in (KEPT, LENS_REPLACED)],
+        "kept_fields": [str(p) for p in plan.problems if p.code in (KEPT, LENS_REPLACED, PITCH_REPLACED)],
     }
 
 

@@ -17,7 +17,15 @@ from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.agc import FixedAgc
-from infrablend.config.recipe import NOT_IN_KEY, MetricCamera, MetricSections, RadiometricMatching, Recipe
+from infrablend.config.recipe import (
+    NOT_IN_KEY,
+    FixedPitch,
+    MetricCamera,
+    MetricSections,
+    RadiometricMatching,
+    RandomPitch,
+    Recipe,
+)
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.files import sha256_of_json
@@ -43,6 +51,7 @@ READ_PICTURE_S = 0.01
 WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
 LENS_REPLACED = "lens-replaced"
+PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
 LEFT_OUT = frozenset(
     ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
@@ -50,6 +59,8 @@ LEFT_OUT = frozenset(
 """Codes of the problems that leave a picture out of the run, one per picture."""
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
+# A stated pitch that differs by more from the files' is reported.
+_PITCH_TOLERANCE_DEG = 15.0
 # Bytes per frame of labels, records and per-format files; images are hard links.
 TYPICAL_LABELS_BYTES = 12_000
 
@@ -289,7 +300,7 @@ def make_plan(
         found = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
-    problems += _other_lens(recipe, usable)
+    problems += _other_lens(recipe, usable) + _other_pitch(recipe, usable)
     _require_ids(recipe, usable)
     categories = list(dataset.categories)
     new = []
@@ -450,6 +461,28 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     found = f"{stated:.1f} degrees across for all pictures, but the files of {len(other)} picture(s) state {span}"
     todo = "set camera.field_of_view to metadata, or state no lens, unless the files are wrong"
     return [Problem("camera.focal_length_mm", LENS_REPLACED, found, "the lens of the camera", todo, "warning")]
+
+
+def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if the recipe's pitch replaces pitches in the files that differ from it."""
+    if not isinstance(recipe.camera, MetricCamera):  # paper's ablations replace it on purpose
+        return []
+    match recipe.camera.pitch:
+        case FixedPitch(fixed_deg=stated):
+            low = high = stated
+        case RandomPitch(random_deg=(low, high)):
+            pass
+        case _:
+            return []
+    low, high = low - _PITCH_TOLERANCE_DEG, high + _PITCH_TOLERANCE_DEG
+    other = [i.pitch_deg for i in images if i.pitch_deg is not None and not low <= i.pitch_deg <= high]
+    if not other:
+        return []
+    found = (
+        f"a stated pitch, but the files of {len(other)} picture(s) state {min(other):.0f} to {max(other):.0f} degrees"
+    )
+    todo = "set camera.pitch to metadata, unless another view of the objects is wanted or the files are wrong"
+    return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
 
 
 def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:

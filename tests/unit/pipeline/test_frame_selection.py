@@ -58,6 +58,14 @@ def images(count: int) -> list[ImageRecord]:
     return [ImageRecord(f"{k}", Path(f"{k}.png"), "train", None, None, None, None, ()) for k in range(count)]
 
 
+@pytest.mark.parametrize(("count", "size"), [(783, 120), (783, 700), (290, 200), (10, 9)])
+def test_no_background_is_drawn_twice(count: int, size: int) -> None:
+    pictures = images(count)
+    for seed in range(20):
+        drawn = [int(i.id) for i in FrameSelection(sample=size).backgrounds(pictures, seed)]
+        assert len(drawn) == size and drawn == sorted(set(drawn))
+
+
 def test_a_sample_is_spread_over_the_dataset_and_drawn_with_the_seed() -> None:
     pictures = images(100)
     for seed in (0, 1):

@@ -83,6 +83,19 @@ def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> 
     assert not [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "lens-replaced"]
 
 
+def test_a_pitch_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:
+    data = flight(tmp_path, 3)  # 60 degrees
+
+    def remarks(**pitch: object) -> list[str]:
+        plan = prepare_run(RunRequest("hit-uav-people", data, settings={"camera.pitch": pitch}))
+        return [str(p) for p in plan.problems if p.code == "pitch-replaced"]
+
+    assert remarks(fixed_deg=50) == remarks(random_deg=[30, 50]) == []
+    (remark,) = remarks(fixed_deg=90)
+    assert "the files of 3 picture(s) state 60 to 60 degrees" in remark
+    assert remarks(random_deg=[80, 90]) == [remark]
+
+
 def test_every_picture_that_is_left_out_counts_as_skipped(tmp_path: Path) -> None:
     data = flight(tmp_path / "in", 6)
     for number, changes in enumerate(({"pitch_deg": -40.0}, {"pitch_deg": None}, {"altitude_m": -4.0}), start=1):
