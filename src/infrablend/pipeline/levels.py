@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
+import numpy as np
+
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
@@ -22,7 +24,7 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
     """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
 
     Raises:
-        DatasetError: None of these pictures can be read.
+        DatasetError: None of these pictures can be read, or some have 8 and others 16 bits.
     """
     pictures = []
     for image in plan.sample or plan.dataset.images:
@@ -30,4 +32,9 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
             pictures.append(load(image).pixels)
     if not pictures:
         raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
+    if len({p.dtype == np.uint8 for p in pictures}) > 1:
+        raise DatasetError(
+            f"{plan.dataset.root}: found pictures of 8 and of 16 bits, whose levels have no common range; expected one "
+            "bit depth. Put them in two folders"
+        )
     return measure_levels(pictures)

@@ -41,6 +41,7 @@ from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.shard import Shard
 from infrablend.sampling.scene import FrameKey, require_parts
+from infrablend.thermal.sun import sun_position, time_of
 
 # For estimates only. Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8.
 # Workers start in parallel, so their number does not change the time until the first frame.
@@ -59,6 +60,8 @@ LEFT_OUT = frozenset(
 """Codes of the problems that leave a picture out of the run, one per picture."""
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
+# Clear of the horizon, where day and night are a matter of opinion.
+_SUN_IS_UP_RAD = math.radians(6)
 # A stated pitch that differs by more from the files' is reported.
 _PITCH_TOLERANCE_DEG = 15.0
 # Bytes per frame of labels, records and per-format files; images are hard links.
@@ -300,7 +303,7 @@ def make_plan(
         found = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         problems.append(Problem(dataset.root.name, "no-labels", found, "labels to merge with", todo, "warning"))
-    problems += _other_lens(recipe, usable) + _other_pitch(recipe, usable)
+    problems += _other_lens(recipe, usable) + _other_pitch(recipe, usable) + _sun_unused(recipe, usable)
     _require_ids(recipe, usable)
     categories = list(dataset.categories)
     new = []
@@ -483,6 +486,24 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
     )
     todo = "set camera.pitch to metadata, unless another view of the objects is wanted or the files are wrong"
     return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
+
+
+def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
+    place = getattr(recipe.environment, "place", None)
+    if place is None:
+        return []
+    count = 0
+    for image in images:
+        when = None if image.time_of_day == "day" else time_of(image.captured)
+        if when is not None:
+            _, elevation = sun_position(when, place.latitude_deg, place.longitude_deg)
+            count += elevation > _SUN_IS_UP_RAD
+    if not count:
+        return []
+    found = f"the sun is above the horizon in {count} picture(s) not stated to be by day, and is not used there"
+    todo = "state time_of_day as day in the pictures' metadata, or check capture times, time zone and place"
+    return [Problem("environment.place", "sun-above-horizon", found, "pictures by night", todo, "warning")]
 
 
 def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:

@@ -173,6 +173,14 @@ def test_run_without_a_place_for_objects_reports_it(tmp_path):
     assert not [p for p in generate(data, tmp_path / "good").problems if p.code == "objects-absent"]
 
 
+def test_levels_of_8_and_of_16_bits_are_not_mixed(tmp_path):
+    deep = (scenery(1).astype(np.uint16) - 16) * 20 + 7000
+    pictures = {f"{RECORDS[0]}.png": Image.fromarray(scenery(0)), f"{RECORDS[1]}.png": Image.fromarray(deep)}
+    data = folder(tmp_path / "data", pictures)
+    with pytest.raises(DatasetError, match="8 and of 16 bits, whose levels have no common range"):
+        generate(data, tmp_path / "run")
+
+
 def test_levels_are_the_datasets_whatever_the_limit(tmp_path):
     wide = {f"{n}.png": Image.fromarray(scenery(k) // (1 + k)) for k, n in enumerate(RECORDS)}
     data = folder(tmp_path / "data", wide)

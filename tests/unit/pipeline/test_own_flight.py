@@ -96,6 +96,22 @@ def test_a_pitch_that_differs_from_the_files_is_reported_once(tmp_path: Path) ->
     assert remarks(random_deg=[80, 90]) == [remark]
 
 
+def test_daylight_that_is_not_stated_is_reported(tmp_path: Path) -> None:
+    data = flight(tmp_path, 2)
+    rows = ["file,captured,time_of_day"]
+    rows += [f"DJI_000{n}_T.JPG,2021-06-21T12:00:00+08:00,{time}" for n, time in ((1, "night"), (2, "day"))]
+    (tmp_path / "metadata.csv").write_text("\n".join(rows) + "\n")
+
+    def remarks(longitude_deg: float) -> list[str]:
+        place = {"latitude_deg": 25, "longitude_deg": longitude_deg}
+        plan = prepare_run(RunRequest("hit-uav-people", data, settings={"environment.place": place}))
+        return [str(p) for p in plan.problems if p.code == "sun-above-horizon"]
+
+    (remark,) = remarks(102.7)
+    assert "in 1 picture(s) not stated to be by day" in remark
+    assert remarks(-77.3) == []
+
+
 def test_every_picture_that_is_left_out_counts_as_skipped(tmp_path: Path) -> None:
     data = flight(tmp_path / "in", 6)
     for number, changes in enumerate(({"pitch_deg": -40.0}, {"pitch_deg": None}, {"altitude_m": -4.0}), start=1):
