@@ -72,12 +72,12 @@ def _check_ratio(
     names = [e for side in check.ratio for e in side]
     found = {e: _figure(evaluations.get(e, {}), check) for e in names}
     means = [_mean([found[e] for e in side]) for side in check.ratio]
-    head = {"ratio_of": [", ".join(side) for side in check.ratio]}
+    head = {"ratio_of": [", ".join(side) for side in check.ratio], "least": check.least}
     if means[0] is None or not means[1]:
         return {**head, "missing": next((left_out[e] for e in names if e in left_out), "not run yet")}
     ratio = means[0] / means[1]
     holds = None if check.least is None or not verdict else ratio >= check.least
-    return {**head, "values": means, "ratio": round(ratio, 6), "least": check.least, "holds": holds}
+    return {**head, "values": means, "ratio": round(ratio, 6), "holds": holds}
 
 
 def _figure(evaluation: Mapping[str, Any], check: Check) -> float | None:
