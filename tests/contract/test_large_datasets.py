@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import tracemalloc
 from collections import Counter
@@ -69,17 +70,19 @@ def made_up_images(folder: Path, count: int) -> Iterator[ImageRecord]:
 @pytest.mark.parametrize("name", [w.name for w in WRITERS])
 def test_memory_does_not_grow_with_the_number_of_images(tmp_path, monkeypatch, name):
     monkeypatch.setattr(spool, "IN_MEMORY", 10)
-    peaks = []
-    for count in (50, 250):
+    peaks: dict[int, int] = {}
+    # Threads that earlier tests of this process left behind count as well, so the smaller of two peaks is taken.
+    for count, turn in itertools.product((50, 250), range(2)):
         images = store_images(made_up_images(tmp_path, count), tmp_path)
         tracemalloc.start()
         settings = writing.WriteSettings(pictures=False)
-        writing.write(name, tmp_path / str(count), images, (Category(1, "drone"),), settings=settings)
-        peaks.append(tracemalloc.get_traced_memory()[1])
+        writing.write(name, tmp_path / f"{count}-{turn}", images, (Category(1, "drone"),), settings=settings)
+        peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
+        peaks[count] = min(peak, peaks.get(count, peak))
     # A picture with 15 objects takes 9 kB in memory; some hundred bytes of names and numbers remain, and the paths
     # of its label file and of the picture, which writers return.
-    assert (peaks[1] - peaks[0]) / 200 < 2000
+    assert (peaks[250] - peaks[50]) / 200 < 2000
 
 
 @pytest.mark.parametrize("separators", [COMPACT, SPACED])

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from infrablend.compositing.mapping import measure_levels
+from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, load_background
@@ -32,7 +33,9 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
             pictures.append(load(image).pixels)
     if not pictures:
         raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
-    if len({p.dtype == np.uint8 for p in pictures}) > 1:
+    # Radiometric frames of 8 bits are left out one by one.
+    by_temperature = isinstance(plan.recipe.matching, RadiometricMatching)
+    if len({p.dtype == np.uint8 for p in pictures}) > 1 and not by_temperature:
         raise DatasetError(
             f"{plan.dataset.root}: found pictures of 8 and of 16 bits, whose levels have no common range; expected one "
             "bit depth. Put them in two folders"
