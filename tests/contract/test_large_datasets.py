@@ -71,7 +71,7 @@ def made_up_images(folder: Path, count: int) -> Iterator[ImageRecord]:
 def test_memory_does_not_grow_with_the_number_of_images(tmp_path, monkeypatch, name):
     monkeypatch.setattr(spool, "IN_MEMORY", 10)
     peaks: dict[int, int] = {}
-    # Threads that earlier tests of this process left behind count as well, so the smaller of two peaks is taken.
+    # Late imports and other threads of the process count as well, so the smaller of two peaks is taken.
     for count, turn in itertools.product((50, 250), range(2)):
         images = store_images(made_up_images(tmp_path, count), tmp_path)
         tracemalloc.start()

@@ -173,15 +173,13 @@ def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, 
 def _shift_of_side(corners_xy: FloatArray, k: int, factor: float, px: float) -> FloatArray:
     """Return by how much (2,) the side from corner k to the next one moves away from the opposite side."""
     side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
-    across = corners_xy[side] - corners_xy[opposite]
-    middle: FloatArray = across.mean(axis=0)
-    return middle * ((factor - 1) / 2) + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
+    across: FloatArray = corners_xy[side].mean(axis=0) - corners_xy[opposite].mean(axis=0)
+    return across * ((factor - 1) / 2) + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
 
 
 def _outwards(across: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the unit vector (2,) from the opposite side of a clockwise rectangle to the side `along`."""
-    outwards = across.mean(axis=0)
-    if np.hypot(*outwards) <= _LEAST_PX:  # no extent across: at right angles to the side
-        outwards = np.array([along[1], -along[0]])
+    """Return the unit vector (2,) of `across`, from the opposite side of a clockwise rectangle to the side `along`."""
+    # Without an extent across: at right angles to the side.
+    outwards = across if np.hypot(*across) > _LEAST_PX else np.array([along[1], -along[0]])
     length = float(np.hypot(*outwards))
     return outwards / length if length > _LEAST_PX else np.zeros(2)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-
-import numpy as np
+from collections.abc import Callable, Collection
+from pathlib import Path
 
 from infrablend.compositing.mapping import measure_levels
 from infrablend.config.recipe import RadiometricMatching
@@ -30,14 +29,26 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
     pictures = []
     for image in plan.sample or plan.dataset.images:
         with contextlib.suppress(DatasetError):  # reported when its frame is rendered
-            pictures.append(load(image).pixels)
+            pictures.append(load(image))
     if not pictures:
         raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
-    # Radiometric frames of 8 bits are left out one by one.
-    by_temperature = isinstance(plan.recipe.matching, RadiometricMatching)
-    if len({p.dtype == np.uint8 for p in pictures}) > 1 and not by_temperature:
+    if not isinstance(plan.recipe.matching, RadiometricMatching):  # these leave frames of 8 bits out one by one
+        require_one_depth(plan.dataset.root, {p.bit_depth for p in pictures})
+    return measure_levels([p.pixels for p in pictures])
+
+
+def require_one_depth(root: Path, depths: Collection[int]) -> None:
+    """Refuse pictures of several bit depths, whose levels have no common range.
+
+    Args:
+        root: Folder of the dataset, for the message.
+        depths: Different bit depths of its pictures, 8 or 16.
+
+    Raises:
+        DatasetError: There are two.
+    """
+    if len(depths) > 1:
         raise DatasetError(
-            f"{plan.dataset.root}: found pictures of 8 and of 16 bits, whose levels have no common range; expected one "
-            "bit depth. Put them in two folders"
+            f"{root}: found pictures of 8 and of 16 bits, whose levels have no common range; expected one bit depth. "
+            "Put them in two folders"
         )
-    return measure_levels(pictures)

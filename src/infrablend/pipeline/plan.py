@@ -25,6 +25,7 @@ from infrablend.config.recipe import (
     RadiometricMatching,
     RandomPitch,
     Recipe,
+    SkyEnvironment,
 )
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
@@ -52,8 +53,9 @@ READ_PICTURE_S = 0.01
 WRITE_LABELS_S = 0.003  # per frame and format, by one process
 LEVELS_SAMPLE = 64
 LENS_REPLACED = "lens-replaced"
-PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
+PITCH_REPLACED = "pitch-replaced"
+"""Code of the warning about a pitch of the recipe that replaces others in the files."""
 LEFT_OUT = frozenset(
     ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
 )
@@ -490,10 +492,9 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
 
 def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
-    place = getattr(recipe.environment, "place", None)
-    if place is None:
+    if not isinstance(recipe.environment, SkyEnvironment) or recipe.environment.place is None:
         return []
-    count = 0
+    place, count = recipe.environment.place, 0
     for image in images:
         when = None if image.time_of_day == "day" else time_of(image.captured)
         if when is not None:

@@ -29,6 +29,7 @@ from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.pipeline.enlarged import count_enlarged, count_marked
+from infrablend.pipeline.levels import require_one_depth
 from infrablend.pipeline.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.realism.looseness import MIN_BOXES
 from infrablend.report.profile_plots import draw_profile
@@ -118,10 +119,6 @@ def profile_dataset(
     survey = Survey(levels, len(usable), scale)
     annotated = annotated_pictures(dataset)
     inserted = [] if rendered is None else annotated_pictures(rendered, inserted=True)
-    if rendered is not None and not inserted:
-        todo = "give a run of `infrablend generate` that inserts the annotated classes"
-        none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
-        raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
     tick = _counter(len(usable) + len(annotated) + len(inserted), on_progress)
     for image in usable:
         picture = load_background(image.path, image.size_wh)
@@ -187,10 +184,7 @@ def _levels(
         histogram += np.bincount(picture.pixels.ravel(), minlength=65536)
     if not usable:
         raise DatasetError(f"{dataset.root}: none of {len(images)} picture(s) can be used", problems)
-    if len(depths) > 1:
-        raise DatasetError(
-            f"{dataset.root}: found pictures of 8 and of 16 bits, expected one bit depth. Put them in two folders"
-        )
+    require_one_depth(dataset.root, depths)
     bits = depths.pop()
     low, high = (float(np.searchsorted(np.cumsum(histogram), p / 100 * histogram.sum())) for p in LEVEL_PERCENT)
     if high - low < LEAST_SPAN[bits]:
@@ -292,11 +286,15 @@ def _table(
 
 
 def _require_exact(rendered: Dataset) -> None:
-    """Check that the exact boxes of a run are known.
+    """Check that a run has inserted objects, and that their exact boxes are known.
 
     Raises:
-        DatasetError: They were enlarged, and its labels do not have the exact ones.
+        DatasetError: It has none, or they were enlarged, and its labels do not have the exact ones.
     """
+    if not any(o.inserted for image in rendered.images for o in image.instances):
+        todo = "give a run of `infrablend generate` that inserts the annotated classes"
+        none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
+        raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
     if not count_marked(rendered) and (enlarged := count_enlarged(rendered)):
         found = f"{enlarged} boxes that are enlarged"
         todo = "give a run with coco in output.formats, or with exact boxes"
