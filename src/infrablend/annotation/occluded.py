@@ -8,32 +8,42 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.annotation.labels import ObbMode, heading_in_image, oriented_box
+from infrablend.annotation.labels import ObbMode, heading_in_image, hull_behind, oriented_box
 from infrablend.core.boxes import box_of_points, convex_hull
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedObject
+from infrablend.core.placed import PlacedScene
 
 BoxMode = Literal["visible", "amodal"]
 _DIGITS = 9
 
 
 def label_occluded(
-    label: Instance, placed: PlacedObject, share: float, written: BoxMode = "visible", obb: ObbMode = "min_area"
+    label: Instance,
+    scene: PlacedScene,
+    front: NDArray[np.float32],
+    share: float,
+    written: BoxMode = "visible",
+    obb: ObbMode = "min_area",
 ) -> Instance:
     """Return the label of a partly hidden object.
 
-    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around the visible pixels).
+    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around what is visible, from
+    the geometry; around the mask if only fractions of pixels are visible).
 
     Args:
         label: Label with the mask of the visible part, and with boxes and `visibility` as if nothing were in front.
-        placed: The object.
+        scene: The scene; `extra["object"]` is the object's number in it.
+        front: (h, w) share of each pixel of the frame that stays in front of the object.
         share: Share of the object's pixels that is visible.
         written: Box that `box_xyxy` and `corners_xy` describe.
         obb: Kind of oriented box.
     """
     assert label.mask is not None and label.visibility is not None
-    hull = _visible_hull(label.mask.to_array(), label.box_xyxy)
+    number = int(label.extra["object"])
+    hull = hull_behind(scene, number, front)
+    if hull is None:
+        hull = _mask_hull(label.mask.to_array(), label.box_xyxy)
     boxes = {"amodal": label.box_xyxy, "visible": box_of_points(hull)}
     extra = {
         **label.extra,
@@ -43,12 +53,13 @@ def label_occluded(
     label = replace(label, visibility=round(label.visibility * share, _DIGITS), extra=extra)
     if written == "amodal":
         return label
+    placed = scene.objects[number]
     direction = heading_in_image(placed) if obb == "heading" else None
     corners, _ = oriented_box(hull, bool(label.truncated), direction, placed.camera.size_wh)
     return replace(label, box_xyxy=boxes["visible"], corners_xy=corners)
 
 
-def _visible_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
+def _mask_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
     """Return the (H, 2) convex hull of a mask's pixels, within the box of the whole object."""
     rows = np.flatnonzero(mask.any(axis=1))
     first = mask[rows].argmax(axis=1)

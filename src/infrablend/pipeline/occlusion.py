@@ -109,7 +109,12 @@ def behind_front(rendered: RenderResult, front: Share | None, numbers: Iterable[
 
 
 def label_objects(
-    scene: PlacedScene, rendered: RenderResult, seen: RenderResult, occluded: Iterable[int], labels: Labels
+    scene: PlacedScene,
+    rendered: RenderResult,
+    seen: RenderResult,
+    front: Share | None,
+    occluded: Iterable[int],
+    labels: Labels,
 ) -> tuple[tuple[Instance, ...], LabelReport]:
     """Label the objects of a frame, some of which are partly hidden.
 
@@ -117,16 +122,17 @@ def label_objects(
         scene: The scene.
         rendered: The rendered scene.
         seen: The same with the coverage of what is visible.
-        occluded: Numbers of the partly hidden objects.
+        front: (h, w) share of each pixel of the picture that stays in front of objects; None for nothing.
+        occluded: Numbers of the objects behind it.
         labels: The recipe's section.
     """
     found, report = annotate(scene, seen, labels.obb)
     hidden = set(occluded)
     result = []
     for k, label in zip(report.kept, found, strict=True):
-        if k in hidden:
+        if k in hidden and front is not None:
             share = float(seen.coverage[k].sum()) / max(float(rendered.coverage[k].sum()), 1e-9)
-            label = label_occluded(label, scene.objects[k], share, labels.occluded_box, labels.obb)
+            label = label_occluded(label, scene, front, share, labels.occluded_box, labels.obb)
         result.append(label)
     return tuple(result), report
 
