@@ -1,48 +1,52 @@
-"""Enlarges the boxes of inserted objects: hand-drawn boxes leave a margin, boxes of rendered objects do not."""
+"""Draws the boxes of inserted objects as people would: around what is visible, with a margin."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from infrablend.config.recipe import Labels
 from infrablend.core.boxes import clip_boxes
-from infrablend.core.dataset import TIGHT_BOX, TIGHT_OBB, ImageRecord, Instance
+from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, TIGHT_BOX, TIGHT_OBB, ImageRecord, Instance
 from infrablend.core.mesh import FloatArray
 
 PerClass = float | Mapping[str, float]
 """One value for all classes, or one per class; classes that are not listed keep their boxes."""
+
+Fit = Literal["shape", "visible"]
 
 _LEAST_PX = 1e-9  # shorter movements are rounding errors
 
 
 @dataclass(frozen=True)
 class Looseness:
-    """How much larger boxes are to become.
+    """How boxes are to be drawn.
 
     Attributes:
         factors: Factor of at least 1 on width and height.
         px: Distance, px, by which each side moves outwards after that.
+        fit: What they are drawn around before that: the object's `shape`, or what is `visible` of it.
     """
 
     factors: PerClass = 1.0
     px: PerClass = 0.0
+    fit: Fit = "shape"
 
     @classmethod
     def of_labels(cls, labels: Labels) -> Looseness:
         """Return the looseness that a recipe asks for."""
-        return cls(labels.loosen, labels.loosen_px)
+        return cls(labels.loosen, labels.loosen_px, labels.fit)
 
     def __bool__(self) -> bool:
-        """Return whether boxes of some class become larger."""
+        """Return whether boxes of some class change."""
         return bool(self.to_counts())
 
     def to_counts(self) -> dict[str, Any]:
-        """Return `loosened_by` and `loosened_by_px`, each where it enlarges boxes, as plain JSON values."""
-        counts = {}
+        """Return `boxes_fit`, `loosened_by` and `loosened_by_px`, each where it changes boxes, as plain JSON values."""
+        counts: dict[str, Any] = {} if self.fit == "shape" else {"boxes_fit": self.fit}
         if any(v > 1 for v in _values(self.factors)):
             counts["loosened_by"] = self.factors
         if any(v > 0 for v in _values(self.px)):
@@ -77,29 +81,32 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
     instances, count = [], 0
     for one in image.instances:
         factor, px = by.of(one.category)
-        if one.inserted and (factor > 1 or px > 0) and image.size_wh is not None:
-            one, count = _loosened(one, factor, px, image.size_wh), count + 1
+        fitted = by.fit == "visible" and SEEN_BOX in one.extra
+        if one.inserted and (factor > 1 or px > 0 or fitted) and image.size_wh is not None:
+            one, count = _loosened(one, factor, px, image.size_wh, fitted), count + 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
 
 
 def loosened_text(count: int, by: Looseness) -> str:
-    """Return a sentence for a dataset's card on how many boxes were enlarged, and by how much."""
+    """Return a sentence for a dataset's card on how many boxes were changed, and how."""
     return (
-        f"The boxes of {count} inserted objects were enlarged by {looseness_text(by.to_counts())}, up to the border of "
-        "the picture, because hand-drawn boxes have a margin."
+        f"The boxes of {count} inserted objects were {looseness_text(by.to_counts())}, up to the border of the picture, "
+        "to match hand-drawn boxes."
     )
 
 
 def looseness_text(counts: Mapping[str, Any]) -> str:
-    """Return how much boxes were enlarged by, from the counts of a run or a conversion, see `Looseness.to_counts`."""
+    """Return how boxes were changed, from the counts of a run or a conversion, see `Looseness.to_counts`."""
     parts = []
+    fit = "fitted to what is visible" if counts.get("boxes_fit") == "visible" else ""
     if (factors := counts.get("loosened_by")) is not None:
         by_class = isinstance(factors, Mapping)
         parts.append(f"the factors {_listed(factors, 1)}" if by_class else f"the factor {factors:g}")
     if (px := counts.get("loosened_by_px")) is not None:
         parts.append(f"{_listed(px, 0) if isinstance(px, Mapping) else f'{px:g}'} px on each side")
-    return " and ".join(parts)
+    enlarged = f"enlarged by {' and '.join(parts)}" if parts else ""
+    return " and ".join(p for p in (fit, enlarged) if p)
 
 
 def is_loosened(instance: Instance) -> bool:
@@ -129,16 +136,21 @@ def _listed(of: Mapping[str, float], nothing: float) -> str:
     return ", ".join(f"{k} {v:g}" for k, v in sorted(of.items()) if v != nothing)
 
 
-def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int]) -> Instance:
+def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int], fitted: bool) -> Instance:
     x0, y0, x1, y1 = one.box_xyxy.tolist()
-    outwards = np.array([-1.0, -1, 1, 1])
-    margin = outwards * (np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0]) * (factor - 1) / 2 + px)
     exact: dict[str, list[float]] = {TIGHT_BOX: [x0, y0, x1 - x0, y1 - y0]}
     corners = one.corners_xy
     if corners is not None:
         exact[TIGHT_OBB] = corners.reshape(-1).tolist()
+    if fitted:
+        x0, y0, w, h = one.extra[SEEN_BOX]
+        x1, y1 = x0 + w, y0 + h
+        corners = None if corners is None else np.reshape(np.asarray(one.extra[SEEN_OBB], np.float64), (4, 2))
+    outwards = np.array([-1.0, -1, 1, 1])
+    margin = outwards * (np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0]) * (factor - 1) / 2 + px)
+    if corners is not None:
         corners = loosen_rectangle(corners, factor, size_wh, px)
-    box = clip_boxes(one.box_xyxy + margin, size_wh)
+    box = clip_boxes(np.array([x0, y0, x1, y1]) + margin, size_wh)
     return replace(one, box_xyxy=box, corners_xy=corners, extra={**one.extra, **exact})
 
 

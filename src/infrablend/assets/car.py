@@ -81,9 +81,9 @@ _SHADOW_OPACITY = 0.6
 # parts see the ground instead: the side towards the camera is some 14 levels brighter than the ground, median, and
 # stores of heat (tyres, floor, engine bay) are warmer than the air for hours (bench/edge_profiles.py).
 _PARKED_COLD: Mapping[str, Range] = {
-    "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-6.0, -4.0),
-    "wing": (-2.5, 1.0), "side": (0.0, 4.0), "pillar": (-5.0, -2.5), "front": (0.5, 5.5),
-    "rear": (0.5, 5.5), "trim": (-5.0, -2.0), "windscreen": (-5.0, -3.0), "rear_window": (-5.0, -3.0),
+    "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-7.0, -4.5),
+    "wing": (-4.0, -1.0), "side": (-1.5, 2.5), "pillar": (-7.0, -4.5), "front": (-1.5, 3.0),
+    "rear": (-1.5, 3.0), "trim": (-5.0, -2.0), "windscreen": (-7.5, -5.0), "rear_window": (-7.5, -5.0),
     "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (0.5, 5.0), "rim": (-0.5, 3.0), "brake": (0.0, 4.0),
     "underbody": (1.5, 6.5), "grille": (0.0, 5.0), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
     "tail_lamp": (-3.5, -1.0),

@@ -21,6 +21,8 @@ TimeOfDay = Literal["day", "night"]
 # Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
 # each) of an object whose box was enlarged, see `annotation.looseness`.
 TIGHT_BOX, TIGHT_OBB = "tight_bbox", "tight_obb"
+# The same around the visible part of an inserted object, in the records of frames.
+SEEN_BOX, SEEN_OBB = "seen_bbox", "seen_obb"
 
 
 @dataclass(frozen=True)

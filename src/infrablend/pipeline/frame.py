@@ -56,7 +56,7 @@ from infrablend.pipeline.frame_settings import (
     sensor_profile,
     sensor_strength,
 )
-from infrablend.pipeline.inserts import faint_inserts, measure_inserts
+from infrablend.pipeline.inserts import faint_inserts, measure_inserts, with_seen_box
 from infrablend.pipeline.occlusion import (
     Cover,
     behind_front,
@@ -147,6 +147,8 @@ class FrameComposer:
             else:
                 scene = scene.without(faint, "low_contrast")
         labels = tuple(i.labelled() for i in inserts)
+        if recipe.labels.fit == "visible":
+            labels = tuple(with_seen_box(i, pixels, site.grey_unit) for i in inserts)
         merged = merge(source.instances, labels, merge_settings(recipe))
 
         relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, recipe.output.image))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.annotation.visible_fit import add_seen_box
 from infrablend.compositing.contrast import Contrast, measure_contrast, visible_change
 from infrablend.compositing.mapping import GreyImage
 from infrablend.config.recipe import Recipe
@@ -75,6 +76,18 @@ def measure_inserts(
         box = np.asarray(label.extra.get("visible_box", label.box_xyxy), np.float64)
         found.append(Insert(number, label, changed, measure_contrast(after, box, others, site.grey_unit)))
     return found
+
+
+def with_seen_box(insert: Insert, picture: GreyImage, unit: float) -> Instance:
+    """Return the object's label as `labelled` does, with the boxes around its visible part where they can be measured.
+
+    Args:
+        insert: The object.
+        picture: (h, w) finished picture.
+        unit: Levels of the picture per 8-bit level.
+    """
+    label, contrast = insert.labelled(), insert.contrast
+    return label if contrast is None else add_seen_box(label, picture, contrast.ring, contrast.change, unit)
 
 
 def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOfDay | None) -> list[int]:

@@ -104,7 +104,7 @@ def _make_part(job: StageJob) -> dict[str, Any]:
 
 
 def _loosened(counts: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: counts[k] for k in ("boxes_loosened", "loosened_by", "loosened_by_px") if k in counts}
+    return {k: counts[k] for k in ("boxes_loosened", "boxes_fit", "loosened_by", "loosened_by_px") if k in counts}
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:

@@ -23,7 +23,7 @@ _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "status", "adopted",
 )  # fmt: skip
-_OF_STAGE = ("adopted", "boxes_loosened", "loosened_by", "loosened_by_px", "pasted")
+_OF_STAGE = ("adopted", "boxes_loosened", "boxes_fit", "loosened_by", "loosened_by_px", "pasted")
 _FIGURES = ("images", "instances", *METRICS)
 
 

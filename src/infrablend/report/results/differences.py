@@ -46,12 +46,12 @@ def _trainings(facts: Mapping[str, Any]) -> Iterator[str]:
 def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
     loosened: dict[str, int] = {}
     for s in facts["stages"]:
-        if s.get("boxes_loosened"):
-            text = looseness_text(s)
+        # A later step that only hands the boxes on does not repeat how they were changed.
+        if s.get("boxes_loosened") and (text := looseness_text(s)):
             loosened[text] = loosened.get(text, 0) + s["boxes_loosened"]
     for text, n in sorted(loosened.items()):
         yield (
-            f"The training boxes of {n:,} inserted objects are enlarged by {text}, to match the boxes drawn by the "
+            f"The training boxes of {n:,} inserted objects are {text}, to match the boxes drawn by the "
             "source's annotators; masks and images are unchanged."
         )
 
