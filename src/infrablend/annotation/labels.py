@@ -50,7 +50,7 @@ DropReason = Literal["no_labelled_part", "outside_frame", "hidden", "no_visible_
 
 # A pixel belongs to the mask if at least this share of it is covered.
 _MASK_COVERAGE = 0.5
-# Structures of the picture that hide more than this share of a pixel hide the object there: it is then in no mask either.
+# Structures of the picture that hide more than this share of a pixel hide the object there, as in masks.
 _BEHIND_SHARE = 1 - _MASK_COVERAGE
 # Share of the way to the middle of a hull by which a corner is moved to find its pixel.
 _INWARDS = 1e-6

@@ -91,8 +91,8 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
 def loosened_text(count: int, by: Looseness) -> str:
     """Return a sentence for a dataset's card on how many boxes were changed, and how."""
     return (
-        f"The boxes of {count} inserted objects were {looseness_text(by.to_counts())}, up to the border of the picture, "
-        "to match hand-drawn boxes."
+        f"The boxes of {count} inserted objects were {looseness_text(by.to_counts())}, up to the border of the "
+        "picture, to match hand-drawn boxes."
     )
 
 

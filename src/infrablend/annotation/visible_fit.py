@@ -16,7 +16,6 @@ from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, Instance
 from infrablend.core.mesh import FloatArray
 
-
 # A pixel is visible if it differs from the ground by this many 8-bit levels, or by this share of the object's contrast
 # where that is less; after a blur that keeps grain out, px.
 _LEAST_GREY = 15.0

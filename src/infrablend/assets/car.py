@@ -47,7 +47,7 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
     "front": ("car_paint", "bumper, nose and front edge of the bonnet, ahead of the radiator (est.)"),
     "rear": ("car_paint", "bumper and tailgate (est.)"),
     "trim": ("plastic", "mirrors and rails"),
-    "windscreen": ("glass", "windscreen: -4 K by night, the darkest part; +5..+20 K when heated"),
+    "windscreen": ("glass", "windscreen: as cold as the roof by night; +5..+20 K when heated"),
     "rear_window": ("glass", "rear window, like the windscreen"),
     "window": ("glass", "side windows: steeper, so they face less of the sky (est.)"),
     "sunroof": ("glass", "glass in the roof, like the windscreen"),
@@ -77,9 +77,10 @@ _SHADOW_OPACITY = 0.6
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
-# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Upright
-# parts see the ground instead: the side towards the camera is some 14 levels brighter than the ground, median, and
-# stores of heat (tyres, floor, engine bay) are warmer than the air for hours (bench/edge_profiles.py).
+# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Glass
+# and window frames are as dark as the roof: HIT-UAV's cars are one dark shape from bonnet to boot. Upright parts see
+# the ground and have nearly its level (bench/box_profiles.py); stores of heat (tyres, floor, engine bay) are warmer
+# than the air for hours, so that the edge below is some 14 levels brighter (bench/edge_profiles.py).
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-7.0, -4.5),
     "wing": (-4.0, -1.0), "side": (-1.5, 2.5), "pillar": (-7.0, -4.5), "front": (-1.5, 3.0),
