@@ -72,7 +72,7 @@ def _pixel_corners(mask: NDArray[np.bool_]) -> FloatArray:
     rows = np.flatnonzero(mask.any(axis=1))
     first, last = mask[rows].argmax(axis=1), mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
     ends = [np.stack([x, y], axis=1) for x in (first, last) for y in (rows, rows + 1)]
-    return np.concatenate(ends).astype(np.float64)
+    return np.asarray(np.concatenate(ends), np.float64)
 
 
 def _cut(corners_xy: FloatArray, seen_xy: FloatArray, mask_xy: FloatArray) -> FloatArray:
