@@ -62,16 +62,15 @@ def main() -> None:
             shares = box_iou(box[None], sure)[0]
             if shares.max() >= MEET:
                 rows.append([image.pitch_deg or 0, *box, *sure[int(shares.argmax())]])
-    table = np.array(rows)
+    table = np.array(rows).reshape(-1, 9)
     _print_groups(table, (table[:, 3:5] - table[:, 1:3]).max(axis=1), LONGEST_BELOW_PX, "longer side below")
     _print_groups(table, table[:, 0], PITCH_BELOW_DEG, "pitch below")
     for text, ways in (
-        ("enlarged by", [(f, 0.0) for f in FACTORS]),
-        ("with margin px", [(1.0, m) for m in MARGINS_PX]),
+        ("enlarged by", {f: (f, 0.0) for f in FACTORS}),
+        ("with margin px", {m: (1.0, float(m)) for m in MARGINS_PX}),
     ):
-        scores = [[average_precision(pictures, iou, *way) for iou in (0.5, 0.75)] for way in ways]
-        print(f"AP50, AP75 {text}: " + ", ".join(f"{max(way) if way[1] == 0 else way[1]:g}: {a:.3f} {b:.3f}"
-                                              for way, (a, b) in zip(ways, scores, strict=True)))  # fmt: skip
+        scores = {by: [average_precision(pictures, iou, *way) for iou in (0.5, 0.75)] for by, way in ways.items()}
+        print(f"AP50, AP75 {text}: " + ", ".join(f"{by:g}: {a:.3f} {b:.3f}" for by, (a, b) in scores.items()))
 
 
 def _print_groups(table: Boxes, value: Boxes, limits: tuple[float, ...], title: str) -> None:

@@ -42,6 +42,7 @@ def main() -> None:
     for data in options.data:
         images = [i for i in read(data).images if i.split == options.split and i.time_of_day == options.time]
         rows = np.array([row for image in images for row in profiles(image, options.category)])
+        rows = rows.reshape(-1, 2 + len(HEIGHTS))
         low = 0.0
         for high in PITCH_BELOW_DEG:
             for broad in (True, False):

@@ -1,8 +1,9 @@
 """Measure how close together the objects of a class are, and how far their boxes overlap.
 
 `bench/spacing.py DATA... [--category Car] [--split train]` prints, by range of pitch: boxes; quantiles of the distance
-from the middle of a box to that of the nearest other one, over the box's longer side; quantiles of the largest share of
-a box that another one covers; the share of boxes at the picture's edge; and quantiles of the longer side.
+from the middle of a box to that of the nearest other one, over the box's longer side (100 if there is none); quantiles
+of the largest share of a box that another one covers; the share of boxes at the picture's edge; and quantiles of the
+longer side.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ def main() -> None:
     parser.add_argument("--split", default="train")
     options = parser.parse_args()
     for data in options.data:
-        images = [i for i in read(data).images if i.split == options.split and i.pitch_deg is not None]
-        rows = np.concatenate([spacing(i, options.category) for i in images])
+        images = [i for i in read(data).images if i.split == options.split and i.pitch_deg is not None and i.size_wh]
+        rows = np.concatenate([np.empty((0, 5)), *(spacing(i, options.category) for i in images)])
         low = 0.0
         for high in PITCH_BELOW_DEG:
             of = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]

@@ -9,7 +9,7 @@ the renderer's coverage.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -273,24 +273,24 @@ def _joined(pieces: Sequence[ProjectedTriangles]) -> ProjectedTriangles:
     )
 
 
-def hull_behind(scene: PlacedScene, k: int, front: NDArray[np.float32]) -> FloatArray | None:
-    """Return the (H, 2) convex hull of what is visible of an object behind structures of the picture, px.
+def hulls_behind(scene: PlacedScene, numbers: Iterable[int], front: NDArray[np.float32]) -> dict[int, FloatArray]:
+    """Return the (H, 2) convex hulls, px, of what is visible of some objects behind structures of the picture.
 
     Args:
         scene: The frame's scene.
-        k: Index of the object in `SceneSpec.objects`.
-        front: (h, w) share of each pixel of the frame that the structures hide. The object is visible where they hide
+        numbers: Indices of the objects in `SceneSpec.objects`.
+        front: (h, w) share of each pixel of the frame that the structures hide. The objects are visible where they hide
             at most half of a pixel.
 
     Returns:
-        The hull; None if no sample of the object is visible.
+        The hulls by number; objects without a visible sample have none.
 
     Raises:
         ModelError: A mesh has a part that the scene does not know.
     """
-    surfaces = [_surfaces(o) for o in scene.objects]
-    shape = _visible_shape(k, surfaces, scene.spec.camera.size_wh, with_coverage=False, behind=front > _BEHIND_SHARE)
-    return None if isinstance(shape, str) else shape.hull_xy
+    surfaces, size_wh, behind = [_surfaces(o) for o in scene.objects], scene.spec.camera.size_wh, front > _BEHIND_SHARE
+    shapes = {k: _visible_shape(k, surfaces, size_wh, with_coverage=False, behind=behind) for k in numbers}
+    return {k: shape.hull_xy for k, shape in shapes.items() if not isinstance(shape, str)}
 
 
 def _visible_shape(

@@ -61,23 +61,23 @@ class Looseness:
 
 
 def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
-    """Enlarge the boxes of inserted objects within the frame; masks and original labels stay unchanged.
+    """Draw the boxes of inserted objects within the frame as `by` says; masks and original labels stay unchanged.
 
     The exact boxes are kept in `Instance.extra`, see `TIGHT_BOX`.
 
     Args:
         images: Images with known sizes; others stay unchanged.
-        by: How much larger the boxes become.
+        by: How the boxes are drawn.
 
     Returns:
-        The images, and the number of boxes that were enlarged.
+        The images, and the number of boxes that were changed.
     """
     loose = [loosen_image(image, by) for image in images]
     return [image for image, _ in loose], sum(count for _, count in loose)
 
 
 def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
-    """Enlarge the boxes of the inserted objects of one image, see `loosen_inserted`."""
+    """Draw the boxes of the inserted objects of one image, see `loosen_inserted`."""
     instances, count = [], 0
     for one in image.instances:
         factor, px = by.of(one.category)
@@ -90,16 +90,15 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
 
 def loosened_text(count: int, by: Looseness) -> str:
     """Return a sentence for a dataset's card on how many boxes were changed, and how."""
-    return (
-        f"The boxes of {count} inserted objects were {looseness_text(by.to_counts())}, up to the border of the "
-        "picture, to match hand-drawn boxes."
-    )
+    counts = by.to_counts()
+    border = ", up to the border of the picture" if len(counts) > ("boxes_fit" in counts) else ""
+    return f"The boxes of {count} inserted objects were {looseness_text(counts)}{border}, to match hand-drawn boxes."
 
 
 def looseness_text(counts: Mapping[str, Any]) -> str:
     """Return how boxes were changed, from the counts of a run or a conversion, see `Looseness.to_counts`."""
     parts = []
-    fit = "fitted to what is visible" if counts.get("boxes_fit") == "visible" else ""
+    fit = "drawn around what is visible" if counts.get("boxes_fit") == "visible" else ""
     if (factors := counts.get("loosened_by")) is not None:
         by_class = isinstance(factors, Mapping)
         parts.append(f"the factors {_listed(factors, 1)}" if by_class else f"the factor {factors:g}")
@@ -110,12 +109,12 @@ def looseness_text(counts: Mapping[str, Any]) -> str:
 
 
 def is_loosened(instance: Instance) -> bool:
-    """Return whether the box of the object has been enlarged already."""
+    """Return whether the box of the object is no longer the exact one."""
     return TIGHT_BOX in instance.extra
 
 
 def tighten_image(image: ImageRecord) -> ImageRecord:
-    """Return an image with the exact boxes of its inserted objects, where they were enlarged and are recorded."""
+    """Return an image with the exact boxes of its inserted objects, where they were changed and are recorded."""
     return replace(image, instances=tuple(_tightened(i) if is_loosened(i) else i for i in image.instances))
 
 
@@ -145,7 +144,8 @@ def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int],
     if fitted:
         x0, y0, w, h = one.extra[SEEN_BOX]
         x1, y1 = x0 + w, y0 + h
-        corners = None if corners is None else np.reshape(np.asarray(one.extra[SEEN_OBB], np.float64), (4, 2))
+        if corners is not None and SEEN_OBB in one.extra:
+            corners = np.reshape(np.asarray(one.extra[SEEN_OBB], np.float64), (4, 2))
     outwards = np.array([-1.0, -1, 1, 1])
     margin = outwards * (np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0]) * (factor - 1) / 2 + px)
     if corners is not None:

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.annotation.labels import ObbMode, heading_in_image, hull_behind, oriented_box
+from infrablend.annotation.labels import ObbMode, heading_in_image, oriented_box
 from infrablend.core.boxes import box_of_points, convex_hull
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedScene
+from infrablend.core.placed import PlacedObject
 
 BoxMode = Literal["visible", "amodal"]
 _DIGITS = 9
@@ -20,8 +20,8 @@ _DIGITS = 9
 
 def label_occluded(
     label: Instance,
-    scene: PlacedScene,
-    front: NDArray[np.float32],
+    placed: PlacedObject,
+    hull_xy: FloatArray | None,
     share: float,
     written: BoxMode = "visible",
     obb: ObbMode = "min_area",
@@ -33,17 +33,14 @@ def label_occluded(
 
     Args:
         label: Label with the mask of the visible part, and with boxes and `visibility` as if nothing were in front.
-        scene: The scene; `extra["object"]` is the object's number in it.
-        front: (h, w) share of each pixel of the frame that stays in front of the object.
+        placed: The object.
+        hull_xy: (H, 2) convex hull of its visible part, see `hulls_behind`; None for that of the mask.
         share: Share of the object's pixels that is visible.
         written: Box that `box_xyxy` and `corners_xy` describe.
         obb: Kind of oriented box.
     """
     assert label.mask is not None and label.visibility is not None
-    number = int(label.extra["object"])
-    hull = hull_behind(scene, number, front)
-    if hull is None:
-        hull = _mask_hull(label.mask.to_array(), label.box_xyxy)
+    hull = _mask_hull(label.mask.to_array(), label.box_xyxy) if hull_xy is None else hull_xy
     boxes = {"amodal": label.box_xyxy, "visible": box_of_points(hull)}
     extra = {
         **label.extra,
@@ -53,7 +50,6 @@ def label_occluded(
     label = replace(label, visibility=round(label.visibility * share, _DIGITS), extra=extra)
     if written == "amodal":
         return label
-    placed = scene.objects[number]
     direction = heading_in_image(placed) if obb == "heading" else None
     corners, _ = oriented_box(hull, bool(label.truncated), direction, placed.camera.size_wh)
     return replace(label, box_xyxy=boxes["visible"], corners_xy=corners)

@@ -77,7 +77,7 @@ _SHADOW_OPACITY = 0.6
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
-# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Glass
+# levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Screens
 # and window frames are as dark as the roof: HIT-UAV's cars are one dark shape from bonnet to boot. Upright parts see
 # the ground and have nearly its level (bench/box_profiles.py); stores of heat (tyres, floor, engine bay) are warmer
 # than the air for hours, so that the edge below is some 14 levels brighter (bench/edge_profiles.py).
@@ -85,7 +85,7 @@ _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-7.0, -4.5),
     "wing": (-4.0, -1.0), "side": (-1.5, 2.5), "pillar": (-7.0, -4.5), "front": (-1.5, 3.0),
     "rear": (-1.5, 3.0), "trim": (-5.0, -2.0), "windscreen": (-7.5, -5.0), "rear_window": (-7.5, -5.0),
-    "window": (-4.0, -1.5), "sunroof": (-5.5, -3.5), "tyre": (0.5, 5.0), "rim": (-0.5, 3.0), "brake": (0.0, 4.0),
+    "window": (-4.0, -1.5), "sunroof": (-7.5, -5.0), "tyre": (0.5, 5.0), "rim": (-0.5, 3.0), "brake": (0.0, 4.0),
     "underbody": (1.5, 6.5), "grille": (0.0, 5.0), "exhaust": (-2.0, 0.0), "headlamp": (-3.5, -1.0),
     "tail_lamp": (-3.5, -1.0),
 }  # fmt: skip

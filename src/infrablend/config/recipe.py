@@ -698,9 +698,10 @@ class Labels(Strict):
     obb: Literal["min_area", "heading"] = "min_area"
     """Oriented boxes: of smallest area, or aligned with the object's heading."""
     fit: Literal["shape", "visible"] = "shape"
-    """Boxes of inserted objects in all label formats: around their whole `shape`, or around what is `visible` in the
-    finished picture, as people draw them: without the parts that have the level of the ground. Masks stay as they are;
-    COCO and the frame records also have the box of the shape."""
+    """Boxes of inserted objects, in all label formats, enclose the whole `shape`, or only what is `visible` in the
+    finished picture, as people draw them; parts at the level of the ground are left out. Sides behind a structure of
+    the background stay where `occluded_box` has them. Masks stay as they are; COCO and the frame records also have the
+    box of the shape."""
     loosen: LooseFactor | dict[ClassName, LooseFactor] = 1.0
     """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
     hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as

@@ -19,9 +19,9 @@ SPLITS: tuple[Split, ...] = ("train", "val", "test")
 TimeOfDay = Literal["day", "night"]
 
 # Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
-# each) of an object whose box was enlarged, see `annotation.looseness`.
+# each) of an object whose box was enlarged or fitted, see `annotation.looseness`.
 TIGHT_BOX, TIGHT_OBB = "tight_bbox", "tight_obb"
-# The same around the visible part of an inserted object, in the records of frames.
+# The same fields for what is visible of an inserted object, in the records of frames, see `annotation.visible_fit`.
 SEEN_BOX, SEEN_OBB = "seen_bbox", "seen_obb"
 
 

@@ -186,7 +186,7 @@ def convert_dataset(
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if earlier:
-            changes.append(f"{earlier} boxes of inserted objects were enlarged before, to match hand-drawn ones.")
+            changes.append(f"{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones.")
         if looseness:
             changes.append(loosened_text(loosened, looseness))
         card = dataset_card(
@@ -208,7 +208,7 @@ def convert_dataset(
 
 
 def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) -> None:
-    """Check the factor and the distance, and that no earlier step has enlarged the boxes already."""
+    """Check the factor and the distance, and that no earlier step has enlarged or fitted the boxes already."""
     faults = []
     if not isinstance(by.factors, int | float) or not 1 <= by.factors <= MAX_LOOSEN:
         faults.append(Problem(_LOOSEN, "loosen-range", f"{by.factors}", f"a factor from 1 to {MAX_LOOSEN:g}"))
@@ -223,8 +223,8 @@ def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) ->
             [Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)],
         )
     if earlier:
-        found, expected = f"{earlier} boxes that are enlarged already", "boxes that fit tightly"
-        todo = "leave the option out, or convert a run made without labels.loosen and labels.loosen_px"
+        found, expected = f"{earlier} boxes that are enlarged or fitted already", "boxes that fit tightly"
+        todo = "leave the option out, or convert a run made without labels.fit, labels.loosen and labels.loosen_px"
         twice = Problem(_loosen_option(by), "loosen-twice", found, expected, todo)
         raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])
 

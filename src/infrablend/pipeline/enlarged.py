@@ -1,4 +1,4 @@
-"""How many boxes of a dataset's inserted objects are enlarged already, so that no step enlarges them twice."""
+"""How many boxes of a dataset's inserted objects are enlarged or fitted already, so that no step does it twice."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from infrablend.core.run_layout import RUN_FILE
 
 
 def count_enlarged(dataset: Dataset) -> int:
-    """Return how many boxes are enlarged: by their marks, or else by the record of the command that wrote the dataset.
+    """Return how many boxes are enlarged or fitted: by their marks, or else by the record of the dataset's command.
 
-    COCO and shards mark enlarged boxes; other formats do not.
+    COCO and shards mark such boxes; other formats do not.
     """
     return count_marked(dataset) or _recorded(dataset)
 
 
 def count_marked(dataset: Dataset) -> int:
-    """Return how many boxes are marked as enlarged, and so have their exact box beside them."""
+    """Return how many boxes are marked as changed, and so have their exact box beside them."""
     return sum(is_loosened(i) for image in dataset.images for i in image.instances)
 
 

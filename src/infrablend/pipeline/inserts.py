@@ -78,16 +78,18 @@ def measure_inserts(
     return found
 
 
-def with_seen_box(insert: Insert, picture: GreyImage, unit: float) -> Instance:
-    """Return the object's label as `labelled` does, with the boxes around its visible part where they can be measured.
+def with_seen_box(insert: Insert, before: GreyImage, after: GreyImage, unit: float) -> Instance:
+    """Return the object's label as `labelled` does, with the boxes around its visible part where they differ.
 
     Args:
         insert: The object.
-        picture: (h, w) finished picture.
-        unit: Levels of the picture per 8-bit level.
+        before: (h, w) background.
+        after: (h, w) finished picture.
+        unit: Levels of the pictures per 8-bit level.
     """
-    label, contrast = insert.labelled(), insert.contrast
-    return label if contrast is None else add_seen_box(label, picture, contrast.ring, contrast.change, unit)
+    label, c = insert.labelled(), insert.contrast
+    change, ring = (insert.changed_grey, None) if c is None else (c.change, c.ring)
+    return add_seen_box(label, after, before, change, ring, unit)
 
 
 def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOfDay | None) -> list[int]:

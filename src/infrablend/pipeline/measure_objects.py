@@ -98,7 +98,7 @@ class Measurements:
         left_out: Objects that were not measured: `<population>/<class>` to reason to number.
         unreadable: Messages about pictures that could not be read.
         contrasts: Contrast of all `real` and `inserted` objects, whether or not they are in `objects`. `as_written` are
-            the inserted ones in the boxes of the label files, where the recipe enlarges these.
+            the inserted ones in the boxes of the label files, where the recipe enlarges or fits these.
         extents: Box and visible extent of those objects, where the extent can be found.
     """
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from infrablend.annotation.labels import LabelReport, annotate
+from infrablend.annotation.labels import LabelReport, annotate, hulls_behind
 from infrablend.annotation.occluded import label_occluded
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage
@@ -113,7 +113,7 @@ def label_objects(
     rendered: RenderResult,
     seen: RenderResult,
     front: Share | None,
-    occluded: Iterable[int],
+    occluded: Collection[int],
     labels: Labels,
 ) -> tuple[tuple[Instance, ...], LabelReport]:
     """Label the objects of a frame, some of which are partly hidden.
@@ -127,12 +127,12 @@ def label_objects(
         labels: The recipe's section.
     """
     found, report = annotate(scene, seen, labels.obb)
-    hidden = set(occluded)
+    hulls = {} if front is None else hulls_behind(scene, occluded, front)
     result = []
     for k, label in zip(report.kept, found, strict=True):
-        if k in hidden and front is not None:
+        if k in occluded:
             share = float(seen.coverage[k].sum()) / max(float(rendered.coverage[k].sum()), 1e-9)
-            label = label_occluded(label, scene, front, share, labels.occluded_box, labels.obb)
+            label = label_occluded(label, scene.objects[k], hulls.get(k), share, labels.occluded_box, labels.obb)
         result.append(label)
     return tuple(result), report
 

@@ -289,14 +289,14 @@ def _require_exact(rendered: Dataset) -> None:
     """Check that a run has inserted objects, and that their exact boxes are known.
 
     Raises:
-        DatasetError: It has none, or they were enlarged, and its labels do not have the exact ones.
+        DatasetError: It has none, or they were enlarged or fitted, and its labels do not have the exact ones.
     """
     if not any(o.inserted for image in rendered.images for o in image.instances):
         todo = "give a run of `infrablend generate` that inserts the annotated classes"
         none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
         raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
     if not count_marked(rendered) and (enlarged := count_enlarged(rendered)):
-        found = f"{enlarged} boxes that are enlarged"
+        found = f"{enlarged} boxes that are enlarged or fitted"
         todo = "give a run with coco in output.formats, or with exact boxes"
         unknown = Problem("--rendered", "boxes-enlarged", found, "the exact boxes", todo)
         raise DatasetError(f"{rendered.root}: the exact boxes of inserted objects are not known", [unknown])

@@ -281,7 +281,7 @@ def test_recorded_shipped_recipes_are_read(name):
     # null was the mode's default: the paper does not keep clear of ignore regions.
     assert recorded["placement"]["clear_of_ignored"] is None
     assert recipe.placement.clear_of_ignored == (recorded["placement"]["mode"] == "metric")
-    added = {"loosen": 1.0, "loosen_px": 0.0, "occluded_box": "visible"}
+    added = {"fit": "shape", "loosen": 1.0, "loosen_px": 0.0, "occluded_box": "visible"}
     assert json.loads(recipe.model_dump_json())["labels"] == recorded["labels"] | added
     assert recipe.placement.attempts == recorded["placement"]["attempts"]
 

@@ -13,6 +13,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
+from infrablend.core.dataset import SEEN_BOX, SEEN_OBB
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
@@ -376,12 +377,40 @@ def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(datas
         box = annotations(run)[0] if annotations(run)[0]["inserted"] else annotations(run)[1]
         assert f" {box['bbox'][2] / 640:.4f}"[:6] in text, by
     for labels in ("coco", "native", ""):
-        with pytest.raises(DatasetError, match="8 boxes that are enlarged already"):
+        with pytest.raises(DatasetError, match="8 boxes that are enlarged or fitted already"):
             api.convert(tmp_path / "loose" / labels, tmp_path / "twice", "coco", loosen=1.1)
     with pytest.raises(RecipeError, match="found Drone; expected classes of the inserted objects") as caught:
         wrong = {"labels.loosen": {"Drone": 1.3}, "labels.loosen_px": {"Drone": 2}}
         generate(dataset, tmp_path / "unknown", settings=wrong)
     assert [p.where for p in caught.value.problems] == ["labels.loosen", "labels.loosen_px"]
+
+
+def test_boxes_of_inserted_objects_are_drawn_around_what_is_visible(dataset, tmp_path):
+    settings = {"output.image": "png", "output.formats": ["coco", "yolo", "native"]}
+    generate(dataset, tmp_path / "shape", settings=settings)
+    fitted = generate(dataset, tmp_path / "visible", settings={**settings, "labels.fit": "visible"})
+    assert fitted.counts["boxes_fit"] == "visible" and "loosened_by" not in fitted.counts
+    assert 0 < fitted.counts["boxes_loosened"] <= 8
+    card = (tmp_path / "visible" / "README.md").read_text()
+    assert "inserted objects were drawn around what is visible, to match" in card
+    smaller = 0
+    for before, after in zip(records(tmp_path / "shape"), records(tmp_path / "visible"), strict=True):
+        assert before.image_sha256 == after.image_sha256
+        for shape, seen in zip(before.inserted, after.inserted, strict=True):
+            np.testing.assert_array_equal(shape.box_xyxy, seen.box_xyxy)
+            assert set(seen.extra) - set(shape.extra) <= {SEEN_BOX, SEEN_OBB}
+
+    def annotations(run):
+        return json.loads((tmp_path / run / "coco" / "train.json").read_text())["annotations"]
+
+    for a, b in zip(annotations("shape"), annotations("visible"), strict=True):
+        assert b.get("tight_bbox", b["bbox"]) == a["bbox"] and b.get("segmentation") == a.get("segmentation")
+        (x, y, w, h), (sx, sy, sw, sh) = a["bbox"], b["bbox"]
+        assert sx >= x - 1e-6 and sy >= y - 1e-6 and sx + sw <= x + w + 1e-6 and sy + sh <= y + h + 1e-6
+        smaller += sw * sh < 0.999 * w * h
+    assert smaller
+    with pytest.raises(DatasetError, match="boxes that are enlarged or fitted already"):
+        api.convert(tmp_path / "visible" / "coco", tmp_path / "twice", "coco", loosen=1.1)
 
 
 def test_boxes_of_inserted_objects_are_enlarged_by_pixels_in_all_formats(dataset, tmp_path):

@@ -224,7 +224,7 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     np.testing.assert_allclose(boxes, [[0, 48, 12, 64], [18, 18, 32, 42], [40, 20, 50, 40]])
     counts = json.loads((tmp_path / "px" / "convert.json").read_text())["counts"]
     assert (counts["boxes_loosened"], counts["loosened_by_px"]) == (2, 2) and "loosened_by" not in counts
-    with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
+    with pytest.raises(DatasetError, match="2 boxes that are enlarged or fitted already"):
         api.convert(tmp_path / "px", tmp_path / "twice", "coco", loosen_px=1)
     with pytest.raises(DatasetError, match="masks instead of boxes"):
         api.convert(tmp_path / "data", tmp_path / "yolo-seg", "yolo-seg", loosen_px=1)
@@ -237,8 +237,8 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     for made in ("voc", "split"):
         report = api.convert(tmp_path / made, tmp_path / f"{made}-yolo", "yolo")
         assert report.counts["boxes_loosened"] == 2
-        assert "2 boxes of inserted objects were enlarged before" in (report.out / "README.md").read_text()
-        with pytest.raises(DatasetError, match="2 boxes that are enlarged already"):
+        assert "2 boxes of inserted objects were enlarged or fitted before" in (report.out / "README.md").read_text()
+        with pytest.raises(DatasetError, match="2 boxes that are enlarged or fitted already"):
             api.convert(report.out, tmp_path / "thrice", "coco", loosen_px=1)
     with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
         api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
