@@ -9,7 +9,7 @@ the renderer's coverage.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -50,10 +50,6 @@ DropReason = Literal["no_labelled_part", "outside_frame", "hidden", "no_visible_
 
 # A pixel belongs to the mask if at least this share of it is covered.
 _MASK_COVERAGE = 0.5
-# Structures of the picture that hide more than this share of a pixel hide the object there, as in masks.
-_BEHIND_SHARE = 1 - _MASK_COVERAGE
-# Share of the way to the middle of a hull by which a corner is moved to find its pixel.
-_INWARDS = 1e-6
 # Limit on one object's depth samples. It sets the samples per pixel: an object of 20 px gets 16 along a pixel's side.
 _FRAGMENTS = 200_000
 _SUPERSAMPLE = (2, 16)
@@ -273,37 +269,10 @@ def _joined(pieces: Sequence[ProjectedTriangles]) -> ProjectedTriangles:
     )
 
 
-def hulls_behind(scene: PlacedScene, numbers: Iterable[int], front: NDArray[np.float32]) -> dict[int, FloatArray]:
-    """Return the (H, 2) convex hulls, px, of what is visible of some objects behind structures of the picture.
-
-    Args:
-        scene: The frame's scene.
-        numbers: Indices of the objects in `SceneSpec.objects`.
-        front: (h, w) share of each pixel of the frame that the structures hide. The objects are visible where they hide
-            at most half of a pixel.
-
-    Returns:
-        The hulls by number; objects without a visible sample have none.
-
-    Raises:
-        ModelError: A mesh has a part that the scene does not know.
-    """
-    surfaces, size_wh, behind = [_surfaces(o) for o in scene.objects], scene.spec.camera.size_wh, front > _BEHIND_SHARE
-    shapes = {k: _visible_shape(k, surfaces, size_wh, with_coverage=False, behind=behind) for k in numbers}
-    return {k: shape.hull_xy for k, shape in shapes.items() if not isinstance(shape, str)}
-
-
 def _visible_shape(
-    k: int,
-    surfaces: Sequence[_Surfaces],
-    size_wh: tuple[int, int],
-    with_coverage: bool,
-    behind: BoolArray | None = None,
+    k: int, surfaces: Sequence[_Surfaces], size_wh: tuple[int, int], with_coverage: bool
 ) -> _Shape | DropReason:
-    """Return the visible shape of object k, or the reason why it is not visible.
-
-    The object is also hidden in the (h, w) pixels `behind` of the frame.
-    """
+    """Return the visible shape of object k, or the reason why it is not visible."""
     own = surfaces[k].labelled
     if not len(own.xy):
         return "outside_frame" if own.cut else "no_labelled_part"
@@ -324,8 +293,6 @@ def _visible_shape(
     others = [p.every if j > k else _moved_nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
-    if behind is not None:
-        hidden |= _at_corners(behind, hull[:, :2])
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
     if not (truncated or others or hidden.any() or with_coverage):
         return _Shape(hull[:, :2], 1.0, False, None, offset_xy, False)
@@ -339,9 +306,6 @@ def _visible_shape(
         front = _joined(others)
         depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
         seen = alone & (depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
-    if behind is not None:
-        (x, y), (w, h) = offset_xy, crop_wh
-        seen = seen & ~behind[y : y + h, x : x + w].repeat(supersample, axis=0).repeat(supersample, axis=1)
     hull_xy = hull[:, :2]
     if hidden.any():
         points_xy = np.concatenate([outline_points(seen, grid), hull_xy[~hidden]])
@@ -358,17 +322,6 @@ def _visible_shape(
         visibility *= _share_in_frame(surfaces[k], full_box, size_wh, alone_count * grid.pitch_px**2)
     coverage = share_per_pixel(seen, supersample) if with_coverage else None
     return _Shape(hull_xy, visibility, truncated, coverage, offset_xy, bool(hidden.any()))
-
-
-def _at_corners(pixels: BoolArray, hull_xy: FloatArray) -> BoolArray:
-    """Return the (H,) values of the (h, w) pixels that the corners of a convex hull (H, 2) are in.
-
-    A corner on the edge between two pixels is in the one that also has some of the hull.
-    """
-    inwards = hull_xy + _INWARDS * (hull_xy.mean(axis=0) - hull_xy)
-    x, y = np.floor(inwards).astype(np.intp).T
-    h, w = pixels.shape
-    return np.asarray(pixels[np.clip(y, 0, h - 1), np.clip(x, 0, w - 1)])
 
 
 def _moved_nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:

@@ -19,28 +19,21 @@ _DIGITS = 9
 
 
 def label_occluded(
-    label: Instance,
-    placed: PlacedObject,
-    hull_xy: FloatArray | None,
-    share: float,
-    written: BoxMode = "visible",
-    obb: ObbMode = "min_area",
+    label: Instance, placed: PlacedObject, share: float, written: BoxMode = "visible", obb: ObbMode = "min_area"
 ) -> Instance:
     """Return the label of a partly hidden object.
 
-    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around what is visible, from
-    the geometry; around the mask if only fractions of pixels are visible).
+    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around the visible pixels).
 
     Args:
         label: Label with the mask of the visible part, and with boxes and `visibility` as if nothing were in front.
         placed: The object.
-        hull_xy: (H, 2) convex hull of its visible part, see `hulls_behind`; None for that of the mask.
         share: Share of the object's pixels that is visible.
         written: Box that `box_xyxy` and `corners_xy` describe.
         obb: Kind of oriented box.
     """
     assert label.mask is not None and label.visibility is not None
-    hull = _mask_hull(label.mask.to_array(), label.box_xyxy) if hull_xy is None else hull_xy
+    hull = _visible_hull(label.mask.to_array(), label.box_xyxy)
     boxes = {"amodal": label.box_xyxy, "visible": box_of_points(hull)}
     extra = {
         **label.extra,
@@ -55,7 +48,7 @@ def label_occluded(
     return replace(label, box_xyxy=boxes["visible"], corners_xy=corners)
 
 
-def _mask_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
+def _visible_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
     """Return the (H, 2) convex hull of a mask's pixels, within the box of the whole object."""
     rows = np.flatnonzero(mask.any(axis=1))
     first = mask[rows].argmax(axis=1)

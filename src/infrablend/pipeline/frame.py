@@ -130,7 +130,7 @@ class FrameComposer:
                 pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, motion_px, front)
                 pixels = self._extensions.picture(LookRequest(pixels, background.pixels, rendered, scene))
                 seen = behind_front(rendered, front, occluders)
-                labels, label_report = label_objects(scene, rendered, seen, front, occluders, recipe.labels)
+                labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
                 first = first or [i.to_json() for i in inserts]
                 least = recipe.placement.min_visibility

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from infrablend.annotation.labels import LabelReport, annotate, hulls_behind
+from infrablend.annotation.labels import LabelReport, annotate
 from infrablend.annotation.occluded import label_occluded
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage
@@ -109,12 +109,7 @@ def behind_front(rendered: RenderResult, front: Share | None, numbers: Iterable[
 
 
 def label_objects(
-    scene: PlacedScene,
-    rendered: RenderResult,
-    seen: RenderResult,
-    front: Share | None,
-    occluded: Collection[int],
-    labels: Labels,
+    scene: PlacedScene, rendered: RenderResult, seen: RenderResult, occluded: Iterable[int], labels: Labels
 ) -> tuple[tuple[Instance, ...], LabelReport]:
     """Label the objects of a frame, some of which are partly hidden.
 
@@ -122,17 +117,16 @@ def label_objects(
         scene: The scene.
         rendered: The rendered scene.
         seen: The same with the coverage of what is visible.
-        front: (h, w) share of each pixel of the picture that stays in front of objects; None for nothing.
-        occluded: Numbers of the objects behind it.
+        occluded: Numbers of the partly hidden objects.
         labels: The recipe's section.
     """
     found, report = annotate(scene, seen, labels.obb)
-    hulls = {} if front is None else hulls_behind(scene, occluded, front)
+    hidden = set(occluded)
     result = []
     for k, label in zip(report.kept, found, strict=True):
-        if k in occluded:
+        if k in hidden:
             share = float(seen.coverage[k].sum()) / max(float(rendered.coverage[k].sum()), 1e-9)
-            label = label_occluded(label, scene.objects[k], hulls.get(k), share, labels.occluded_box, labels.obb)
+            label = label_occluded(label, scene.objects[k], share, labels.occluded_box, labels.obb)
         result.append(label)
     return tuple(result), report
 

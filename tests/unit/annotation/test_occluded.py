@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
-from infrablend.annotation.labels import annotate, hulls_behind
+from infrablend.annotation.labels import annotate
 from infrablend.annotation.occluded import label_occluded
 from infrablend.core.boxes import box_of_points
 from infrablend.core.camera import CameraSpec
@@ -39,23 +37,12 @@ def seen_from_column(first: int) -> RenderResult:
     return RenderResult((310, 251), WH, coverage[0].copy(), coverage[0].copy(), coverage)
 
 
-def hidden_to_column(first: int) -> NDArray[np.float32]:
-    """The structures that hide it there."""
-    front = np.zeros((WH[1], WH[0]), np.float32)
-    front[:, : 310 + first] = 1
-    return front
-
-
-def hull(scene: PlacedScene, front: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    return hulls_behind(scene, [0], front).get(0)
-
-
 @pytest.mark.parametrize("written", ["visible", "amodal"])
 def test_both_boxes_are_recorded_and_one_is_written(written: str) -> None:
     scene = plate_20_by_10()
     (whole,), _ = annotate(scene, seen_from_column(0))
     (label,), _ = annotate(scene, seen_from_column(12))
-    found = label_occluded(label, scene.objects[0], hull(scene, hidden_to_column(12)), 0.4, written)  # type: ignore[arg-type]
+    found = label_occluded(label, scene.objects[0], 0.4, written)  # type: ignore[arg-type]
     assert found.extra["occluded"] is True
     assert found.visibility == pytest.approx(0.4)
     # The heading of 10 degrees narrows the plate to 19.7 px.
@@ -71,29 +58,6 @@ def test_both_boxes_are_recorded_and_one_is_written(written: str) -> None:
 def test_the_oriented_box_along_the_heading_describes_the_visible_part() -> None:
     scene = plate_20_by_10()
     (label,), _ = annotate(scene, seen_from_column(12), "heading")
-    found = label_occluded(label, scene.objects[0], hull(scene, hidden_to_column(12)), 0.4, obb="heading")
+    found = label_occluded(label, scene.objects[0], 0.4, obb="heading")
     assert found.corners_xy is not None
     assert_allclose(box_of_points(found.corners_xy), found.box_xyxy, atol=0.3)
-
-
-def test_the_visible_box_of_a_few_pixels_comes_from_the_geometry() -> None:
-    """Pixels that are covered by less than half are in no mask, but the object is visible in them."""
-    whole = plate_20_by_10()
-    camera = replace(whole.spec.camera, distance_m=whole.spec.camera.distance_m * 24)
-    scene = place(replace(whole.spec, camera=camera), [o.mesh for o in whole.objects])
-    front = np.zeros((WH[1], WH[0]), np.float32)
-    assert_allclose(annotate(scene)[0][0].box_xyxy, [319.59, 255.79, 320.41, 256.21], atol=0.01)
-    (label,), _ = annotate(scene)
-    assert label.mask is not None and label.mask.area_px == 1
-    front[:, 320:] = 1
-    found = label_occluded(label, scene.objects[0], hull(scene, front), 0.5)
-    assert_allclose(found.box_xyxy, [label.box_xyxy[0], label.box_xyxy[1], 320, label.box_xyxy[3]], atol=1 / 16)
-    front[:, :320] = 0.5
-    assert_allclose(label_occluded(label, scene.objects[0], hull(scene, front), 0.25).box_xyxy, found.box_xyxy)
-
-
-def test_the_box_is_that_of_the_mask_if_no_pixel_is_visible_by_half() -> None:
-    scene = plate_20_by_10()
-    (label,), _ = annotate(scene, seen_from_column(19))
-    found = label_occluded(label, scene.objects[0], hull(scene, np.full((WH[1], WH[0]), 0.6, np.float32)), 0.4)
-    assert_allclose(found.box_xyxy, [329, 251, label.box_xyxy[2], 261], atol=0.2)
