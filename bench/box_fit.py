@@ -10,14 +10,19 @@ enlarged by factors, and by margins.
 from __future__ import annotations
 
 import argparse
-import json
-from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from predicted import predicted
 
 from infrablend.core.boxes import box_iou
+from infrablend.evaluation.detections import Detections
+from infrablend.evaluation.matching import IOUS, match_all
+from infrablend.evaluation.precision import average_precisions
+from infrablend.evaluation.truth import Truth, image_key
 from infrablend.formats.detection import read
 
 MEET = 0.3
@@ -25,7 +30,6 @@ LONGEST_BELOW_PX = (24, 32, 48, 64, 96, np.inf)
 PITCH_BELOW_DEG = (35, 55, 75, np.inf)
 FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 MARGINS_PX = (-2, -1, 0, 1, 2, 3)
-RECALLS = np.linspace(0, 1, 101)
 
 Boxes = NDArray[np.float64]
 
@@ -39,23 +43,17 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--confidence", type=float, default=0.25)
     options = parser.parse_args()
-    predictions = json.loads((options.evaluation / "predictions.json").read_bytes())
-    classes = {c["id"] for c in predictions["categories"] if c["name"] == options.category}
-    names = {i["id"]: Path(i["file_name"]).name for i in predictions["images"]}
-    found: dict[str, list[list[float]]] = defaultdict(list)
-    for p in predictions["annotations"]:
-        if p["category_id"] in classes:
-            x, y, w, h = p["bbox"]
-            found[names[p["image_id"]]].append([p["score"], x, y, x + w, y + h])
-    pictures: list[tuple[Boxes, Boxes]] = []
+    found = predicted(options.evaluation, options.category)
+    truths: list[Truth] = []
     rows: list[list[float]] = []
     for image in read(options.data).images:
-        if image.split != options.split:
+        key = image_key(image)
+        if image.split != options.split or key not in found or image.size_wh is None:
             continue
-        detected = np.array(sorted(found[image.path.name], reverse=True)).reshape(-1, 5)
         drawn = np.array([i.box_xyxy for i in image.instances if i.category == options.category]).reshape(-1, 4)
-        pictures.append((detected, drawn))
-        sure = detected[detected[:, 0] >= options.confidence, 1:]
+        nothing = np.zeros(len(drawn), np.int64)
+        truths.append(Truth(key, image.size_wh, drawn, nothing, nothing.astype(np.bool_)))
+        sure = found[key].boxes_xyxy[found[key].scores >= options.confidence]
         if not len(sure):
             continue
         for box in drawn:
@@ -69,7 +67,7 @@ def main() -> None:
         ("enlarged by", {f: (f, 0.0) for f in FACTORS}),
         ("with margin px", {m: (1.0, float(m)) for m in MARGINS_PX}),
     ):
-        scores = {by: [average_precision(pictures, iou, *way) for iou in (0.5, 0.75)] for by, way in ways.items()}
+        scores = {by: average_precision(truths, found, *way) for by, way in ways.items()}
         print(f"AP50, AP75 {text}: " + ", ".join(f"{by:g}: {a:.3f} {b:.3f}" for by, (a, b) in scores.items()))
 
 
@@ -85,30 +83,21 @@ def _print_groups(table: Boxes, value: Boxes, limits: tuple[float, ...], title: 
             print(f"{title} {limit:g}: {len(rows)} boxes, factor {text[0]}, px {text[1]}, moved {text[2]}")
 
 
-def average_precision(pictures: list[tuple[Boxes, Boxes]], least_iou: float, factor: float, margin_px: float) -> float:
-    """Return the AP (101 points) of detections whose boxes are enlarged first by a factor and then by a margin."""
-    scores: list[float] = []
-    right: list[bool] = []
-    objects = 0
-    for detected, drawn in pictures:
-        objects += len(drawn)
-        middle, half = (detected[:, 1:3] + detected[:, 3:5]) / 2, (detected[:, 3:5] - detected[:, 1:3]) / 2
-        half = half * factor + margin_px
-        shares = box_iou(np.hstack([middle - half, middle + half]), drawn)
-        taken = np.zeros(len(drawn), np.bool_)
-        for k in range(len(detected)):
-            free = np.where(taken, 0, shares[k]) if len(drawn) else np.zeros(1)
-            best = int(free.argmax())
-            hit = bool(free[best] >= least_iou)
-            if hit:
-                taken[best] = True
-            scores.append(detected[k, 0])
-            right.append(hit)
-    order = np.argsort(-np.array(scores), kind="stable")
-    hits = np.cumsum(np.array(right)[order])
-    precision = np.maximum.accumulate((hits / np.arange(1, len(hits) + 1))[::-1])[::-1]
-    at = np.searchsorted(hits / max(objects, 1), RECALLS)
-    return float(np.where(at < len(precision), precision[np.minimum(at, len(precision) - 1)], 0).mean())
+def average_precision(
+    truths: Sequence[Truth], found: Mapping[str, Detections], factor: float, margin_px: float
+) -> list[float]:
+    """Return AP50 and AP75 of detections whose boxes are enlarged first by a factor and then by a margin."""
+    enlarged = {key: _enlarged(of, factor, margin_px) for key, of in found.items()}
+    only = np.zeros(1 + max((int(of.classes.max(initial=0)) for of in found.values()), default=0), np.int64)
+    (matches,) = match_all(truths, enlarged, only, 1, "detect", {"all": (0.0, np.inf)})
+    wanted = [int(np.argmin(np.abs(IOUS - iou))) for iou in (0.5, 0.75)]
+    return [float(v) for v in average_precisions(matches, thresholds=wanted)[0]]
+
+
+def _enlarged(of: Detections, factor: float, margin_px: float) -> Detections:
+    middle = (of.boxes_xyxy[:, :2] + of.boxes_xyxy[:, 2:]) / 2
+    half = (of.boxes_xyxy[:, 2:] - of.boxes_xyxy[:, :2]) / 2 * factor + margin_px
+    return replace(of, boxes_xyxy=np.hstack([middle - half, middle + half]))
 
 
 if __name__ == "__main__":

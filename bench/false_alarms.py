@@ -8,15 +8,16 @@ detections that overlap a further object by 0.3 to 0.5 (loose), and false ones i
 from __future__ import annotations
 
 import argparse
-import json
 from collections import Counter, defaultdict
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from predicted import predicted
 
 from infrablend.core.boxes import box_iou
 from infrablend.core.dataset import ImageRecord
+from infrablend.evaluation.truth import image_key
 from infrablend.formats.detection import read
 
 FOUND, LOOSE = 0.5, 0.3
@@ -32,18 +33,12 @@ def main() -> None:
     parser.add_argument("--split", default="val")
     parser.add_argument("--confidence", type=float, default=0.5)
     options = parser.parse_args()
-    predictions = json.loads((options.evaluation / "predictions.json").read_bytes())
-    classes = {c["id"] for c in predictions["categories"] if c["name"] == options.category}
-    names = {i["id"]: Path(i["file_name"]).name for i in predictions["images"]}
-    detected: dict[str, list[tuple[float, NDArray[np.float64]]]] = defaultdict(list)
-    for found in predictions["annotations"]:
-        if found["category_id"] in classes and found["score"] >= options.confidence:
-            x, y, w, h = found["bbox"]
-            detected[names[found["image_id"]]].append((found["score"], np.array([x, y, x + w, y + h])))
+    found = predicted(options.evaluation, options.category)
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     for image in read(options.data).images:
         if image.split == options.split:
-            ordered = [box for _, box in sorted(detected[image.path.name], key=lambda d: -d[0])]
+            of = found.get(image_key(image))
+            ordered = [] if of is None else list(of.boxes_xyxy[of.scores >= options.confidence])
             below = next(limit for limit in BELOW_DEG if (image.pitch_deg or 0) < limit)
             seen = count(image, options.category, ordered)
             counts[f"{image.time_of_day or 'unknown'}, pitch below {below:g}"] += seen

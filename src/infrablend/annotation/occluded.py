@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from infrablend.annotation.labels import ObbMode, heading_in_image, oriented_box
 from infrablend.core.boxes import box_of_points, convex_hull
 from infrablend.core.dataset import Instance
+from infrablend.core.masks import row_corners
 from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject
 
@@ -50,9 +51,5 @@ def label_occluded(
 
 def _visible_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
     """Return the (H, 2) convex hull of a mask's pixels, within the box of the whole object."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    first = mask[rows].argmax(axis=1)
-    last = mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
-    ends = [np.stack([x, y], axis=1) for x in (first, last) for y in (rows, rows + 1)]
-    points = np.clip(np.concatenate(ends).astype(np.float64), box_xyxy[:2], box_xyxy[2:])
+    points = np.clip(row_corners(mask), box_xyxy[:2], box_xyxy[2:])
     return convex_hull(np.unique(points, axis=0))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, Instance
+from infrablend.core.masks import row_corners
 from infrablend.core.mesh import FloatArray
 
 # A pixel is visible if the insertion changed it, or if it differs from the surroundings, by this many 8-bit levels, or
@@ -62,7 +63,7 @@ def add_seen_box(
     if not seen.any():
         return label
     offset = np.array([columns[0], rows[0]], np.float64)
-    seen_xy, mask_xy = (_pixel_corners(m) + offset for m in (seen, mask[crop]))
+    seen_xy, mask_xy = (row_corners(m) + offset for m in (seen, mask[crop]))
     box = _cut(corners_of_box(label.box_xyxy), seen_xy, mask_xy)
     corners = None if label.corners_xy is None else _cut(label.corners_xy, seen_xy, mask_xy)
     if box is None and corners is None:
@@ -91,14 +92,6 @@ def _large_spots(seen: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np
         large[1 + int(areas[1:].argmax())] = True
     large[0] = False
     return np.asarray(large[spots])
-
-
-def _pixel_corners(mask: NDArray[np.bool_]) -> FloatArray:
-    """Return (n, 2) corners of a mask's pixels: those at both ends of each row."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    first, last = mask[rows].argmax(axis=1), mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
-    ends = [np.stack([x, y], axis=1) for x in (first, last) for y in (rows, rows + 1)]
-    return np.asarray(np.concatenate(ends), np.float64)
 
 
 def _cut(corners_xy: FloatArray, seen_xy: FloatArray, mask_xy: FloatArray) -> FloatArray | None:

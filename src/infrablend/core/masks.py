@@ -121,3 +121,11 @@ def run_lengths(counts: str) -> NDArray[np.int64]:
     values[1::2] = np.cumsum(values[1::2])
     values[2::2] = np.cumsum(values[2::2])
     return values
+
+
+def row_corners(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the (n, 2) corners of the first and last pixel in each row of a mask; they have the mask's convex hull."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - mask[rows, ::-1].argmax(axis=1)
+    ends = [np.stack([x, y], axis=1) for x in (first, last) for y in (rows, rows + 1)]
+    return np.asarray(np.concatenate(ends), np.float64)

@@ -146,9 +146,10 @@ class FrameComposer:
                 scene = scene.without(hidden, "too_hidden")
             else:
                 scene = scene.without(faint, "low_contrast")
-        labels = tuple(i.labelled() for i in inserts)
         if recipe.labels.fit == "visible":
             labels = tuple(with_seen_box(i, background.pixels, pixels, site.grey_unit) for i in inserts)
+        else:
+            labels = tuple(i.labelled() for i in inserts)
         merged = merge(source.instances, labels, merge_settings(recipe))
 
         relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, recipe.output.image))
