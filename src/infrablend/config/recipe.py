@@ -258,14 +258,21 @@ class Group(Strict):
 
 
 class Align(Strict):
-    """Headings along the lines on the ground of each picture (edges of roads, kerbs, walls), as cars stand."""
+    """Headings along one direction per picture, as cars stand."""
 
     share: float = Field(0.85, ge=0, le=1)
-    """Share of the objects that stand along one direction, the same for all of them in a picture: that of its lines, or
-    at right angles to them. A picture without clear lines gets a direction of its own. Either end may be in front. The
-    other objects have any heading in `yaw_deg`."""
+    """Share of the objects that stand along the direction of their picture; either end may be in front. The other
+    objects have any heading in `yaw_deg`."""
+    along: Literal["lines", "view"] = "lines"
+    """Direction of a picture: that of the lines on its ground (edges of roads, kerbs, walls), or at right angles to
+    them, and any where no lines are clear (`lines`); or about that in which the camera looks, for pilots fly along rows
+    of parked cars (`view`)."""
     spread_deg: float = Field(4.0, ge=0, le=45)
-    """Standard deviation of their headings from that direction, degrees."""
+    """Standard deviation of the headings from the direction of the picture, degrees."""
+    turn_deg: float = Field(15.0, ge=0, le=90)
+    """With `along: view`: standard deviation of the direction of a picture from that in which the camera looks."""
+    time_of_day: Literal["day", "night"] | None = None
+    """Align objects in pictures of this time of day only; in all by default."""
 
 
 CLASS_NAME = (
@@ -315,7 +322,7 @@ class MetricObject(ObjectKind):
     group: Group | None = None
     """Models that stand: place objects of this kind in groups, e.g. `{share: 0.7, apart_m: [0.6, 2.5]}`."""
     align: Align | None = None
-    """Models that stand: headings along the lines of the picture, e.g. `{share: 0.85, spread_deg: 4}`; by default all
+    """Models that stand: headings along one direction per picture, e.g. `{share: 0.85, along: lines}`; by default all
     headings in `yaw_deg` are as likely."""
 
 

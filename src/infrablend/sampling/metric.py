@@ -17,7 +17,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import Align, FixedAltitude, MetricObject, MetricRecipe, RandomAltitude, RealGround
+from infrablend.config.recipe import (
+    Align,
+    FixedAltitude,
+    MetricObject,
+    MetricRecipe,
+    Object,
+    RandomAltitude,
+    RealGround,
+)
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec, object_to_world
@@ -173,18 +181,44 @@ def real_camera(
     return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
 
-def common_heading(
+@dataclass(frozen=True)
+class Directions:
+    """Directions on the ground that objects with `align` stand along in one picture."""
+
+    lines_rad: float
+    """Of the lines on the ground, or at right angles to them; any where no lines are clear, or none are asked for."""
+    off_view: float
+    """Standard normal deviate: how far the direction is from that in which the camera looks."""
+
+    def of(self, align: Align) -> float:
+        """Return the direction for objects with these settings, radians counter-clockwise from +X."""
+        if align.along == "lines":
+            return self.lines_rad
+        # The camera looks along +Y.
+        return math.pi / 2 + math.radians(align.turn_deg) * self.off_view
+
+
+def common_directions(
     camera: CameraSpec, view: View, recipe: MetricRecipe, site: Site, rng: np.random.Generator
-) -> float | None:
-    """Return the direction along which objects with `align` stand, radians; None if the recipe has none of them."""
-    if not any(isinstance(kind, MetricObject) and kind.align for kind in recipe.objects):
+) -> Directions | None:
+    """Return the directions along which objects with `align` stand; None if none are aligned in this picture."""
+    aligned = [align for kind in recipe.objects if (align := _align_of(kind, site)) is not None]
+    if not aligned:
         return None
-    turn, across = float(rng.random()), bool(rng.random() < 0.5)
-    boxes = [*boxes_of(site.labels), *site.text_boxes]
-    lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
+    turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
+    lines = None
+    if any(align.along == "lines" for align in aligned):
+        boxes = [*boxes_of(site.labels), *site.text_boxes]
+        lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
     if lines is None or lines.clarity < _LEAST_CLARITY:
-        return math.pi * turn
-    return lines.yaw_rad + (math.pi / 2 if across else 0.0)
+        return Directions(math.pi * turn, off_view)
+    return Directions(lines.yaw_rad + (math.pi / 2 if across else 0.0), off_view)
+
+
+def _align_of(kind: Object, site: Site) -> Align | None:
+    """Return how objects of a kind are aligned in this picture."""
+    align = kind.align if isinstance(kind, MetricObject) else None
+    return align if align is not None and align.time_of_day in (None, site.time_of_day) else None
 
 
 def place_metric(
@@ -196,11 +230,12 @@ def place_metric(
     rng: np.random.Generator,
     tally: DrawStatistics,
     occupied: Sequence[FloatArray] = (),
-    heading: float | None = None,
+    directions: Directions | None = None,
 ) -> list[Pose | None]:
     """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
 
-    `occupied` has the (4,) boxes of inserts that have their place already, `heading` is that of `common_heading`.
+    `occupied` has the (4,) boxes of inserts that have their place already; `directions` come from
+    `common_directions`.
     """
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
@@ -225,7 +260,7 @@ def place_metric(
         for attempt in range(attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * attempts
-            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng, heading)
+            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, site, rng, directions)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -287,15 +322,21 @@ def _kind(item: PlacementRequest) -> MetricObject:
 
 
 def _draw(
-    camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator, heading: float | None
+    camera: CameraSpec,
+    view: View,
+    item: PlacementRequest,
+    site: Site,
+    rng: np.random.Generator,
+    directions: Directions | None,
 ) -> Pose | str:
     """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
     yaw = math.radians(rng.uniform(*kind.yaw_deg))
-    if kind.align is not None and heading is not None and item.model.stands:
-        yaw = _aligned(yaw, kind.align, heading, rng)
+    align = _align_of(kind, site)
+    if align is not None and directions is not None and item.model.stands:
+        yaw = _aligned(yaw, align, directions.of(align), rng)
     above = float(rng.uniform(*kind.z_m))
     away = float(rng.uniform(*kind.range_m))
     below = ground_point(camera, u, v, view.ground_z_m)
