@@ -3,8 +3,9 @@
 `bench/headings.py DATA [--category Car] [--recipe NAME] [--split train] [--read KEY=VALUE]` reads oriented boxes,
 projects their longer axis to the ground, and prints, by time of day: quantiles of the angle to the lines that
 `core.ground_lines` finds in the picture (0 to 45 degrees; 22.5 is the median of random directions), for all pictures
-and for those with clear lines; and the shares of pairs in one picture that are parallel, and at right angles, within 12
-degrees. Boxes less than 1.4 times as long as wide do not count. Oriented boxes of HIT-UAV: `--read form=rotate_json`.
+and for those with clear lines; the shares of pairs in one picture that are parallel, and at right angles, within 12
+degrees; and the shares of objects along the line of sight, and at right angles to it, within 15 degrees. Boxes less
+than 1.4 times as long as wide do not count. Oriented boxes of HIT-UAV: `--read form=rotate_json`.
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ from infrablend.formats.reading import Reading
 
 LEAST_ASPECT = 1.4
 WITHIN_DEG = 12.0
+WITHIN_OF_VIEW_DEG = 15.0
 SHARES = (10, 25, 50, 75, 90)
 
 
 def main() -> None:
-    """Print two lines per time of day."""
+    """Print three lines per time of day."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--category", default="Car")
@@ -47,6 +49,7 @@ def main() -> None:
     reading = Reading(options=dict(option.split("=", 1) for option in options.read))
     angles: dict[str, list[tuple[float, float]]] = defaultdict(list)
     pairs: dict[str, list[float]] = defaultdict(list)
+    from_view: dict[str, list[float]] = defaultdict(list)
     for image in detection.read(options.data, reading).images:
         if image.split != options.split or image.size_wh is None:
             continue
@@ -60,6 +63,8 @@ def main() -> None:
         yaws = [y for i in image.instances if i.category == options.category and (y := yaw_of(i, camera, ground))]
         when: str = image.time_of_day or "unknown"
         pairs[when] += [_apart(a - b, 180) for a, b in itertools.combinations(yaws, 2)]
+        # The camera looks along +Y.
+        from_view[when] += [_apart(yaw - 90, 180) for yaw in yaws]
         lines = find_ground_lines(_pixels(image), camera, ground, [i.box_xyxy for i in image.instances])
         if lines is not None:
             angles[when] += [(_apart(yaw - math.degrees(lines.yaw_rad), 90), lines.clarity) for yaw in yaws]
@@ -70,6 +75,9 @@ def main() -> None:
         parallel, across = (np.mean(np.abs(np.array(pairs[when]) - a) < WITHIN_DEG) for a in (0, 90))
         clarities = np.percentile(clarity, SHARES).round(2).tolist()
         print(f"{when}: {len(pairs[when])} pairs, {parallel:.2f} parallel, {across:.2f} across; clarity {clarities}")
+        view = np.abs(np.array(from_view[when]))
+        along, across = (np.mean(np.abs(view - a) < WITHIN_OF_VIEW_DEG) for a in (0, 90))
+        print(f"{when}: {len(view)} objects, {along:.2f} along the line of sight, {across:.2f} at right angles to it")
 
 
 def yaw_of(instance: Instance, camera: CameraSpec, ground_z_m: float) -> float | None:

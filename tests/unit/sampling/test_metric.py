@@ -309,6 +309,27 @@ def test_cars_of_a_picture_without_lines_share_a_direction():
     assert np.ptp(firsts) > 10
 
 
+def test_cars_stand_along_the_view_by_day_only():
+    align = "objects.0.align={share: 1, along: view, turn_deg: 20, spread_deg: 2, time_of_day: day}"
+    plain = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
+    aligned = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0", align])
+    models = {o.model: load_model(o.model) for o in aligned.objects}
+    day = Site(FLAT, (), frozenset(), 80.0, time_of_day="day")
+    keys = [FrameKey(f"0_80_60_0_{n:05d}", "train", 0, WH, 60.0, "day") for n in range(24)]
+    by_day = [sample_scene(key, aligned, models, 0, day).spec for key in keys]
+    # One direction per picture, about that of +Y, in which the camera looks; either end may be in front.
+    for s in by_day:
+        assert off_deg(s, math.degrees(s.objects[0].yaw_rad), 180).max() < 14
+    turns = np.array([(math.degrees(s.objects[0].yaw_rad) % 180) - 90 for s in by_day])
+    assert 10 < turns.std() < 32 and abs(turns.mean()) < 15 and (np.abs(turns) < 62).all()
+    noses = [math.sin(o.yaw_rad) > 0 for s in by_day for o in s.objects]
+    assert 0.3 < np.mean(noses) < 0.7
+    night = Site(FLAT, (), frozenset(), 80.0, time_of_day="night")
+    key = FrameKey("1_80_60_0_00001", "train", 0, WH, 60.0, "night")
+    drawn, unaligned = (sample_scene(key, recipe, models, 0, night).spec for recipe in (aligned, plain))
+    assert drawn.objects == unaligned.objects
+
+
 def test_flying_objects_have_headings_of_their_own():
     plain = load_recipe("hit-uav-drone-physical", ["objects.0.count=2"])
     aligned = load_recipe("hit-uav-drone-physical", ["objects.0.count=2", "objects.0.align={share: 1}"])
