@@ -8,12 +8,11 @@ least 12 levels darker than the ring. A box that reaches below what is visible h
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
+from data_options import data_parser
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
@@ -32,10 +31,7 @@ LEAST_BOXES = 8
 
 def main() -> None:
     """Print a line per dataset, range of pitch and shape."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, nargs="+")
-    parser.add_argument("--category", default="Car")
-    parser.add_argument("--split", default="train")
+    parser = data_parser(__doc__)
     parser.add_argument("--time", default="night", choices=("day", "night"))
     options = parser.parse_args()
     print(f"height in the box: {HEIGHTS.round(1).tolist()}")

@@ -8,13 +8,12 @@ without another box within 16 px. The side below is the one that the camera look
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
+from data_options import data_parser
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
@@ -31,10 +30,7 @@ SIDES = ((0, -1, "up"), (0, 1, "down"), (-1, 0, "across"), (1, 0, "across"))
 
 def main() -> None:
     """Print a line per dataset and side."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, nargs="+")
-    parser.add_argument("--category", default="Car")
-    parser.add_argument("--split", default="train")
+    parser = data_parser(__doc__)
     parser.add_argument("--time", default="night", choices=("day", "night"))
     options = parser.parse_args()
     print(f"distance from the box's edge, px: {FROM_EDGE_PX.tolist()}")

@@ -8,10 +8,8 @@ longer side.
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from data_options import data_parser
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
@@ -24,11 +22,7 @@ ALONE = 100.0
 
 def main() -> None:
     """Print a line per dataset and range of pitch."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, nargs="+")
-    parser.add_argument("--category", default="Car")
-    parser.add_argument("--split", default="train")
-    options = parser.parse_args()
+    options = data_parser(__doc__).parse_args()
     for data in options.data:
         images = [i for i in read(data).images if i.split == options.split and i.pitch_deg is not None and i.size_wh]
         rows = np.concatenate([np.empty((0, 5)), *(spacing(i, options.category) for i in images)])

@@ -8,9 +8,10 @@ Flying objects are put at a drawn distance on the ray through such a point, alwa
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Protocol
 
 import cv2
@@ -181,38 +182,25 @@ def real_camera(
     return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
 
-@dataclass(frozen=True)
-class Directions:
-    """Directions on the ground that objects with `align` stand along in one picture."""
-
-    lines_rad: float
-    """Of the lines on the ground, or at right angles to them; any where no lines are clear, or none are asked for."""
-    off_view: float
-    """Standard normal deviate: how far the direction is from that in which the camera looks."""
-
-    def of(self, align: Align) -> float:
-        """Return the direction for objects with these settings, radians counter-clockwise from +X."""
-        if align.along == "lines":
-            return self.lines_rad
-        # The camera looks along +Y.
-        return math.pi / 2 + math.radians(align.turn_deg) * self.off_view
-
-
-def common_directions(
+def common_headings(
     camera: CameraSpec, view: View, recipe: MetricRecipe, site: Site, rng: np.random.Generator
-) -> Directions | None:
-    """Return the directions along which objects with `align` stand; None if none are aligned in this picture."""
-    aligned = [align for kind in recipe.objects if (align := _align_of(kind, site)) is not None]
+) -> dict[int, float]:
+    """Return the direction along which objects stand, radians, by identity of their kind; only of aligned kinds."""
+    aligned = {id(kind): align for kind in recipe.objects if (align := _align_of(kind, site)) is not None}
     if not aligned:
-        return None
+        return {}
     turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
-    lines = None
-    if any(align.along == "lines" for align in aligned):
+    along_lines = math.pi * turn
+    if any(align.along == "lines" for align in aligned.values()):
         boxes = [*boxes_of(site.labels), *site.text_boxes]
         lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
-    if lines is None or lines.clarity < _LEAST_CLARITY:
-        return Directions(math.pi * turn, off_view)
-    return Directions(lines.yaw_rad + (math.pi / 2 if across else 0.0), off_view)
+        if lines is not None and lines.clarity >= _LEAST_CLARITY:
+            along_lines = lines.yaw_rad + (math.pi / 2 if across else 0.0)
+    # The camera looks along +Y.
+    return {
+        kind: along_lines if align.along == "lines" else math.pi / 2 + math.radians(align.turn_deg) * off_view
+        for kind, align in aligned.items()
+    }
 
 
 def _align_of(kind: Object, site: Site) -> Align | None:
@@ -230,12 +218,11 @@ def place_metric(
     rng: np.random.Generator,
     tally: DrawStatistics,
     occupied: Sequence[FloatArray] = (),
-    directions: Directions | None = None,
+    headings: Mapping[int, float] = MappingProxyType({}),
 ) -> list[Pose | None]:
     """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
 
-    `occupied` has the (4,) boxes of inserts that have their place already; `directions` come from
-    `common_directions`.
+    `occupied` has the (4,) boxes of inserts that have their place already, `headings` are those of `common_headings`.
     """
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
@@ -250,6 +237,7 @@ def place_metric(
         found = None
         in_a_row = missed.get(id(item.kind), 0)
         attempts = attempts_after(in_a_row, rules.attempts)
+        heading = headings.get(id(item.kind))
         group = _kind(item).group
         mates: list[Pose] = []
         if group is not None and item.model.stands and rng.random() < group.share:
@@ -260,7 +248,7 @@ def place_metric(
         for attempt in range(attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * attempts
-            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, site, rng, directions)
+            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng, heading)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -322,21 +310,15 @@ def _kind(item: PlacementRequest) -> MetricObject:
 
 
 def _draw(
-    camera: CameraSpec,
-    view: View,
-    item: PlacementRequest,
-    site: Site,
-    rng: np.random.Generator,
-    directions: Directions | None,
+    camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator, heading: float | None
 ) -> Pose | str:
     """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
     kind = _kind(item)
     w, h = camera.size_wh
     u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
     yaw = math.radians(rng.uniform(*kind.yaw_deg))
-    align = _align_of(kind, site)
-    if align is not None and directions is not None and item.model.stands:
-        yaw = _aligned(yaw, align, directions.of(align), rng)
+    if kind.align is not None and heading is not None and item.model.stands:
+        yaw = _aligned(yaw, kind.align, heading, rng)
     above = float(rng.uniform(*kind.z_m))
     away = float(rng.uniform(*kind.range_m))
     below = ground_point(camera, u, v, view.ground_z_m)

@@ -40,7 +40,7 @@ from infrablend.core.temperature import Radiometry
 from infrablend.errors import ModelError
 from infrablend.sampling.by_hand import place_by_hand
 from infrablend.sampling.calibration import is_below
-from infrablend.sampling.metric import Site, common_directions, place_metric, real_camera
+from infrablend.sampling.metric import Site, common_headings, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.thermal.sky import dew_point
@@ -134,8 +134,8 @@ def sample_scene(
         if site is None:
             raise ValueError(f"{frame.frame_id}: metric placement needs the background")
         camera, view = real_camera(recipe, like, site, stream(seed, frame.frame_id, "camera"))
-        directions = common_directions(camera, view, recipe, site, stream(seed, frame.frame_id, "heading"))
-        poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally, directions=directions)
+        headings = common_headings(camera, view, recipe, site, stream(seed, frame.frame_id, "heading"))
+        poses = place_metric(camera, view, recipe, wanted, site, rng["placement"], tally, headings=headings)
     else:
         labels, ignored, margin = (site.labels, site.ignored, site.margin) if site else ((), frozenset(), None)
         camera, poses = place_as_paper(like, recipe, wanted, labels, ignored, rng["placement"], tally, margin)
@@ -331,8 +331,8 @@ def move_objects(
         requests.append(without_shadow(request))
     tally = DrawStatistics()
     occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
-    directions = common_directions(spec.camera, view, recipe, site, stream(seed, spec.frame_id, "heading"))
-    drawn = place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied, directions)
+    headings = common_headings(spec.camera, view, recipe, site, stream(seed, spec.frame_id, "heading"))
+    drawn = place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied, headings)
     poses = dict(zip(moved, drawn, strict=True))
     objects = []
     for k, placed in enumerate(scene.objects):
