@@ -502,7 +502,7 @@ def test_calls_of_a_warm_pool_may_overlap(warm):
 
 def test_what_an_unfinished_call_leaves_is_dropped(warm, tmp_path):
     left = warm.run(orders(("give", 1), ("die_once", str(tmp_path / "flag")), *[("give", 9)] * 10))
-    assert next(left).value == 1
+    assert next(left).value in (1, 9)  # whichever worker is ready first
     left.close()
     assert [r.value for r in warm.run(orders(("give", 2), ("give", 3)))] in ([2, 3], [3, 2])
 

@@ -113,16 +113,20 @@ def is_loosened(instance: Instance) -> bool:
     return TIGHT_BOX in instance.extra
 
 
-def tighten_image(image: ImageRecord) -> ImageRecord:
-    """Return an image with the exact boxes of its inserted objects, where they were changed and are recorded."""
-    return replace(image, instances=tuple(_tightened(i) if is_loosened(i) else i for i in image.instances))
+def tighten_image(image: ImageRecord, *, fitted: bool = False) -> ImageRecord:
+    """Return an image with the exact boxes of its inserted objects, where they were changed and are recorded.
+
+    With `fitted`, boxes that were drawn around what is visible are around that, without a margin.
+    """
+    return replace(image, instances=tuple(_tightened(i, fitted) if is_loosened(i) else i for i in image.instances))
 
 
-def _tightened(one: Instance) -> Instance:
-    x, y, w, h = (float(v) for v in one.extra[TIGHT_BOX])
+def _tightened(one: Instance, fitted: bool) -> Instance:
+    box, obb = (SEEN_BOX, SEEN_OBB) if fitted and SEEN_BOX in one.extra else (TIGHT_BOX, TIGHT_OBB)
+    x, y, w, h = (float(v) for v in one.extra[box])
     corners = one.corners_xy
-    if TIGHT_OBB in one.extra:
-        corners = np.reshape(np.asarray(one.extra[TIGHT_OBB], np.float64), (4, 2))
+    if obb in one.extra:
+        corners = np.reshape(np.asarray(one.extra[obb], np.float64), (4, 2))
     extra = {k: v for k, v in one.extra.items() if k not in (TIGHT_BOX, TIGHT_OBB)}
     return replace(one, box_xyxy=np.array([x, y, x + w, y + h]), corners_xy=corners, extra=extra)
 

@@ -15,7 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
-from infrablend.core.dataset import SPLITS, TIGHT_BOX, TIGHT_OBB, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import (
+    SEEN_BOX,
+    SEEN_OBB,
+    SPLITS,
+    TIGHT_BOX,
+    TIGHT_OBB,
+    Category,
+    Dataset,
+    ImageRecord,
+    Instance,
+    Split,
+)
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
@@ -54,7 +65,6 @@ _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
-# Boxes of partly hidden objects, as x, y, width and height.
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
@@ -62,7 +72,11 @@ _SETTINGS = "camera_settings"
 SETTINGS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
 # Facts from the header of a picture that decide how far its height and lens can be trusted; see `formats.flight`.
 FLIGHT_FIELDS = ("camera", "altitude_from")
+# Boxes of partly hidden objects, as x, y, width and height.
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
+
+# Exact and visible boxes of inserted objects, where others were written, with the number of their values.
+_OTHER_BOXES = {TIGHT_BOX: 4, TIGHT_OBB: 8, SEEN_BOX: 4, SEEN_OBB: 8}
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -230,7 +244,7 @@ def annotation_record(
     a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
     a |= _known(track_id=instance.track_id)
     a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
-    a |= {k: _tidy(np.array(instance.extra[k])) for k in (TIGHT_BOX, TIGHT_OBB) if k in instance.extra}
+    a |= {k: _tidy(np.array(instance.extra[k])) for k in _OTHER_BOXES if k in instance.extra}
     a |= {"tight_box": True} if instance.extra.get("tight_box") else {}
     a |= _occlusion(instance)
     if instance.mask is not None:
@@ -553,8 +567,8 @@ def _read_annotations(
             extra["iscrowd"] = 1
         if a.get("tight_box") is True:
             extra["tight_box"] = True
-        exact = {TIGHT_BOX: to_floats(a.get(TIGHT_BOX), 4), TIGHT_OBB: to_floats(a.get(TIGHT_OBB), 8)}
-        extra |= {k: list(v) for k, v in exact.items() if v is not None and np.isfinite(v).all()}
+        others = {k: to_floats(a.get(k), n) for k, n in _OTHER_BOXES.items()}
+        extra |= {k: list(v) for k, v in others.items() if v is not None and np.isfinite(v).all()}
         instances.append(
             Instance(
                 names[category],

@@ -56,14 +56,15 @@ def read_objects(
         dataset: Dataset of the pictures; regions to ignore are no objects.
         images: Pictures to read.
         levels: Darkest and brightest level, for 16-bit pictures.
-        inserted: Whether to measure inserted objects, in their exact boxes, instead of annotated ones.
+        inserted: Whether to measure inserted objects, in the boxes that `labels.loosen` starts from, instead of annotated
+            ones.
         on_picture: Called after each picture.
     """
     ignored = {c.name for c in dataset.categories if c.ignore}
     found = ObjectReadings()
     for given in images:
         # Enlarged boxes of inserted objects say nothing about those of annotators.
-        image = tighten_image(given) if inserted else given
+        image = tighten_image(given, fitted=True) if inserted else given
         with contextlib.suppress(DatasetError):  # the problems of pictures are reported where the camera is fitted
             picture = eight_bit(load_background(image.path, image.size_wh).pixels, levels)
             objects = [o for o in image.instances if o.inserted == inserted and o.category not in ignored]
@@ -91,7 +92,7 @@ def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = 
 
     Args:
         annotated: Readings of annotated objects.
-        rendered: Readings of inserted objects of the same classes, whose boxes are exact.
+        rendered: Readings of inserted objects of the same classes, in boxes without a margin.
 
     Returns:
         `local_share` by time of day (see `bound_local_share`) and `box_looseness` by class: `by_time` (see `looseness`,

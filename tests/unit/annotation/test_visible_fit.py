@@ -143,7 +143,10 @@ def test_boxes_are_fitted_before_they_are_enlarged_and_the_exact_ones_are_kept()
     assert count == 2
     assert_allclose(loose.instances[0].box_xyxy, [x0 - w, y0 - h, x1 + w, y1 + h])
     assert_allclose(box_of_points(loose.instances[0].corners_xy), loose.instances[0].box_xyxy)
-    assert_allclose(tighten_image(loose).instances[0].box_xyxy, label.box_xyxy)
+    exact, fitted = tighten_image(loose).instances[0], tighten_image(loose, fitted=True).instances[0]
+    assert_allclose(exact.box_xyxy, label.box_xyxy)
+    assert_allclose(fitted.box_xyxy, seen(label))
+    assert_allclose(box_of_points(fitted.corners_xy), seen(label))
     assert by.to_counts() == {"boxes_fit": "visible", "loosened_by": 1.2}
     assert looseness_text(by.to_counts()) == "drawn around what is visible and enlarged by the factor 1.2"
     # Without enlarging, only boxes that can be fitted change; by default none do.

@@ -84,6 +84,7 @@ def test_boxes_fit_what_is_visible_of_partly_hidden_objects(tmp_path: Path, kind
         most = label.mask.to_array() & (change > 0.6 * change[label.mask.to_array()].max())
         v, u = np.nonzero(most)
         assert sx <= u.min() + 1 and u.max() <= sx + sw and sy <= v.min() + 1 and v.max() <= sy + sh
+        assert seen["bbox"] == seen.get("seen_bbox", shape["bbox"])
         moved += seen["bbox"] != shape["bbox"]
     assert moved == fitted.counts.get("boxes_loosened", 0)
 

@@ -251,21 +251,39 @@ def test_hit_uav_night_profile_is_reproduced(real_data, tmp_path):
     assert 1.0 <= report.profile.noise_grain_px <= 1.3
 
 
-def annotated(root, inserted):
-    """Write pictures with three warm squares each, of which the first `inserted` of the first picture are inserted."""
+def annotated(root, inserted, everywhere=False):
+    """Write pictures with three warm squares each; the first `inserted` of the first picture, or of all, are inserted."""
     records = []
     for n in range(12):
         picture, labels = scene(n), []
         for k, y in enumerate((60, 150, 240)):
             picture[y : y + 14, 300:314] = 190
             box = np.array([297.0, y - 3, 317, y + 17])
-            labels.append(Instance("Person", box, inserted=n == 0 and k < inserted))
+            labels.append(Instance("Person", box, inserted=(everywhere or n == 0) and k < inserted))
         path = root.parent / f"{root.name}-{n:02}.png"
         Image.fromarray(picture).save(path)
         records.append(ImageRecord(path.stem, path, "train", (384, 320), None, None, "night", tuple(labels)))
     categories = (Category(0, "Person"),)
     write("coco", root, records, categories, source=Dataset(root.parent, "coco", categories, tuple(records)))
     return root
+
+
+def test_annotated_boxes_are_compared_with_those_that_loosen_starts_from(tmp_path):
+    """Drawn boxes are 20 px wide; those of the run were enlarged, and are 16 px before, or 10 px with a fitted box."""
+    data, run = annotated(tmp_path / "data", 0), annotated(tmp_path / "run", 3, everywhere=True)
+    labels = run / "annotations" / "instances_train.json"
+
+    def factor(boxes):
+        written = json.loads(labels.read_text())
+        for a in written["annotations"]:
+            x, y, w, h = a["bbox"]
+            a |= {name: [x + (w - size) / 2, y + (h - size) / 2, size, size] for name, size in boxes.items()}
+        labels.write_text(json.dumps(written))
+        report = api.profile(data, tmp_path / "out", rendered=run)
+        return report.objects["box_looseness"]["Person"]["against_rendered"]["factor"]
+
+    assert factor({"tight_bbox": 16}) == pytest.approx(20 / 16, abs=0.01)
+    assert factor({"tight_bbox": 16, "seen_bbox": 10}) == pytest.approx(2, abs=0.01)
 
 
 def test_a_run_that_cannot_correct_the_boxes_is_named(tmp_path):
