@@ -53,6 +53,10 @@ class Looseness:
             counts["loosened_by_px"] = self.px
         return counts
 
+    def counted(self, changed: int) -> dict[str, Any]:
+        """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing if no box was changed."""
+        return {"boxes_loosened": changed, **self.to_counts()} if changed else {}
+
     def of(self, category: str) -> tuple[float, float]:
         """Return the factor and the distance, px, of a class."""
         factor = self.factors.get(category, 1.0) if isinstance(self.factors, Mapping) else self.factors

@@ -6,6 +6,7 @@ import tarfile
 import time
 from collections.abc import Mapping, Sequence
 
+from infrablend.annotation.looseness import Looseness
 from infrablend.core.files import flush, open_regular, replace_atomically
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing
@@ -91,6 +92,8 @@ def join_shards(
         }
         labels, timing = LabelSummary(), {"seconds": round(time.monotonic() - started, 3)}
         record = {**run_record(header, COMPLETE, plan, state, labels, timing), FILES: 0}
+        loosened = sum(_count(one, "boxes_loosened", 0) for one in shards)
+        record["counts"] = {**record["counts"], **Looseness.of_labels(plan.recipe.labels).counted(loosened)}
         write_marker(plan, packed, record)
         publish(packed, files)
         discard_run(files)
@@ -106,12 +109,21 @@ def _counted(plan: RunPlan, shards: Sequence[FinishedShard], finished: Mapping[S
         if (failure := failures.get(frame.frame_id)) is not None:
             state.add(TaskResult(frame.frame_id, None, failure), frame)
     for one in shards:
-        inserted = one.record["counts"].get("objects_inserted")
-        if type(inserted) is not int:
-            raise _changed(one, f"objects_inserted: {inserted!r} in its record")
         state.done += len(finished[one.shard])
-        state.inserted += inserted
+        state.inserted += _count(one, "objects_inserted")
     return state
+
+
+def _count(one: FinishedShard, name: str, absent: int | None = None) -> int:
+    """Return a count of a shard's record, or `absent` where the record has none.
+
+    Raises:
+        OutputError: It is no whole number.
+    """
+    found = one.record["counts"].get(name, absent)
+    if type(found) is not int:
+        raise _changed(one, f"{name}: {found!r} in its record")
+    return found
 
 
 def _append(one: FinishedShard, frames: Sequence[str], tar: TarWriter, table: TableWriter) -> int:

@@ -121,9 +121,7 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
         problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
-    if loosened:
-        by = {"boxes_loosened": loosened, **looseness.to_counts()}
-        finished = replace(finished, counts={**finished.counts, **by})
+    finished = replace(finished, counts={**finished.counts, **looseness.counted(loosened)})
     problems += absent_warnings(finished.draws)
     problems += limit_warnings(records)
     problems += air_warnings(records)

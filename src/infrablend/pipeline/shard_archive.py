@@ -80,10 +80,10 @@ def run_archived(
             if not os.path.lexists(unfinished_run(files).root):
                 _unpack(files, found)
         report = run_plan(plan, unfinished_run(files).root, execution, existing, on_progress, source=source)
-        _pack(plan, unfinished_run(files), packed, report.counts["frames"])
+        counts = _pack(plan, unfinished_run(files), packed, report.counts["frames"])
         publish(packed, files)
         discard_run(files)
-    return replace(report, out=files.folder, record_file=files.marker)
+    return replace(report, out=files.folder, record_file=files.marker, counts=counts)
 
 
 @contextlib.contextmanager
@@ -198,10 +198,10 @@ def _unpack(files: ShardFiles, record: Mapping[str, Any]) -> None:
         write_bytes(folder.image(known.image), frame.image)
 
 
-def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) -> None:
-    """Write tar, table and marker of the frames in the folder, one frame in memory at a time."""
+def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) -> dict[str, Any]:
+    """Write tar, table and marker of the frames in the folder, one frame in memory at a time; return the counts."""
     ids = {c.name: c.id for c in plan.categories}
-    packed, looseness = 0, Looseness.of_labels(plan.recipe.labels)
+    packed, loosened, looseness = 0, 0, Looseness.of_labels(plan.recipe.labels)
     with replace_atomically(files.tar, durable=True) as tar_part, replace_atomically(files.table) as table_part:
         with tar_part.open("wb") as stream, TarWriter(stream) as tar, TableWriter(table_part, ids) as table:
             for frame in plan.frames:
@@ -215,7 +215,8 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
                 if _sha256(picture) != record.image_sha256:
                     raise _changed(frame.frame_id, "its picture was changed")
                 image = labelled_image(frame, record, folder.image(record.image))
-                image, _ = loosen_image(image, looseness)
+                image, count = loosen_image(image, looseness)
+                loosened += count
                 key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
                 scene = read_regular(folder.record(frame.frame_id), folder.root)
                 offset = tar.add(key, Path(record.image).suffix[1:], picture)
@@ -227,7 +228,10 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
         flush(table_part)
         if packed != expected:
             raise OutputError(f"{folder.root}: found {packed} frames, expected {expected}. Repeat with --resume")
-    write_marker(plan, files, folder.read_run())
+    record = folder.read_run()
+    counts = {**record["counts"], **looseness.counted(loosened)}
+    write_marker(plan, files, {**record, "counts": counts})
+    return counts
 
 
 def write_marker(plan: RunPlan, files: ShardFiles, record: Mapping[str, Any]) -> None:

@@ -413,6 +413,34 @@ def test_boxes_of_inserted_objects_are_drawn_around_what_is_visible(dataset, tmp
         api.convert(tmp_path / "visible" / "coco", tmp_path / "twice", "coco", loosen=1.1)
 
 
+def test_fitted_boxes_are_the_same_in_all_formats_and_layouts(dataset, tmp_path):
+    pytest.importorskip("pyarrow.parquet")
+    settings = {"output.image": "png", "labels.fit": "visible", "labels.loosen": 1.2}
+    files = generate(dataset, tmp_path / "files", settings={**settings, "output.formats": ["coco", "yolo", "yolo-obb"]})
+    packed = generate(dataset, tmp_path / "packed", settings={**settings, "output.layout": "shards"})
+    loosened = {k: v for k, v in files.counts.items() if k.startswith("boxes_") or k == "loosened_by"}
+    assert loosened == {"boxes_loosened": 8, "boxes_fit": "visible", "loosened_by": 1.2}
+    assert loosened.items() <= packed.counts.items()
+
+    def inserted(folder):
+        return {
+            i.path.stem: next(o for o in i.instances if o.category == "drone")
+            for i in api.read_dataset(folder).images
+            if any(o.category == "drone" for o in i.instances)
+        }
+
+    coco = inserted(tmp_path / "files" / "coco")
+    assert sum(SEEN_BOX in o.extra for o in coco.values()) > 0
+    for folder in (tmp_path / "files" / "yolo", tmp_path / "files" / "yolo-obb", tmp_path / "packed"):
+        found = inserted(folder)
+        assert found.keys() == coco.keys()
+        for name, one in found.items():
+            if folder.name != "yolo-obb":  # whose boxes are around the oriented ones
+                np.testing.assert_allclose(one.box_xyxy, coco[name].box_xyxy, atol=0.01)
+            if folder.name != "yolo":
+                np.testing.assert_allclose(one.corners_xy, coco[name].corners_xy, atol=0.01)
+
+
 def test_boxes_of_inserted_objects_are_enlarged_by_pixels_in_all_formats(dataset, tmp_path):
     settings = {"output.image": "png", "output.formats": ["coco", "yolo", "yolo-obb"], "configurations": 1}
     generate(dataset, tmp_path / "tight", settings=settings)
