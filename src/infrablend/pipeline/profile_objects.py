@@ -56,8 +56,8 @@ def read_objects(
         dataset: Dataset of the pictures; regions to ignore are no objects.
         images: Pictures to read.
         levels: Darkest and brightest level, for 16-bit pictures.
-        inserted: Whether to measure inserted objects, in the boxes that `labels.loosen` starts from, instead of annotated
-            ones.
+        inserted: Whether to measure inserted objects instead of annotated ones, in the boxes that `labels.loosen`
+            starts from.
         on_picture: Called after each picture.
     """
     ignored = {c.name for c in dataset.categories if c.ignore}

@@ -228,9 +228,9 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
         flush(table_part)
         if packed != expected:
             raise OutputError(f"{folder.root}: found {packed} frames, expected {expected}. Repeat with --resume")
-    record = folder.read_run()
-    counts = {**record["counts"], **looseness.counted(loosened)}
-    write_marker(plan, files, {**record, "counts": counts})
+    run = folder.read_run()
+    counts = {**run["counts"], **looseness.counted(loosened)}
+    write_marker(plan, files, {**run, "counts": counts})
     return counts
 
 

@@ -252,7 +252,7 @@ def test_hit_uav_night_profile_is_reproduced(real_data, tmp_path):
 
 
 def annotated(root, inserted, everywhere=False):
-    """Write pictures with three warm squares each; the first `inserted` of the first picture, or of all, are inserted."""
+    """Write pictures with three warm squares each; the first `inserted` of one or all are inserted."""
     records = []
     for n in range(12):
         picture, labels = scene(n), []
