@@ -169,7 +169,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 def test_every_shipped_experiment_is_whole() -> None:
     assert {
         "datasets", "hit-uav", "hit-uav-drone", "leak-free", "mix", "monet-deer", "pitch-alignment", "transfer-car",
-        "transfer-drone", "transfer-person", "visible-vs-thermal",
+        "transfer-car-by-date", "transfer-deer", "transfer-drone", "transfer-person", "visible-vs-thermal",
     } <= set(list_experiments())  # fmt: skip
     for name in list_experiments():
         loaded = load_experiment(name)
