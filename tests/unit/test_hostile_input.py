@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from infrablend import api
 from infrablend.assets.user_model import read_description
@@ -269,3 +270,19 @@ def test_more_workers_than_memory_holds_are_not_started(monkeypatch, caplog):
     assert Execution(1).worker_count() == 1
     assert Execution(10**9).worker_count() < 10**6
     assert "--workers 1000000000" in caplog.text
+
+
+@pytest.mark.parametrize("bad", [[1e308] * 4, [1, 1, 0, 4], [1, 1, 4, -0.8], [1, 2, 3], "x"])
+def test_exact_and_visible_boxes_without_extent_are_left_out(tmp_path: Path, bad: object) -> None:
+    (tmp_path / "annotations").mkdir()
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [10, 10, 8, 8], "inserted": True}
+    content = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 64, "height": 48}],
+        "annotations": [annotation | {"tight_bbox": bad, "seen_bbox": bad}],
+        "categories": [{"id": 1, "name": "car"}],
+    }
+    (tmp_path / "annotations" / "instances_train.json").write_text(json.dumps(content))
+    (tmp_path / "images" / "train").mkdir(parents=True)
+    Image.new("L", (64, 48)).save(tmp_path / "images" / "train" / "a.png")
+    (image,) = api.read_dataset(tmp_path).images
+    assert not {"tight_bbox", "seen_bbox"} & set(image.instances[0].extra)

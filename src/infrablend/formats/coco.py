@@ -568,7 +568,9 @@ def _read_annotations(
         if a.get("tight_box") is True:
             extra["tight_box"] = True
         others = {k: to_floats(a.get(k), n) for k, n in _OTHER_BOXES.items()}
-        extra |= {k: list(v) for k, v in others.items() if v is not None and np.isfinite(v).all()}
+        extra |= {
+            k: list(v) for k, v in others.items() if v is not None and is_near(v) and (len(v) > 4 or min(v[2:]) > 0)
+        }
         instances.append(
             Instance(
                 names[category],

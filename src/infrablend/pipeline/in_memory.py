@@ -69,7 +69,8 @@ def as_frame(planned: PlannedFrame, composed: ComposedFrame, recipe: Recipe) -> 
     """Return a composed frame with decoded pixels, and labels as a run writes them."""
     record = composed.record
     labelled = labelled_image(planned, record, Path(record.image))
-    image, _ = loosen_image(labelled, Looseness.of_labels(recipe.labels))
+    looseness = Looseness.of_labels(recipe.labels)
+    image, _ = loosen_image(labelled, looseness, len(labelled.instances) - len(record.inserted))
     pixels = decode_image(composed.image_bytes)
     pixels.setflags(write=False)
     return Frame(record.frame_id, pixels, image.instances, record.scene, image, record, composed.image_bytes)

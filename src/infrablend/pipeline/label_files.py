@@ -102,7 +102,7 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
         for frame, record in zip(finished_frames.frames, records, strict=True):
             # The records keep the exact boxes.
             image = labelled_image(frame, record, folder.image(record.image))
-            image, count = loosen_image(image, looseness)
+            image, count = loosen_image(image, looseness, len(image.instances) - len(record.inserted))
             loosened += count
             yield image
 

@@ -215,7 +215,7 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
                 if _sha256(picture) != record.image_sha256:
                     raise _changed(frame.frame_id, "its picture was changed")
                 image = labelled_image(frame, record, folder.image(record.image))
-                image, count = loosen_image(image, looseness)
+                image, count = loosen_image(image, looseness, len(image.instances) - len(record.inserted))
                 loosened += count
                 key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
                 scene = read_regular(folder.record(frame.frame_id), folder.root)

@@ -413,6 +413,20 @@ def test_boxes_of_inserted_objects_are_drawn_around_what_is_visible(dataset, tmp
         api.convert(tmp_path / "visible" / "coco", tmp_path / "twice", "coco", loosen=1.1)
 
 
+def test_objects_of_an_earlier_run_keep_their_boxes(dataset, tmp_path):
+    settings = {"output.image": "png", "output.formats": ["coco"], "labels.loosen": 1.2, "configurations": 1}
+    generate(dataset, tmp_path / "first", settings=settings)
+    again = generate(tmp_path / "first" / "coco", tmp_path / "again", settings=settings)
+
+    def inserted(run):
+        text = (tmp_path / run / "coco" / "train.json").read_text()
+        return [(a["bbox"], a["tight_bbox"]) for a in json.loads(text)["annotations"] if a["inserted"]]
+
+    first, both = inserted("first"), inserted("again")
+    assert 0 < again.counts["boxes_loosened"] == again.counts["objects_inserted"]
+    assert all(box in both for box in first)
+
+
 def test_fitted_boxes_are_the_same_in_all_formats_and_layouts(dataset, tmp_path):
     pytest.importorskip("pyarrow.parquet")
     settings = {"output.image": "png", "labels.fit": "visible", "labels.loosen": 1.2}
