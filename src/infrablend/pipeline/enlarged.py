@@ -6,7 +6,7 @@ from infrablend.annotation.looseness import is_loosened
 from infrablend.core.dataset import Dataset
 from infrablend.core.files import load_json
 from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
-from infrablend.core.run_layout import RUN_FILE
+from infrablend.core.run_layout import EIGHT_BIT, RUN_FILE
 
 
 def count_enlarged(dataset: Dataset) -> int:
@@ -24,7 +24,8 @@ def count_marked(dataset: Dataset) -> int:
 
 def _recorded(dataset: Dataset) -> int:
     root = dataset.root
-    for record in (root / CONVERT_FILE, root / SPLIT_FILE, root / RUN_FILE, root.parent / RUN_FILE):
+    run = root.parent.parent if root.parent.name == EIGHT_BIT else root.parent
+    for record in (root / CONVERT_FILE, root / SPLIT_FILE, root / RUN_FILE, run / RUN_FILE):
         try:
             return int(load_json(record)["counts"]["boxes_loosened"])
         except (OSError, ValueError, KeyError, TypeError):

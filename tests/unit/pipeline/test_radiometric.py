@@ -237,6 +237,15 @@ def test_the_8_bit_dataset_shows_originals_and_inserts_by_the_same_agc(tmp_path:
     assert "8bit/" in (tmp_path / "run" / "README.md").read_text()
 
 
+def test_boxes_of_the_8_bit_dataset_are_not_enlarged_twice(tmp_path: Path) -> None:
+    agc = {"mode": "fixed", "low_c": -10, "high_c": 70}
+    fields = settings(60.0, **{"output.agc": agc, "output.formats": ["coco", "voc"], "labels.loosen": 1.2})
+    generate(write_flight(tmp_path / "data"), tmp_path / "run", fields)
+    for name in ("coco", "voc", "images"):
+        with pytest.raises(DatasetError, match="enlarged or fitted already"):
+            api.convert(tmp_path / "run" / "8bit" / name, tmp_path / "twice", "coco", loosen=1.1)
+
+
 def test_a_fixed_agc_without_a_scale_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     data = write_flight(tmp_path / "data")
     fields = {"output.agc": {"mode": "fixed", "low_c": 0, "high_c": 40}}
