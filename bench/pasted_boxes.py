@@ -20,14 +20,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.contrast import measure_contrast, near_edge, real_least
+from infrablend.compositing.contrast import near_edge
 from infrablend.core.boxes import box_iou
 from infrablend.core.dataset import ImageRecord, Instance, TimeOfDay
 from infrablend.core.rng import stream
 from infrablend.core.run_layout import RunLayout
 from infrablend.formats import coco
 from infrablend.formats.detection import read
-from infrablend.formats.images import load_background, save_image
+from infrablend.formats.images import save_image
+from infrablend.pipeline.experiments.pasting import is_seen, load_grey
 from infrablend.pipeline.record import read_record
 
 AROUND_PX = 5
@@ -67,7 +68,7 @@ def main() -> None:
     for frame in made.images:
         record = read_record(scenes.record(f"{frame.split}/{Path(frame.name).with_suffix('').as_posix()}"))
         assert record is not None, frame.id
-        background = load_background(options.backgrounds / record.background["path"])
+        background = load_grey(options.backgrounds / record.background["path"])
         picture, labels = fill(
             frame, np.asarray(background.pixels, np.uint8), alike(patches, frame), options.category, counts
         )
@@ -89,7 +90,7 @@ def cut(data: Path, category: str) -> tuple[list[Patch], Counter[str]]:
         if image.split != "train" or not wanted:
             continue
         boxes = [i.box_xyxy for i in image.instances]
-        picture = np.asarray(load_background(image.path).pixels, np.uint8)
+        picture = np.asarray(load_grey(image.path).pixels, np.uint8)
         height, width = picture.shape
         for n in wanted:
             others = boxes[:n] + boxes[n + 1 :]
@@ -99,7 +100,7 @@ def cut(data: Path, category: str) -> tuple[list[Patch], Counter[str]]:
                 unused["at the edge"] += 1
             elif overlap(boxes[n], others) > MOST_OVERLAP:
                 unused["overlap"] += 1
-            elif not seen(picture, boxes[n], others, category, image.time_of_day):
+            elif not is_seen(picture, boxes[n], others, category, image.time_of_day):
                 unused["low contrast"] += 1
             else:
                 box = boxes[n] - np.array([x0, y0, x0, y0])
@@ -139,7 +140,7 @@ def fill(
             if done is None or overlap(done[1], taken) > MOST_PASTED_OVERLAP:
                 continue
             pasted, box = done
-            if seen(pasted, box, taken, category, frame.time_of_day):
+            if is_seen(pasted, box, taken, category, frame.time_of_day):
                 picture = pasted
                 patch.used += 1
                 taken.append(box)
@@ -177,18 +178,6 @@ def placed(
 def overlap(box_xyxy: NDArray[np.float64], others: Sequence[NDArray[np.float64]]) -> float:
     """Return the largest overlap (IoU) of a box with others."""
     return float(box_iou(box_xyxy[None], np.array(others).reshape(-1, 4)).max(initial=0))
-
-
-def seen(
-    picture: Picture,
-    box_xyxy: NDArray[np.float64],
-    others: Sequence[NDArray[np.float64]],
-    category: str,
-    time_of_day: TimeOfDay | None,
-) -> bool:
-    """Return whether an object has the contrast that is required of inserted ones."""
-    contrast, least = measure_contrast(picture, box_xyxy, others), real_least(category, time_of_day)
-    return contrast is not None and least.is_met(contrast.change, contrast.clutter)
 
 
 if __name__ == "__main__":

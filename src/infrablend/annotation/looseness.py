@@ -80,10 +80,10 @@ def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[
     return [image for image, _ in loose], sum(count for _, count in loose)
 
 
-def loosen_image(image: ImageRecord, by: Looseness, kept: int = 0) -> tuple[ImageRecord, int]:
-    """Draw the boxes of the inserted objects of one image, see `loosen_inserted`; the first `kept` labels stay."""
-    instances, count = list(image.instances[:kept]), 0
-    for one in image.instances[kept:]:
+def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
+    """Draw the boxes of the inserted objects of one image, see `loosen_inserted`."""
+    instances, count = [], 0
+    for one in image.instances:
         factor, px = by.of(one.category)
         fitted = by.fit == "visible" and SEEN_BOX in one.extra
         if one.inserted and (factor > 1 or px > 0 or fitted) and image.size_wh is not None:

@@ -74,7 +74,6 @@ SETTINGS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
 FLIGHT_FIELDS = ("camera", "altitude_from")
 # Boxes of partly hidden objects, as x, y, width and height.
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
-
 # Exact and visible boxes of inserted objects, where others were written, with the number of their values.
 _OTHER_BOXES = {TIGHT_BOX: 4, TIGHT_OBB: 8, SEEN_BOX: 4, SEEN_OBB: 8}
 

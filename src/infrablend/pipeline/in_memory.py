@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.annotation.looseness import Looseness, loosen_image
+from infrablend.annotation.looseness import Looseness
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, ImageRecord, Instance
@@ -68,9 +68,7 @@ class Frame:
 def as_frame(planned: PlannedFrame, composed: ComposedFrame, recipe: Recipe) -> Frame:
     """Return a composed frame with decoded pixels, and labels as a run writes them."""
     record = composed.record
-    labelled = labelled_image(planned, record, Path(record.image))
-    looseness = Looseness.of_labels(recipe.labels)
-    image, _ = loosen_image(labelled, looseness, len(labelled.instances) - len(record.inserted))
+    image, _ = labelled_image(planned, record, Path(record.image), Looseness.of_labels(recipe.labels))
     pixels = decode_image(composed.image_bytes)
     pixels.setflags(write=False)
     return Frame(record.frame_id, pixels, image.instances, record.scene, image, record, composed.image_bytes)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.annotation.looseness import Looseness, loosen_image
+from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.run_layout import EIGHT_BIT, IMAGES
@@ -101,8 +101,7 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
         nonlocal loosened
         for frame, record in zip(finished_frames.frames, records, strict=True):
             # The records keep the exact boxes.
-            image = labelled_image(frame, record, folder.image(record.image))
-            image, count = loosen_image(image, looseness, len(image.instances) - len(record.inserted))
+            image, count = labelled_image(frame, record, folder.image(record.image), looseness)
             loosened += count
             yield image
 

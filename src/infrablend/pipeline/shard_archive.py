@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.annotation.looseness import Looseness, loosen_image
+from infrablend.annotation.looseness import Looseness
 from infrablend.core.files import (
     flush,
     output_error,
@@ -214,8 +214,7 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
                     raise _changed(frame.frame_id, str(error)) from error
                 if _sha256(picture) != record.image_sha256:
                     raise _changed(frame.frame_id, "its picture was changed")
-                image = labelled_image(frame, record, folder.image(record.image))
-                image, count = loosen_image(image, looseness, len(image.instances) - len(record.inserted))
+                image, count = labelled_image(frame, record, folder.image(record.image), looseness)
                 loosened += count
                 key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
                 scene = read_regular(folder.record(frame.frame_id), folder.root)

@@ -87,7 +87,7 @@ def cut_objects(dataset: Dataset, category: str) -> tuple[list[CutOut], Counter[
             others = boxes[:n] + boxes[n + 1 :]
             if near_edge(boxes[n], picture.shape):
                 unusable["at the edge"] += 1
-            elif not _is_seen(picture, boxes[n], others, category, image.time_of_day):
+            elif not is_seen(picture, boxes[n], others, category, image.time_of_day):
                 unusable["low contrast"] += 1
             elif (cut := cut_out(picture, boxes[n], others)) is None:
                 unusable["no outline"] += 1
@@ -111,7 +111,7 @@ def load_grey(path: Path) -> Background:
     return picture
 
 
-def _is_seen(
+def is_seen(
     picture: GreyImage,
     box_xyxy: NDArray[np.float64],
     others: Sequence[NDArray[np.float64]],
@@ -167,7 +167,7 @@ class Paster:
                 if done is None:
                     continue
                 pasted, box, moved = done
-                if not _is_seen(pasted, box, taken, self.category, frame.time_of_day):
+                if not is_seen(pasted, box, taken, self.category, frame.time_of_day):
                     continue
                 picture = pasted
                 taken.append(box)
