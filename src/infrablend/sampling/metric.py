@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from infrablend.config.recipe import (
     Align,
     FixedAltitude,
+    Group,
     MetricObject,
     MetricRecipe,
     Object,
@@ -39,14 +40,14 @@ from infrablend.core.scene import View
 from infrablend.core.skyline import Skyline, find_skyline, noise_of
 from infrablend.sampling.calibration import FROM_TABLE, Calibration, HeightPrior, calibrate
 from infrablend.sampling.placement import (
-    MAX_OVERLAP,
     DrawStatistics,
     PlacementRequest,
     Pose,
     attempts_after,
     boxes_of,
+    collides,
     examine,
-    overlaps,
+    is_covered,
 )
 from infrablend.sampling.real_ground import draw_aim, ground_around
 
@@ -269,14 +270,15 @@ def place_metric(
             world = item.in_world(pose)
             reason, box = examine(camera, world, item, rules)
             if reason is None:
-                near = group.max_overlap if company and group is not None else MAX_OVERLAP
-                if overlaps(box, site.text_boxes, 0.0):
+                if is_covered(box, site.text_boxes, 0.0):
                     reason = "on_text"
                 elif on_margin(site.margin, box):
                     reason = "on_margin"
-                elif rules.clear_of_ignored and overlaps(box, ignored):
+                elif rules.clear_of_ignored and collides(box, ignored):
                     reason = "on_ignored"
-                elif rules.clear_of_labels and (overlaps(box, annotated) or overlaps(box, inserted, near)):
+                elif rules.clear_of_labels and (
+                    collides(box, annotated) or _hides_insert(box, inserted, group if company else None)
+                ):
                     reason = "on_annotated"
                 elif hiding is not None:
                     # What hides an object is not even ground.
@@ -295,6 +297,11 @@ def place_metric(
         missed[id(item.kind)] = 0 if found else in_a_row + 1
         poses.append(found)
     return poses
+
+
+def _hides_insert(box_xyxy: FloatArray | None, inserted: FloatArray, group: Group | None) -> bool:
+    """Return whether a box shares too much with those of other inserts; members of a group may hide each other."""
+    return collides(box_xyxy, inserted) if group is None else is_covered(box_xyxy, inserted, group.max_overlap)
 
 
 def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:

@@ -19,7 +19,8 @@ from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import inside_fraction, project_triangles
 
-# Largest share of an object's box that may overlap a box it has to avoid.
+# Largest share of the smaller of two boxes that may be shared by an object and what it has to avoid. The paper's
+# placement knows the object's box only.
 MAX_OVERLAP = 0.02
 # Share of the attempts that each object gets, however many of its kind before it found no place.
 _FEWEST_ATTEMPTS = 0.05
@@ -147,7 +148,7 @@ def place_as_paper(
             tally.attempts += 1
             world = item.in_world(pose)
             reason, box = examine(camera, world, item, rules)
-            if reason is None and overlaps(box, avoid):
+            if reason is None and is_covered(box, avoid):
                 reason = "on_ignored"
             elif reason is None and on_margin(margin, box):
                 reason = "on_margin"
@@ -206,12 +207,25 @@ def boxes_of(labels: Sequence[Instance]) -> FloatArray:
     return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
 
 
-def overlaps(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:
+def is_covered(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:
     """Return whether one of (n, 4) other boxes covers more than `share` of the box."""
     if box_xyxy is None or not len(others):
         return False
+    area = float(np.prod(box_xyxy[2:] - box_xyxy[:2]))
+    return bool((_shared_area(box_xyxy, others) > share * area).any())
+
+
+def collides(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:
+    """Return whether the box shares more than `share` of the smaller box's area with one of (n, 4) other boxes."""
+    if box_xyxy is None or not len(others):
+        return False
+    area = float(np.prod(box_xyxy[2:] - box_xyxy[:2]))
+    smaller = np.minimum(np.prod(others[:, 2:] - others[:, :2], axis=1), area)
+    return bool((_shared_area(box_xyxy, others) > share * smaller).any())
+
+
+def _shared_area(box_xyxy: FloatArray, others: FloatArray) -> FloatArray:
     low = np.maximum(others[:, :2], box_xyxy[:2])
     high = np.minimum(others[:, 2:], box_xyxy[2:])
-    shared = np.prod(np.maximum(high - low, 0), axis=1)
-    area = float(np.prod(box_xyxy[2:] - box_xyxy[:2]))
-    return bool((shared > share * area).any())
+    shared: FloatArray = np.prod(np.maximum(high - low, 0), axis=1)
+    return shared

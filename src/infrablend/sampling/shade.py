@@ -14,7 +14,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import Sun
 from infrablend.sampling.metric import Site, feet_box
-from infrablend.sampling.placement import PlacementRequest, Pose, boxes_of, overlaps
+from infrablend.sampling.placement import PlacementRequest, Pose, boxes_of, is_covered
 
 # Ground by day that is this much darker than the picture's median lies in the shade, 8-bit levels: people there have
 # no dark parts (HIT-UAV, train).
@@ -62,7 +62,7 @@ def with_shadow(
     if (depth <= 0).any():
         return item
     box = np.concatenate([xy.min(axis=0), xy.max(axis=0)])
-    return item if overlaps(box, boxes_of(labels), 0.0) else shadowed
+    return item if is_covered(box, boxes_of(labels), 0.0) else shadowed
 
 
 def without_shadow(item: PlacementRequest) -> PlacementRequest:

@@ -13,6 +13,7 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import Site, is_even, relief_of
+from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides
 from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
 
 WH = (640, 512)
@@ -185,6 +186,30 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
     covered = draw(recipe, labels=[Instance("DontCare", np.array([0.0, 0, 640, 512]))])
     assert not covered.objects
     assert covered.draws["absent"] == {"no_place": 6}
+
+
+def labelled_box(camera, o):
+    """Return the box of an inserted object's labelled parts in the picture."""
+    model = load_model(o.model)
+    item = PlacementRequest(None, model, o.params, model.build(o.params), o.scale)
+    return box_px(camera, item.in_world((*o.position_m, o.yaw_rad)), item)
+
+
+def test_large_objects_cover_no_small_annotated_ones():
+    """People of 1 % of a car's box vanished under it: what is shared counts against the smaller of both boxes."""
+    rng = np.random.default_rng(5)
+    people = [Instance("Person", np.array([x, y, x + 4, y + 4])) for x, y in rng.uniform(10, 500, (300, 2))]
+    recipe = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
+    drawn = [draw(recipe, labels=people, number=n) for n in range(8)]
+    boxes = [labelled_box(s.camera, o) for s in drawn for o in s.objects]
+    assert len(boxes) >= 8
+    assert all(np.prod(b[2:] - b[:2]) > 50 * 16 for b in boxes)
+    assert not any(collides(b, boxes_of(people)) for b in boxes)
+    # With the rule off, cars do cover them.
+    free = [
+        draw(load_recipe("hit-uav-car", ["placement.clear_of_labels=false"]), labels=people, number=n) for n in range(8)
+    ]
+    assert any(collides(labelled_box(s.camera, o), boxes_of(people)) for s in free for o in s.objects)
 
 
 def test_the_search_for_places_is_bounded_in_a_picture_that_is_full():
