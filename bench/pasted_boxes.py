@@ -63,11 +63,12 @@ def main() -> None:
     patches, unused = cut(options.data, options.category)
     print(f"{len(patches)} boxes; not used: {dict(unused)}")
     made, scenes = read(options.run), RunLayout(options.run)
+    records = [record for path in scenes.records() if (record := read_record(path)) is not None]
+    by_picture = {scenes.image(record.image).resolve(): record for record in records}
     counts: Counter[str] = Counter()
     images = []
     for frame in made.images:
-        record = read_record(scenes.record(f"{frame.split}/{Path(frame.name).with_suffix('').as_posix()}"))
-        assert record is not None, frame.id
+        record = by_picture[frame.path.resolve()]
         background = load_grey(options.backgrounds / record.background["path"])
         picture, labels = fill(
             frame, np.asarray(background.pixels, np.uint8), alike(patches, frame), options.category, counts
@@ -133,7 +134,7 @@ def fill(
     taken = [i.box_xyxy for i in frame.instances if not i.inserted]
     for number, insert in enumerate(i for i in frame.instances if i.inserted):
         rng = stream(0, "pasted-boxes", frame.split, frame.id, number)
-        for tries in range(THERE + ELSEWHERE):
+        for tries in range(THERE + ELSEWHERE if patches else 0):
             choice = [patches[k] for k in rng.permutation(len(patches))[:CHOICE]]
             patch = min(choice, key=lambda p: p.used)
             done = placed(picture, patch, insert.box_xyxy if tries < THERE else None, rng)

@@ -30,9 +30,9 @@ def data(tmp_path, write_tiny_hit_uav):
     return write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
 
 
-def generate(data, out, **kwargs):
+def generate(data, out, recipe="hit-uav-drone", **kwargs):
     options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.formats=[coco]"]}
-    return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
+    return api.generate(recipe, data, out, **{**options, **kwargs})
 
 
 def digests(folder):
@@ -107,9 +107,21 @@ def test_one_mistake_gives_one_readable_problem(setting, problem):
     assert problem in str(caught.value.problems[0])
 
 
+def test_a_turn_that_has_no_effect_is_refused():
+    align = "objects.0.align={along: lines, turn_deg: 5}"
+    with pytest.raises(RecipeError, match="turn_deg with along: view only; found 5 with along: lines"):
+        load_recipe("hit-uav-car", [align])
+    assert load_recipe("hit-uav-car", [align.replace("lines", "view")]).objects[0].align.turn_deg == 5
+
+
 def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_path):
     with pytest.raises(RecipeError, match=r"objects\.0\.options"):
         generate(data, tmp_path / "run", settings={"objects.0.options": {"pose": "x"}})
+    walking = {"objects.0.group": {"share": 0.5}, "objects.0.align": {"along": "view"}}
+    with pytest.raises(RecipeError) as caught:
+        generate(data, tmp_path / "run", recipe="hit-uav-drone-physical", settings=walking)
+    assert [p.where for p in caught.value.problems] == ["objects.0.group", "objects.0.align"]
+    assert "which flies" in str(caught.value)
     with pytest.raises(RecipeError, match="Persn"):
         generate(data, tmp_path / "run", settings={"labels.keep_categories": ["Persn"]})
     assert not (tmp_path / "run").exists()

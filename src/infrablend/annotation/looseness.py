@@ -18,6 +18,9 @@ PerClass = float | Mapping[str, float]
 
 Fit = Literal["shape", "visible"]
 
+LOOSENED = "boxes_loosened"
+"""Name of the count of changed boxes in records."""
+
 _LEAST_PX = 1e-9  # shorter movements are rounding errors
 
 
@@ -55,7 +58,7 @@ class Looseness:
 
     def counted(self, changed: int) -> dict[str, Any]:
         """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing if no box was changed."""
-        return {"boxes_loosened": changed, **self.to_counts()} if changed else {}
+        return {LOOSENED: changed, **self.to_counts()} if changed else {}
 
     def of(self, category: str) -> tuple[float, float]:
         """Return the factor and the distance, px, of a class."""

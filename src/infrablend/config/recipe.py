@@ -252,9 +252,11 @@ class Group(Strict):
     """Distance between the centres of the two objects, metres."""
     in_row: bool = False
     """Place the object at the other's side with the same or the opposite heading, within 4 degrees, as cars are parked;
-    otherwise in any direction with a heading of its own."""
+    otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
+    rows as a whole."""
     max_overlap: float = Field(0.3, ge=0, le=1)
-    """Largest share of the object's box that may cover the box of another insert; 0.02 for objects outside groups."""
+    """Largest share of the object's box that may cover the box of another insert. Objects outside groups share at most
+    0.02 of the smaller box with others."""
 
 
 class Align(Strict):
@@ -273,6 +275,12 @@ class Align(Strict):
     """With `along: view`: standard deviation of the direction of a picture from that in which the camera looks."""
     time_of_day: Literal["day", "night"] | None = None
     """Align objects in pictures of this time of day only; in all by default."""
+
+    @model_validator(mode="after")
+    def _turn_is_used(self) -> Self:
+        if self.along == "lines" and self.turn_deg != type(self).model_fields["turn_deg"].default:
+            raise ValueError(f"turn_deg with along: view only; found {self.turn_deg:g} with along: lines")
+        return self
 
 
 CLASS_NAME = (
@@ -407,9 +415,9 @@ class MetricPlacement(Placement):
     """`metric`: in the view of the real camera, at its real height. Models that stand are placed on the ground at a
     point drawn over the image, models that fly at the distance `objects.*.range_m`."""
     clear_of_labels: bool = True
-    """Reject placements that cover annotated objects or other inserts."""
+    """Reject placements that cover annotated objects or other inserts: that share more than 0.02 of the smaller box."""
     clear_of_ignored: bool = True
-    """Reject placements that cover ignore regions (DontCare)."""
+    """Reject placements that cover ignore regions (DontCare): that share more than 0.02 of the smaller box."""
     max_relief_grey: float = Field(12.0, ge=0)
     """Models that stand: largest standard deviation of the background under the feet, 8-bit grey levels. Trees, roof
     edges and kerbs have more than level ground. 0 turns the check off."""

@@ -23,7 +23,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.dataset_folder import DatasetFolder
-from infrablend.pipeline.enlarged import count_enlarged
+from infrablend.pipeline.enlarged import count_enlarged, count_marked
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
@@ -138,7 +138,7 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
-    looseness, earlier = Looseness(loosen, loosen_px), count_enlarged(dataset)
+    looseness, earlier = Looseness(loosen, loosen_px), count_enlarged(dataset, wanted)
     if (loosen, loosen_px) != (1, 0):
         _require_tight(dataset, looseness, earlier, writer)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
@@ -186,7 +186,10 @@ def convert_dataset(
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if earlier:
-            changes.append(f"{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones.")
+            few = "" if wanted.images == dataset.images or count_marked(wanted) else "Up to "
+            changes.append(
+                f"{few}{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones."
+            )
         if looseness:
             changes.append(loosened_text(loosened, looseness))
         card = dataset_card(

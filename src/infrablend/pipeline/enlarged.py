@@ -9,12 +9,15 @@ from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
 from infrablend.core.run_layout import EIGHT_BIT, RUN_FILE
 
 
-def count_enlarged(dataset: Dataset) -> int:
+def count_enlarged(dataset: Dataset, part: Dataset | None = None) -> int:
     """Return how many boxes are enlarged or fitted: by their marks, or else by the record of the dataset's command.
 
-    COCO and shards mark such boxes; other formats do not.
+    COCO and shards mark such boxes; other formats do not. Of a `part` of such a dataset the number is an upper limit.
     """
-    return count_marked(dataset) or _recorded(dataset)
+    part = dataset if part is None else part
+    if count_marked(dataset):
+        return count_marked(part)
+    return min(_recorded(dataset), sum(len(image.instances) for image in part.images))
 
 
 def count_marked(dataset: Dataset) -> int:

@@ -6,7 +6,7 @@ import tarfile
 import time
 from collections.abc import Mapping, Sequence
 
-from infrablend.annotation.looseness import Looseness
+from infrablend.annotation.looseness import LOOSENED, Looseness
 from infrablend.core.files import flush, open_regular, replace_atomically
 from infrablend.core.finished import COMPLETE
 from infrablend.core.output import Existing
@@ -29,12 +29,15 @@ from infrablend.pipeline.shard_table import TableWriter, packed_pictures
 
 
 def can_join(plan: RunPlan, shards: Sequence[FinishedShard]) -> bool:
-    """Return whether these shards are packed, and agree in what labels and records of their frames name."""
+    """Return whether these shards are packed, agree in what their labels and records name, and count all of it."""
     ids = [(c.id, c.name) for c in plan.categories]
+    looseness = bool(Looseness.of_labels(plan.recipe.labels))
     return all(
         one.source.packed() is not None
         and one.record.get(RUN) == plan.run
         and [(c.get("id"), c.get("name")) for c in one.record.get("categories", ()) if isinstance(c, Mapping)] == ids
+        # Older shards do not count the boxes that were changed.
+        and not (looseness and one.record["counts"].get("objects_inserted") and LOOSENED not in one.record["counts"])
         for one in shards
     )
 
@@ -92,7 +95,7 @@ def join_shards(
         }
         labels, timing = LabelSummary(), {"seconds": round(time.monotonic() - started, 3)}
         record = {**run_record(header, COMPLETE, plan, state, labels, timing), FILES: 0}
-        loosened = sum(_count(one, "boxes_loosened", 0) for one in shards)
+        loosened = sum(_count(one, LOOSENED, 0) for one in shards)
         record["counts"] = {**record["counts"], **Looseness.of_labels(plan.recipe.labels).counted(loosened)}
         write_marker(plan, packed, record)
         publish(packed, files)
@@ -118,10 +121,10 @@ def _count(one: FinishedShard, name: str, absent: int | None = None) -> int:
     """Return a count of a shard's record, or `absent` where the record has none.
 
     Raises:
-        OutputError: It is no whole number.
+        OutputError: It is no whole number, or negative.
     """
     found = one.record["counts"].get(name, absent)
-    if type(found) is not int:
+    if type(found) is not int or found < 0:
         raise _changed(one, f"{name}: {found!r} in its record")
     return found
 

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from infrablend.annotation.looseness import Looseness, is_loosened, loosen_image
+from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.core.mesh import FloatArray
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError
@@ -188,15 +189,18 @@ class ObjectMeasurer:
     def _inserted(self, source: ImageRecord, record: FrameRecord) -> Measurements:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
         picture, labels = eight_bit(pixels, self._settings.levels), _labels_of(source, record)
-        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
         looseness = Looseness.of_labels(self._recipe.labels)
+        image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
+        # Boxes are drawn around what is visible, if the recipe says so; a margin is in addition to that.
+        fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
+        boxes = [i.box_xyxy for i in fitted.instances]
+        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id, boxes)
         if looseness:
-            image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
-            loose, _ = loosen_image(image, looseness)
+            written, _ = loosen_image(image, looseness)
             level = float(np.median(picture))
-            drawn = [*labels[: len(labels) - len(record.inserted)], *loose.instances]
-            for instance in loose.instances:
-                if is_loosened(instance) and instance.category in self._settings.categories:
+            drawn = [*labels[: len(labels) - len(record.inserted)], *written.instances]
+            for instance in written.instances:
+                if instance.category in self._settings.categories:
                     of_object = _contrast(picture, level, instance, drawn, source, record.frame_id)
                     if of_object is not None:
                         found.contrasts.setdefault("as_written", []).append(of_object)
@@ -210,8 +214,12 @@ class ObjectMeasurer:
         labels: Sequence[Instance],
         objects: Sequence[Instance],
         key: str,
+        boxes: Sequence[FloatArray] | None = None,
     ) -> Measurements:
-        """Measure the objects of the wanted classes; `labels` are all labels of the picture."""
+        """Measure the objects of the wanted classes; `labels` are all labels of the picture.
+
+        `boxes` are the (4,) boxes to compare with the visible extents, where they are not those of the objects.
+        """
         found, where = Measurements(), Labels(picture.shape, labels)
         level = float(np.median(picture))
         for number, instance in enumerate(objects):
@@ -220,7 +228,8 @@ class ObjectMeasurer:
             of_object = _contrast(picture, level, instance, labels, source, key)
             if of_object is not None:
                 found.contrasts.setdefault(population, []).append(of_object)
-                extent = box_extent(picture, instance, labels, of_object)
+                box = instance.box_xyxy if boxes is None else boxes[number]
+                extent = box_extent(picture, replace(instance, box_xyxy=box), labels, of_object)
                 if extent is not None:
                     found.extents.setdefault(population, []).append(extent)
             reason = reason_not_measured(instance, where)

@@ -21,6 +21,7 @@ from infrablend.config.recipe import (
     NOT_IN_KEY,
     FixedPitch,
     MetricCamera,
+    MetricObject,
     MetricSections,
     RadiometricMatching,
     RandomPitch,
@@ -390,7 +391,10 @@ def as_text(name: str) -> str:
 
 
 def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
-    """Try each object's options once: an invalid one would otherwise fail every frame."""
+    """Try each object's options once: an invalid one would otherwise fail every frame.
+
+    Settings for objects on the ground, which would have no effect on flying ones, are errors too.
+    """
     problems = []
     for i, o in enumerate(recipe.objects):
         try:
@@ -398,6 +402,14 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         except (InfraBlendError, ValueError, TypeError) as error:
             message = error.message if isinstance(error, InfraBlendError) else str(error)
             problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
+        if isinstance(o, MetricObject) and not models[o.model].stands:
+            problems += [
+                Problem(
+                    f"objects.{i}.{name}", "recipe-value", f"{o.model}, which flies", "a model that stands", "remove it"
+                )
+                for name in ("group", "align")
+                if getattr(o, name) is not None
+            ]
     if problems:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
 

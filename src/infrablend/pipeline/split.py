@@ -179,7 +179,7 @@ def split_dataset(
         report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
         report = replace(report, problems=(*report.problems, *folder.problems()))
         require_unchanged(dataset.root, dataset.markers)
-        enlarged = count_enlarged(dataset)
+        enlarged = count_enlarged(dataset, replace(dataset, images=tuple(images)))
         content = report.to_json()  # without the source: the same bytes wherever the dataset is
         if enlarged:
             content["counts"] = {"boxes_loosened": enlarged}

@@ -249,7 +249,7 @@ def place_metric(
         for attempt in range(attempts):
             tally.attempts += 1
             company = bool(mates) and attempt < _IN_COMPANY * attempts
-            pose = _draw_pose_beside(item, mates, rng) if company else _draw(camera, view, item, rng, heading)
+            pose = _draw_pose_beside(item, mates, rng, heading) if company else _draw(camera, view, item, rng, heading)
             if isinstance(pose, str):
                 tally.reject(pose)
                 continue
@@ -352,8 +352,13 @@ def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose, item: Placeme
     return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]), item.model.stands)
 
 
-def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator) -> Pose:
-    """Draw a pose beside one of the objects already placed, on the same ground."""
+def _draw_pose_beside(
+    item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator, common: float | None
+) -> Pose:
+    """Draw a pose beside one of the objects already placed, on the same ground.
+
+    `common` is the picture's heading, radians; objects in a row have their neighbour's, whether or not it follows that.
+    """
     kind = _kind(item)
     group = kind.group
     assert group is not None
@@ -365,6 +370,8 @@ def _draw_pose_beside(item: PlacementRequest, mates: Sequence[Pose], rng: np.ran
         towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
     else:
         yaw, towards = low + (high - low) * heading, 2 * math.pi * turn
+        if kind.align is not None and common is not None:
+            yaw = _aligned(yaw, kind.align, common, rng)
     return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from infrablend.formats import shard_tar
 from infrablend.pipeline import merge, shard_source, shard_table, sharded_run
+from infrablend.pipeline.folder import sealed
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
@@ -58,6 +59,33 @@ def test_joined_shards_have_the_bytes_of_an_undivided_one(dataset, tmp_path, mon
         assert marker(out)["counts"]["boxes_loosened"] == marker(out)["counts"]["objects_inserted"] > 0
         assert "shard 1/1: failed, 9 of 12 frames" in run("status", out).stdout
         assert run("check", out).exit_code == run("check", tmp_path / "whole").exit_code
+
+
+def test_shards_that_do_not_count_changed_boxes_are_made_anew(dataset, tmp_path, monkeypatch):
+    """Shards of earlier versions have no such count, and it must not become 0."""
+    for number in (1, 2):
+        run(*command(dataset, tmp_path / "parts", *PACKED, "--shard", f"{number}/2"))
+    expected = merged_counts(tmp_path, "joined")
+    assert expected["boxes_loosened"] == expected["objects_inserted"] > 0
+    change_counts(tmp_path / "parts", lambda counts: counts.pop("boxes_loosened"))
+    assert merged_counts(tmp_path, "older") == expected
+    change_counts(tmp_path / "parts", lambda counts: counts.update(boxes_loosened=-3))
+    ended = run("merge", tmp_path / "parts", tmp_path / "negative", "--layout", "shards")
+    assert ended.exit_code != 0 and "boxes_loosened: -3 in its record" in " ".join(ended.output.split())
+
+
+def merged_counts(tmp_path, name):
+    ended = run("merge", tmp_path / "parts", tmp_path / name, "--layout", "shards", "--json")
+    assert ended.exit_code == 0, ended.output
+    return json.loads(ended.stdout)["counts"]
+
+
+def change_counts(out, change):
+    """Change the counts of all shards in a folder, with valid digests."""
+    for path in sorted(out.glob("shard-*.json")):
+        record = json.loads(path.read_text())
+        change(record["counts"])
+        path.write_text(json.dumps(sealed(record), indent=2))
 
 
 def test_a_part_of_the_shards(dataset, tmp_path, monkeypatch):

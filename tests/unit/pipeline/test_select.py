@@ -17,6 +17,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
+from infrablend.pipeline.convert import ClassChanges
 from infrablend.pipeline.select import (
     MOST_COPIES,
     Conditions,
@@ -240,6 +241,11 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
         assert "2 boxes of inserted objects were enlarged or fitted before" in (report.out / "README.md").read_text()
         with pytest.raises(DatasetError, match="2 boxes that are enlarged or fitted already"):
             api.convert(report.out, tmp_path / "thrice", "coco", loosen_px=1)
+    # A part counts its own boxes, and one without enlarged boxes may be enlarged.
+    part = api.convert(tmp_path / "px", tmp_path / "none", "coco", classes=ClassChanges(drop=["Person"]))
+    assert "boxes_loosened" not in part.counts
+    part = api.convert(tmp_path / "voc", tmp_path / "none-voc", "yolo", classes=ClassChanges(drop=["Person"]))
+    assert "boxes_loosened" not in part.counts
     with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
         api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
     with pytest.raises(DatasetError, match=r"--loosen-inserted-px: \{"):

@@ -14,10 +14,14 @@ from PIL import Image
 from infrablend import api
 from infrablend.compositing.sensor import Sensor, grain
 from infrablend.core.boxes import pixel_box
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import SEEN_BOX, Instance
 from infrablend.core.rng import stream
+from infrablend.core.run_layout import RunLayout
+from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, MissingDependencyError, OutputError
 from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
+from infrablend.pipeline.measure_objects import MeasuringSettings, ObjectMeasurer, PictureJob
+from infrablend.pipeline.record import load_record
 from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised
@@ -421,6 +425,32 @@ def crowd(tmp_path_factory):
         execution=api.Execution(renderer="flat", in_process=True),
     )
     return run, data.parent
+
+
+def test_boxes_drawn_around_what_is_visible_are_measured_as_such(crowd):
+    """Objects whose box did not change were left out, and exact boxes were compared with visible extents."""
+    run, data = crowd
+    record = next(r for r in map(load_record, RunLayout(run).records()) if len(r.inserted) > 1)
+    first, *others = record.inserted
+    x0, y0, x1, y1 = first.box_xyxy
+    seen = replace(first, extra={**first.extra, SEEN_BOX: [x0, y0, (x1 - x0) / 2, y1 - y0]})
+    record = replace(record, inserted=(seen, *others))
+    (source,) = [i for i in api.read_dataset(data).images if i.id == record.background["id"] and i.split == "train"]
+    recipe = json.dumps({**record_recipe(run), "labels": {**record_recipe(run)["labels"], "fit": "visible"}})
+
+    def measured(recipe_json):
+        settings = MeasuringSettings(run, recipe_json, ("Person",), (0.0, 255.0), "flat", "CPU", pin_cores=False)
+        return ObjectMeasurer(settings)(Task("frame", PictureJob(source, record)))
+
+    exact, fitted = measured(json.dumps(record_recipe(run))), measured(recipe)
+    assert len(fitted.contrasts["as_written"]) >= len(fitted.contrasts["inserted"]) > 1
+    widths = [[e.box_wh[0] for e in m.extents["inserted"]] for m in (exact, fitted)]
+    assert len(widths[0]) == len(record.inserted)
+    assert widths[1] == pytest.approx([widths[0][0] / 2, *widths[0][1:]])
+
+
+def record_recipe(run):
+    return json.loads((run / "run.json").read_text())["recipe"]
 
 
 def test_a_run_is_compared(crowd, tmp_path, short_training):

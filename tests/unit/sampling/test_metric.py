@@ -334,6 +334,19 @@ def test_cars_of_a_picture_without_lines_share_a_direction():
     assert np.ptp(firsts) > 10
 
 
+def test_neighbours_are_aligned_as_well():
+    """Objects beside another one took any heading, whatever `align` said."""
+    settings = ["objects.0.count=6", "objects.0.align={share: 1, spread_deg: 2}", "placement.max_relief_grey=0"]
+    for in_row in ("true", "false"):
+        group = f"objects.0.group={{share: 1, apart_m: [3, 6], in_row: {in_row}, max_overlap: 0.6}}"
+        drawn = [
+            draw(load_recipe("hit-uav-car", [*settings, group]), lined(30), pitch=90.0, number=n) for n in range(6)
+        ]
+        off = np.concatenate([off_deg(s, 30, 90) for s in drawn])
+        # Headings in a row differ by up to 4 degrees from one neighbour to the next.
+        assert len(off) > 20 and np.median(off) < 5 and off.max() < 25
+
+
 def test_cars_stand_along_the_view_by_day_only():
     align = "objects.0.align={share: 1, along: view, turn_deg: 20, spread_deg: 2, time_of_day: day}"
     plain = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
