@@ -10,7 +10,7 @@ from pathlib import Path
 from infrablend.errors import Problem
 
 LOSSES: Mapping[str, str] = {
-    "box_dropped": "axis-aligned box other than the bounds of the oriented box or polygon, which are all that is held",
+    "box_dropped": "axis-aligned box: the format holds only the oriented box or polygon, whose bounds differ from it",
     "obb_dropped": "oriented box: the format holds only axis-aligned boxes",
     "obb_from_box": "object without an oriented box: its axis-aligned box was written as one",
     "obb_not_rectangle": "four corners that do not form a rectangle, written as the nearest rectangle",

@@ -248,10 +248,11 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
 
     The contrast is the smaller of the change of the object's pixels and the change of its box against the ring.
     """
-    measured: dict[str, array[float]] = {"labelled": array("d"), "before the limit": array("d")}
+    before = "before placement.min_contrast"
+    measured: dict[str, array[float]] = {"labelled": array("d"), before: array("d")}
     for r in records:
         kept = r.facts.get("contrast", ())
-        for name, values in (("labelled", kept), ("before the limit", r.facts.get("contrast_first", kept))):
+        for name, values in (("labelled", kept), (before, r.facts.get("contrast_first", kept))):
             measured[name].extend(float(min(c["changed"], c.get("change", c["changed"]))) for c in values)
     found = {}
     for name, levels in measured.items():

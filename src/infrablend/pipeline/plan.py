@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import shlex
-import statistics
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,7 +41,7 @@ from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.shard import Shard
-from infrablend.sampling.scene import FrameKey, require_parts
+from infrablend.sampling.scene import FrameKey, mean_objects, require_parts
 from infrablend.thermal.sun import sun_position, time_of
 
 # For estimates only. Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8.
@@ -67,8 +66,9 @@ _LENS_TOLERANCE = 0.15
 _SUN_IS_UP_RAD = math.radians(6)
 # A stated pitch that differs by more from the files' is reported.
 _PITCH_TOLERANCE_DEG = 15.0
-# Bytes per frame of labels, records and per-format files; images are hard links.
-TYPICAL_LABELS_BYTES = 12_000
+# Bytes of records, logs, reports and labels: per frame, and per inserted object; unchanged pictures are hard links.
+_BYTES_PER_FRAME = 6_000
+_BYTES_PER_OBJECT = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,9 @@ class RunPlan:
             shards: Number of shards that the run is divided into; None for an undivided run.
             price_per_core_hour: Price, in any currency; None gives no cost.
         """
-        sizes = [f.background.path.stat().st_size for f in self.frames[:: max(1, len(self.frames) // 200)]]
+        some = self.frames[:: max(1, len(self.frames) // 200)]
+        sizes = [f.background.path.stat().st_size for f in some]
+        objects = [mean_objects(self.recipe, f.key((1, 1))) for f in some if f.configuration is not None]
         factor = 4.0 if self.recipe.output.image == "png" else 1.0
         frames, formats = len(self.frames), max(1, len(self.recipe.output.formats))
         start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
@@ -184,7 +186,7 @@ class RunPlan:
         labels_s = frames * WRITE_LABELS_S * formats
         render_s = start_s + frames * self._frame_cpu_s / workers
         core_hours = (workers * START_S * (shards or 1) + frames * self._frame_cpu_s + labels_s) / 3600
-        per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + TYPICAL_LABELS_BYTES
+        per_frame = (sum(sizes) * factor + sum(objects) * _BYTES_PER_OBJECT) / max(len(some), 1) + _BYTES_PER_FRAME
         return {
             "backgrounds": len(self.dataset.images),
             "frames": len(self.frames),

@@ -452,6 +452,18 @@ def _wanted(
     return result
 
 
+def mean_objects(recipe: Recipe, frame: FrameKey) -> float:
+    """Return how many objects a recipe asks for in a frame on average, before places are looked for."""
+    total = 0.0
+    for kind in recipe.objects:
+        if isinstance(kind.count, Count):
+            numbers = _numbers(kind.count, frame)
+            total += float(np.average(numbers.values, weights=numbers.weights))
+        else:
+            total += kind.count
+    return (1 - recipe.empty_share) * total
+
+
 def _numbers(count: Count, frame: FrameKey) -> Numbers:
     """Return the numbers of objects for the time of day, the height and the angle of a picture."""
     for numbers in count.by_flight:

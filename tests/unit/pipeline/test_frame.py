@@ -309,7 +309,7 @@ def test_drones_against_the_sky_are_bright_and_their_contrast_is_recorded(tmp_pa
         assert r.inserted[0].extra["changed_grey"] == measured["changed"]
     coco = json.loads((tmp_path / "run" / "coco" / "train.json").read_text())
     assert all(a["changed_grey"] >= 17 and a["scr"] > 1.6 for a in coco["annotations"])
-    assert set(report.counts["contrast_grey"]) == {"labelled", "before the limit"}
+    assert set(report.counts["contrast_grey"]) == {"labelled", "before placement.min_contrast"}
 
 
 def test_every_label_of_a_physical_recipe_is_seen(tmp_path):

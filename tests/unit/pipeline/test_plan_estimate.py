@@ -41,3 +41,14 @@ def test_shards_are_planned_one_by_one(tmp_path: Path) -> None:
     assert parts["about_s"] is None and int(str(parts["about_per_shard_s"])) <= int(str(whole["about_s"]))
     assert float(str(parts["core_hours"])) > float(str(whole["core_hours"]))  # every shard starts its own workers
     assert planned(data, "--shard", "1", "--shard-size", 2)["shards"] == -(-frames // 2)
+
+
+def test_records_of_more_objects_take_more_space(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    one, five, drawn = (
+        int(str(planned(data, "--set", f"objects.0.count={count}")["disk_bytes"]))
+        for count in (1, 5, "{values: [0, 5], weights: [1, 4]}")
+    )
+    frames = int(str(planned(data)["frames"]))
+    assert five - one == pytest.approx(4 * 10_000 * frames, abs=2)
+    assert drawn - one == pytest.approx(3 * 10_000 * frames, abs=2)
