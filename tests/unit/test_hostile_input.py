@@ -107,21 +107,14 @@ def test_one_mistake_gives_one_readable_problem(setting, problem):
     assert problem in str(caught.value.problems[0])
 
 
-def test_a_turn_that_has_no_effect_is_refused():
-    align = "objects.0.align={along: lines, turn_deg: 5}"
-    with pytest.raises(RecipeError, match="turn_deg with along: view only; found 5 with along: lines"):
-        load_recipe("hit-uav-car", [align])
-    assert load_recipe("hit-uav-car", [align.replace("lines", "view")]).objects[0].align.turn_deg == 5
-
-
 def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_path):
     with pytest.raises(RecipeError, match=r"objects\.0\.options"):
         generate(data, tmp_path / "run", settings={"objects.0.options": {"pose": "x"}})
     walking = {"objects.0.group": {"share": 0.5}, "objects.0.align": {"along": "view"}}
-    with pytest.raises(RecipeError) as caught:
-        generate(data, tmp_path / "run", recipe="hit-uav-drone-physical", settings=walking)
-    assert [p.where for p in caught.value.problems] == ["objects.0.group", "objects.0.align"]
-    assert "which flies" in str(caught.value)
+    report = generate(data, tmp_path / "flying", recipe="hit-uav-drone-physical", settings=walking)
+    found = [p for p in report.problems if p.code == "no-effect"]
+    assert [p.where for p in found] == ["objects.0.group", "objects.0.align"]
+    assert all(p.severity == "warning" and "drone flies" in p.found for p in found)
     with pytest.raises(RecipeError, match="Persn"):
         generate(data, tmp_path / "run", settings={"labels.keep_categories": ["Persn"]})
     assert not (tmp_path / "run").exists()

@@ -57,8 +57,8 @@ class Looseness:
         return counts
 
     def counted(self, changed: int) -> dict[str, Any]:
-        """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing if no box was changed."""
-        return {LOOSENED: changed, **self.to_counts()} if changed else {}
+        """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing without a looseness."""
+        return {LOOSENED: changed, **self.to_counts()} if self else {}
 
     def of(self, category: str) -> tuple[float, float]:
         """Return the factor and the distance, px, of a class."""

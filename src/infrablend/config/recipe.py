@@ -272,15 +272,10 @@ class Align(Strict):
     spread_deg: float = Field(4.0, ge=0, le=45)
     """Standard deviation of the headings from the direction of the picture, degrees."""
     turn_deg: float = Field(15.0, ge=0, le=90)
-    """With `along: view`: standard deviation of the direction of a picture from that in which the camera looks."""
+    """With `along: view`: standard deviation of the direction of a picture from that in which the camera looks. With
+    `along: lines` it has no effect."""
     time_of_day: Literal["day", "night"] | None = None
     """Align objects in pictures of this time of day only; in all by default."""
-
-    @model_validator(mode="after")
-    def _turn_is_used(self) -> Self:
-        if self.along == "lines" and self.turn_deg != type(self).model_fields["turn_deg"].default:
-            raise ValueError(f"turn_deg with along: view only; found {self.turn_deg:g} with along: lines")
-        return self
 
 
 CLASS_NAME = (
@@ -415,7 +410,8 @@ class MetricPlacement(Placement):
     """`metric`: in the view of the real camera, at its real height. Models that stand are placed on the ground at a
     point drawn over the image, models that fly at the distance `objects.*.range_m`."""
     clear_of_labels: bool = True
-    """Reject placements that cover annotated objects or other inserts: that share more than 0.02 of the smaller box."""
+    """Reject placements that cover annotated objects or other inserts: that share more than 0.02 of the smaller box.
+    Inserts that are placed beside another one follow `group.max_overlap` among inserts."""
     clear_of_ignored: bool = True
     """Reject placements that cover ignore regions (DontCare): that share more than 0.02 of the smaller box."""
     max_relief_grey: float = Field(12.0, ge=0)

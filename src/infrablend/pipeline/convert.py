@@ -23,7 +23,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.dataset_folder import DatasetFolder
-from infrablend.pipeline.enlarged import count_enlarged, count_marked
+from infrablend.pipeline.enlarged import count_enlarged, count_marked, is_whole
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
@@ -186,9 +186,9 @@ def convert_dataset(
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if earlier:
-            few = "" if wanted.images == dataset.images or count_marked(wanted) else "Up to "
+            most = "" if count_marked(wanted) or is_whole(wanted, dataset) else "Up to "
             changes.append(
-                f"{few}{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones."
+                f"{most}{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones."
             )
         if looseness:
             changes.append(loosened_text(loosened, looseness))

@@ -12,12 +12,22 @@ from infrablend.core.run_layout import EIGHT_BIT, RUN_FILE
 def count_enlarged(dataset: Dataset, part: Dataset | None = None) -> int:
     """Return how many boxes are enlarged or fitted: by their marks, or else by the record of the dataset's command.
 
-    COCO and shards mark such boxes; other formats do not. Of a `part` of such a dataset the number is an upper limit.
+    COCO and shards mark such boxes, other formats do not: any box of a `part` of these may be an enlarged one.
     """
     part = dataset if part is None else part
     if count_marked(dataset):
         return count_marked(part)
-    return min(_recorded(dataset), sum(len(image.instances) for image in part.images))
+    recorded = _recorded(dataset)
+    return recorded if is_whole(part, dataset) or not recorded else _boxes_of(part)
+
+
+def is_whole(part: Dataset, dataset: Dataset) -> bool:
+    """Return whether a part of a dataset has all of its pictures and boxes."""
+    return len(part.images) == len(dataset.images) and _boxes_of(part) == _boxes_of(dataset)
+
+
+def _boxes_of(dataset: Dataset) -> int:
+    return sum(len(image.instances) for image in dataset.images)
 
 
 def count_marked(dataset: Dataset) -> int:

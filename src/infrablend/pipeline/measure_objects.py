@@ -18,7 +18,6 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.mesh import FloatArray
 from infrablend.core.render import Renderer
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError
@@ -183,28 +182,50 @@ class ObjectMeasurer:
             pixels = load_background(source.path, source.size_wh).pixels
         except DatasetError as error:  # `generate` has left it out, too
             return Measurements(unreadable=[error.message])
-        picture = eight_bit(pixels, self._settings.levels)
-        return self._all_of("real", picture, source, source.instances, source.instances, image_key(source))
+        picture, key = eight_bit(pixels, self._settings.levels), image_key(source)
+        found = self._all_of("real", picture, source, source.instances, source.instances, key)
+        drawn = self._contrasts(picture, source, source.instances, source.instances, key)
+        found.contrasts["real"] = [c for _, c in drawn]
+        found.extents["real"] = _extents(picture, drawn, source.instances)
+        return found
 
     def _inserted(self, source: ImageRecord, record: FrameRecord) -> Measurements:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
-        picture, labels = eight_bit(pixels, self._settings.levels), _labels_of(source, record)
-        looseness = Looseness.of_labels(self._recipe.labels)
+        picture, kept = eight_bit(pixels, self._settings.levels), _kept_of(source, record)
         image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
-        # Boxes are drawn around what is visible, if the recipe says so; a margin is in addition to that.
+        labels = [*kept, *record.inserted]
+        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
+        exact = self._contrasts(picture, source, record.inserted, labels, record.frame_id)
+        found.contrasts["inserted"] = [c for _, c in exact]
+        looseness = Looseness.of_labels(self._recipe.labels)
+        # A margin is in addition to a fit, so the boxes that the recipe fits are compared with the visible extents.
         fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
-        boxes = [i.box_xyxy for i in fitted.instances]
-        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id, boxes)
+        labels = [*kept, *fitted.instances]
+        drawn = self._contrasts(picture, source, fitted.instances, labels, record.frame_id)
+        found.extents["inserted"] = _extents(picture, drawn, labels)
         if looseness:
             written, _ = loosen_image(image, looseness)
-            level = float(np.median(picture))
-            drawn = [*labels[: len(labels) - len(record.inserted)], *written.instances]
-            for instance in written.instances:
-                if instance.category in self._settings.categories:
-                    of_object = _contrast(picture, level, instance, drawn, source, record.frame_id)
-                    if of_object is not None:
-                        found.contrasts.setdefault("as_written", []).append(of_object)
+            labels = [*kept, *written.instances]
+            drawn = self._contrasts(picture, source, written.instances, labels, record.frame_id)
+            found.contrasts["as_written"] = [c for _, c in drawn]
         return found
+
+    def _contrasts(
+        self,
+        picture: Picture,
+        source: ImageRecord,
+        objects: Sequence[Instance],
+        labels: Sequence[Instance],
+        key: str,
+    ) -> list[tuple[Instance, ObjectContrast]]:
+        """Return the contrasts of the objects of the wanted classes; objects with too small a ring are left out."""
+        level, time = float(np.median(picture)), source.time_of_day or "unknown"
+        wanted = [i for i in objects if i.category in self._settings.categories]
+        return [
+            (i, ObjectContrast(i.category, key, time, contrast, level))
+            for i in wanted
+            if (contrast := object_contrast(picture, i, labels)) is not None
+        ]
 
     def _all_of(
         self,
@@ -214,24 +235,12 @@ class ObjectMeasurer:
         labels: Sequence[Instance],
         objects: Sequence[Instance],
         key: str,
-        boxes: Sequence[FloatArray] | None = None,
     ) -> Measurements:
-        """Measure the objects of the wanted classes; `labels` are all labels of the picture.
-
-        `boxes` are the (4,) boxes to compare with the visible extents, where they are not those of the objects.
-        """
+        """Measure the features of the wanted classes; `labels` are all labels of the picture."""
         found, where = Measurements(), Labels(picture.shape, labels)
-        level = float(np.median(picture))
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
-            of_object = _contrast(picture, level, instance, labels, source, key)
-            if of_object is not None:
-                found.contrasts.setdefault(population, []).append(of_object)
-                box = instance.box_xyxy if boxes is None else boxes[number]
-                extent = box_extent(picture, replace(instance, box_xyxy=box), labels, of_object)
-                if extent is not None:
-                    found.extents.setdefault(population, []).append(extent)
             reason = reason_not_measured(instance, where)
             if reason:
                 found.leave_out(population, instance.category, reason)
@@ -287,22 +296,26 @@ def image_key(image: ImageRecord) -> str:
     return f"{image.split}/{image.id}"
 
 
+def _kept_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
+    """Return the background's own labels in a frame."""
+    return [source.instances[k] for k in record.kept]
+
+
 def _labels_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
     """Return all labels of a frame."""
-    return [source.instances[k] for k in record.kept] + list(record.inserted)
+    return [*_kept_of(source, record), *record.inserted]
+
+
+def _extents(
+    picture: Picture, drawn: Sequence[tuple[Instance, ObjectContrast]], labels: Sequence[Instance]
+) -> list[BoxExtent]:
+    """Return box and visible extent of those objects whose extent can be found."""
+    extents = (box_extent(picture, instance, labels, contrast) for instance, contrast in drawn)
+    return [extent for extent in extents if extent is not None]
 
 
 def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageRecord, key: str) -> Measured:
     return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.altitude_m)
-
-
-def _contrast(
-    picture: Picture, level: float, instance: Instance, labels: Sequence[Instance], source: ImageRecord, key: str
-) -> ObjectContrast | None:
-    """Return the contrast of an object; `level` is the picture's median. None where the ring is too small."""
-    contrast = object_contrast(picture, instance, labels)
-    time = source.time_of_day or "unknown"
-    return None if contrast is None else ObjectContrast(instance.category, key, time, contrast, level)
 
 
 def _after_saving(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:

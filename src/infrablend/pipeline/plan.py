@@ -176,22 +176,17 @@ class RunPlan:
             shards: Number of shards that the run is divided into; None for an undivided run.
             price_per_core_hour: Price, in any currency; None gives no cost.
         """
-        some = self.frames[:: max(1, len(self.frames) // 200)]
-        sizes = [f.background.path.stat().st_size for f in some]
-        objects = [mean_objects(self.recipe, f.key((1, 1))) for f in some if f.configuration is not None]
-        factor = 4.0 if self.recipe.output.image == "png" else 1.0
         frames, formats = len(self.frames), max(1, len(self.recipe.output.formats))
         start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
         workers = max(workers, 1)
         labels_s = frames * WRITE_LABELS_S * formats
         render_s = start_s + frames * self._frame_cpu_s / workers
         core_hours = (workers * START_S * (shards or 1) + frames * self._frame_cpu_s + labels_s) / 3600
-        per_frame = (sum(sizes) * factor + sum(objects) * _BYTES_PER_OBJECT) / max(len(some), 1) + _BYTES_PER_FRAME
         return {
             "backgrounds": len(self.dataset.images),
             "frames": len(self.frames),
             "frames_per_split": _count(f.background.split for f in self.frames),
-            "disk_bytes": round(per_frame * len(self.frames)),
+            "disk_bytes": round(frames * _BYTES_PER_FRAME + self._bytes_of_inserts()),
             "about_s": round(render_s + labels_s),
             "workers": workers,
             "core_hours": round(core_hours, 3),
@@ -199,6 +194,17 @@ class RunPlan:
             **({} if shards is None else self._of_shards(shards, workers, start_s, labels_s)),
             "left_out": _count(p.code for p in self.problems if p.severity == "error"),
         }
+
+    def _bytes_of_inserts(self) -> float:
+        """Estimate the disk space of pictures with inserted objects, and of the records of these objects."""
+        changed = [f for f in self.frames if f.configuration is not None]
+        some = changed[:: max(1, len(changed) // 200)]
+        factor = 4.0 if self.recipe.output.image == "png" else 1.0
+        bytes_of = [
+            factor * f.background.path.stat().st_size + _BYTES_PER_OBJECT * mean_objects(self.recipe, f.key((1, 1)))
+            for f in some
+        ]
+        return len(changed) * sum(bytes_of) / max(len(some), 1)
 
     def _of_shards(self, shards: int, workers: int, start_s: float, merge_s: float) -> dict[str, Any]:
         """Return what a plan in shards estimates instead: times of one shard and of merging, not of the whole run."""
@@ -263,7 +269,7 @@ def make_plan(
             refused = [replace(p, severity="error") for p in implausible]
             raise DatasetError(f"{dataset.root}: temperatures that no scene has", refused)
         remarks = tuple(p for p in remarks if p.code != IMPLAUSIBLE)
-    problems = [*recipe_warnings, *remarks, *turned]
+    problems = [*recipe_warnings, *_without_effect(recipe, models), *remarks, *turned]
     usable = []
     stands = all(model.stands for model in models.values())
     others = _Telemetry.of(dataset)
@@ -393,10 +399,7 @@ def as_text(name: str) -> str:
 
 
 def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
-    """Try each object's options once: an invalid one would otherwise fail every frame.
-
-    Settings for objects on the ground, which would have no effect on flying ones, are errors too.
-    """
+    """Try each object's options once: an invalid one would otherwise fail every frame."""
     problems = []
     for i, o in enumerate(recipe.objects):
         try:
@@ -404,16 +407,28 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         except (InfraBlendError, ValueError, TypeError) as error:
             message = error.message if isinstance(error, InfraBlendError) else str(error)
             problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
-        if isinstance(o, MetricObject) and not models[o.model].stands:
-            problems += [
-                Problem(
-                    f"objects.{i}.{name}", "recipe-value", f"{o.model}, which flies", "a model that stands", "remove it"
-                )
-                for name in ("group", "align")
-                if getattr(o, name) is not None
-            ]
     if problems:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
+
+
+def _without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Problem]:
+    """Return a warning for each setting for objects on the ground that a flying model has."""
+    flying = [
+        (i, o) for i, o in enumerate(recipe.objects) if isinstance(o, MetricObject) and not models[o.model].stands
+    ]
+    return [
+        Problem(
+            f"objects.{i}.{name}",
+            "no-effect",
+            f"a setting without effect: {o.model} flies",
+            "a model that stands on the ground",
+            f"remove {name}",
+            "warning",
+        )
+        for i, o in flying
+        for name in ("group", "align")
+        if getattr(o, name) is not None
+    ]
 
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord, others: _Telemetry) -> Problem | None:

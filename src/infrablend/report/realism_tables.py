@@ -29,9 +29,9 @@ _QUANTITIES = {
     "ground_clutter": "ground, standard deviation",
 }
 AS_WRITTEN = (
-    "Contrast is measured in a box, and wider boxes show less of it. Where a run draws the boxes of inserted "
-    "objects as people do (`labels.fit`, `labels.loosen`, `labels.loosen_px`), this is the contrast in those. More "
-    "objects are large enough to be measured in wider boxes."
+    "Contrast is measured in a box: a wider one shows less of it, one around what is visible more. Where a run draws "
+    "the boxes of inserted objects as people do (`labels.fit`, `labels.loosen`, `labels.loosen_px`), this is the "
+    "contrast in those. The number of objects that are large enough to be measured changes, too."
 )
 LOOSENESS_HEAD = ["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"]
 SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"]

@@ -52,3 +52,15 @@ def test_records_of_more_objects_take_more_space(tmp_path: Path) -> None:
     frames = int(str(planned(data)["frames"]))
     assert five - one == pytest.approx(4 * 10_000 * frames, abs=2)
     assert drawn - one == pytest.approx(3 * 10_000 * frames, abs=2)
+
+
+def test_unchanged_pictures_take_no_space_of_inserts(tmp_path: Path) -> None:
+    """Every second of many frames is an original: a sample of every second one had no inserts."""
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    settings = ("--set", "configurations=1", "--set", "objects.0.count=5")
+    with_originals, without = (
+        planned(data, *settings, "--set", f"output.originals={yes}") for yes in ("true", "false")
+    )
+    originals = int(str(with_originals["frames"])) - int(str(without["frames"]))
+    more = int(str(with_originals["disk_bytes"])) - int(str(without["disk_bytes"]))
+    assert originals > 0 and more == pytest.approx(6_000 * originals, abs=2)

@@ -18,6 +18,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
 from infrablend.pipeline.convert import ClassChanges
+from infrablend.pipeline.enlarged import count_enlarged
 from infrablend.pipeline.select import (
     MOST_COPIES,
     Conditions,
@@ -238,7 +239,9 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     for made in ("voc", "split"):
         report = api.convert(tmp_path / made, tmp_path / f"{made}-yolo", "yolo")
         assert report.counts["boxes_loosened"] == 2
-        assert "2 boxes of inserted objects were enlarged or fitted before" in (report.out / "README.md").read_text()
+        assert (
+            "\n* 2 boxes of inserted objects were enlarged or fitted before" in (report.out / "README.md").read_text()
+        )
         with pytest.raises(DatasetError, match="2 boxes that are enlarged or fitted already"):
             api.convert(report.out, tmp_path / "thrice", "coco", loosen_px=1)
     # A part counts its own boxes, and one without enlarged boxes may be enlarged.
@@ -246,6 +249,10 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     assert "boxes_loosened" not in part.counts
     part = api.convert(tmp_path / "voc", tmp_path / "none-voc", "yolo", classes=ClassChanges(drop=["Person"]))
     assert "boxes_loosened" not in part.counts
+    # Without marks, any box of a part may be enlarged.
+    voc = api.read_dataset(tmp_path / "voc")
+    one = replace(voc.images[0], instances=voc.images[0].instances[:1])
+    assert (count_enlarged(voc), count_enlarged(voc, replace(voc, images=(one,)))) == (2, 1)
     with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
         api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
     with pytest.raises(DatasetError, match=r"--loosen-inserted-px: \{"):

@@ -447,6 +447,8 @@ def test_boxes_drawn_around_what_is_visible_are_measured_as_such(crowd):
     widths = [[e.box_wh[0] for e in m.extents["inserted"]] for m in (exact, fitted)]
     assert len(widths[0]) == len(record.inserted)
     assert widths[1] == pytest.approx([widths[0][0] / 2, *widths[0][1:]])
+    # The extent of what is visible is not cut at the smaller box.
+    assert fitted.extents["inserted"][0].extent_wh == pytest.approx(exact.extents["inserted"][0].extent_wh, rel=0.25)
 
 
 def record_recipe(run):
