@@ -115,6 +115,8 @@ def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_pat
     found = [p for p in report.problems if p.code == "no-effect"]
     assert [p.where for p in found] == ["objects.0.group", "objects.0.align"]
     assert all(p.severity == "warning" and "drone flies" in p.found for p in found)
+    planned = api.plan("hit-uav-drone-physical", data, settings=walking).to_json()
+    assert sum("drone flies" in text for text in planned["warnings"]) == 2
     with pytest.raises(RecipeError, match="Persn"):
         generate(data, tmp_path / "run", settings={"labels.keep_categories": ["Persn"]})
     assert not (tmp_path / "run").exists()

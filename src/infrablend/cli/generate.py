@@ -125,7 +125,7 @@ def generate(
 
     from infrablend import api
     from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import facts, print_json, print_result, table
+    from infrablend.cli.results import facts, print_json, print_result, print_warnings, table
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.request import Execution, RunRequest
 
@@ -149,7 +149,9 @@ def generate(
             print_json(planned)
         else:
             dropped = planned.get("dropped_fields")  # by name in --json
+            warnings = planned.pop("warnings")
             print_result(table(facts({**planned, "dropped_fields": len(dropped) if dropped else None})))
+            print_warnings(warnings, "all with --json")
         return
     with shown_progress(session, "generating") as on_progress:
         if part is not None:

@@ -62,10 +62,15 @@ def print_problems(problems: Iterable[Problem], log_path: Path | None, record: P
     if errors:
         lines = problem_lines(errors, log_path)
         typer.echo("\n".join([f"{len(errors)} problem(s):", *lines]), err=True)
+    print_warnings(warnings, f"all in {record}")
+
+
+def print_warnings(warnings: Sequence[str], where: str) -> None:
+    """Print the first warnings on stderr, and where to find all."""
     if warnings:
         lines = [f"  - {p}" for p in warnings[:SHOWN_WARNINGS]]
         if len(warnings) > SHOWN_WARNINGS:
-            lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, all in {record}")
+            lines.append(f"  ... and {len(warnings) - SHOWN_WARNINGS} more, {where}")
         typer.echo(printable("\n".join([f"{len(warnings)} warning(s):", *lines])), err=True)
 
 

@@ -11,7 +11,7 @@ from infrablend.errors import Problem
 
 LOSSES: Mapping[str, str] = {
     "box_dropped": "axis-aligned box: the format holds only the oriented box or polygon, whose bounds differ from it",
-    "obb_dropped": "oriented box: the format holds only axis-aligned boxes",
+    "obb_dropped": "oriented box, which the format does not hold",
     "obb_from_box": "object without an oriented box: its axis-aligned box was written as one",
     "obb_not_rectangle": "four corners that do not form a rectangle, written as the nearest rectangle",
     "corners_clamped": "oriented box with a corner outside the frame: the corner was moved to the edge",

@@ -23,6 +23,8 @@ from infrablend.formats.pictures import assign_ids
 from infrablend.formats.shard_tar import image_of, packed_frames
 
 NAME = "shards"
+SOURCE = "source"
+"""Origin of the pictures: a mapping in the records of shards, its JSON text in `Dataset.extra`."""
 TAKES_TABLE = False  # the labels contain pitch and altitude
 _MAKE_AGAIN = "make the shard again: repeat its command with --resume"
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, RecursionError)
@@ -94,6 +96,7 @@ class _Frames:
         self._root, self._wanted = root, wanted
         self._shards = _markers(root)
         self._categories: tuple[Category, ...] = ()
+        self._source: object = None
         self.problems: list[Problem] = []
 
     def unpacked(self, folder_of: Callable[[ShardFiles], Path], again: bool) -> Iterator[ImageRecord]:
@@ -102,6 +105,7 @@ class _Frames:
         for files in self._shards:
             record = _record(files, key)
             self._categories = self._categories or _categories(files, record)
+            self._source = self._source or record.get(SOURCE)
             known = {c.name for c in self._categories}
             folder = folder_of(files)
             for frame in packed_frames(files.tar):
@@ -131,7 +135,9 @@ class _Frames:
         images = sort_images(replace(i, id=ids[f"{i.split}/{i.name}"]) for i in found)
         problems, self.problems = tuple(self.problems), []
         notes = {"labels": NAME, "shards": len(self._shards)}
-        return Dataset(self._root, NAME, self._categories, images, problems, notes)
+        # As JSON, because line breaks in other texts that are read are replaced.
+        extra = {} if self._source is None else {SOURCE: json.dumps(self._source)}
+        return Dataset(self._root, NAME, self._categories, images, problems, notes, extra)
 
 
 def _record(files: ShardFiles, key: object) -> Mapping[str, Any]:

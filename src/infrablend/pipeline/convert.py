@@ -23,7 +23,7 @@ from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.dataset_folder import DatasetFolder
-from infrablend.pipeline.enlarged import count_enlarged, count_marked, is_whole
+from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
 from infrablend.pipeline.select import SELECT_ALL, Selection, select
 from infrablend.report.card import dataset_card, write_card, written_layout
@@ -138,7 +138,9 @@ def convert_dataset(
     if selection:
         renamed, chosen = select(renamed, selection)
     wanted = drop_classes(renamed, drop)
-    looseness, earlier = Looseness(loosen, loosen_px), count_enlarged(dataset, wanted)
+    looseness, (earlier, at_most) = Looseness(loosen, loosen_px), count_enlarged(dataset, wanted)
+    if {"boxes", "obb"} <= writer.lacks:
+        earlier = 0  # boxes that are read from masks are exact
     if (loosen, loosen_px) != (1, 0):
         _require_tight(dataset, looseness, earlier, writer)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
@@ -164,7 +166,7 @@ def convert_dataset(
         "source_format": dataset.format,
         **({} if chosen is None else {"selection": chosen}),
         # Those of the source count as well, or a further step would enlarge them again.
-        **({"boxes_loosened": loosened or earlier} if loosened or earlier else {}),
+        **enlarged_counts(loosened or earlier, at_most),
         **(looseness.to_counts() if looseness else {}),
     }
     header = {
@@ -186,9 +188,9 @@ def convert_dataset(
         problems += written.problems
         changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
         if earlier:
-            most = "" if count_marked(wanted) or is_whole(wanted, dataset) else "Up to "
             changes.append(
-                f"{most}{earlier} boxes of inserted objects were enlarged or fitted before, to match drawn ones."
+                f"{'Up to ' if at_most else ''}{earlier} boxes of inserted objects were enlarged or fitted before, to "
+                "match drawn ones."
             )
         if looseness:
             changes.append(loosened_text(loosened, looseness))

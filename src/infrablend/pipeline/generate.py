@@ -13,7 +13,7 @@ from infrablend.core.addresses import address_of
 from infrablend.core.file_names import real_path
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
-from infrablend.errors import ArgumentError, OutputError, Problem
+from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.formats import detection
 from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import LENS_REPLACED, PITCH_REPLACED, RunPlan, as_text, is_text, make_plan
@@ -66,6 +66,8 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     """
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
+    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED)
+    others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
     return {
         **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
@@ -74,7 +76,8 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
-        "kept_fields": [str(p) for p in plan.problems if p.code in (KEPT, LENS_REPLACED, PITCH_REPLACED)],
+        "kept_fields": [str(p) for p in plan.problems if p.code in shown],
+        "warnings": format_problems(dict.fromkeys(others)),
     }
 
 

@@ -214,7 +214,10 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         counts["partly_hidden"] = hiding
     if contrast := contrast_statistics(records):
         counts["contrast_grey"] = contrast
-    return LabelSummary(counts, draw_statistics(records), tuple(removed))
+    draws = draw_statistics(records)
+    if left_out := draws.get("absent"):
+        counts["objects_left_out"] = left_out
+    return LabelSummary(counts, draws, tuple(removed))
 
 
 def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:

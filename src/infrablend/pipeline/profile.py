@@ -295,7 +295,7 @@ def _require_exact(rendered: Dataset) -> None:
         todo = "give a run of `infrablend generate` that inserts the annotated classes"
         none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
         raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
-    if not count_marked(rendered) and (enlarged := count_enlarged(rendered)):
+    if not count_marked(rendered) and (enlarged := count_enlarged(rendered)[0]):
         found = f"{enlarged} boxes that are enlarged or fitted"
         todo = "give a run with coco in output.formats, or with exact boxes"
         unknown = Problem("--rendered", "boxes-enlarged", found, "the exact boxes", todo)

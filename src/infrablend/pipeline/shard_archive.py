@@ -31,14 +31,17 @@ from infrablend.core.run_layout import ShardFiles
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import OutputError, Problem
 from infrablend.formats.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text, packed_frames
+from infrablend.formats.shards import SOURCE
 from infrablend.pipeline.folder import ARCHIVE, RunFolder, read_run_file, sealed
 from infrablend.pipeline.labelled import labelled_image
+from infrablend.pipeline.origin import run_inserts
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.record import RecordError, load_record, parse_record
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, require_same_key, run_plan
 from infrablend.pipeline.shard_damage import damage_of, number_damage
 from infrablend.pipeline.shard_table import TableWriter, require_pyarrow
+from infrablend.report.card import find_provenance, shard_source
 
 log = logging.getLogger(__name__)
 
@@ -236,8 +239,11 @@ def _pack(plan: RunPlan, folder: RunFolder, files: ShardFiles, expected: int) ->
 def write_marker(plan: RunPlan, files: ShardFiles, record: Mapping[str, Any]) -> None:
     """Write the record of a shard whose tar and table have been written."""
     groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them
+    # Labels of inserted objects are counted when shards are read: there may be more of the same run.
+    source = shard_source(find_provenance(plan.dataset), run_inserts(plan.recipe, plan.seed, {}))
     run = {
         **record,
+        SOURCE: source,
         ARCHIVE: {"tar": _facts(files.tar), "table": _facts(files.table)},
         "categories": [{**c, "supercategory": groups[c["name"]]} for c in record["categories"]],
     }

@@ -24,7 +24,7 @@ from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.pipeline.dataset_folder import DatasetFolder
-from infrablend.pipeline.enlarged import count_enlarged
+from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
 from infrablend.report.card import dataset_card, write_card, written_layout
 
@@ -179,10 +179,10 @@ def split_dataset(
         report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
         report = replace(report, problems=(*report.problems, *folder.problems()))
         require_unchanged(dataset.root, dataset.markers)
-        enlarged = count_enlarged(dataset, replace(dataset, images=tuple(images)))
         content = report.to_json()  # without the source: the same bytes wherever the dataset is
-        if enlarged:
-            content["counts"] = {"boxes_loosened": enlarged}
+        if enlarged := enlarged_counts(*count_enlarged(dataset, replace(dataset, images=tuple(images)))):
+            labels = Counter(o.category for i in images for o in i.instances)
+            content["counts"] = {**enlarged, "labels": dict(sorted(labels.items()))}
         folder.finish({}, content)
     return report
 

@@ -6,6 +6,7 @@ The same dataset gives the same bytes: a card contains no date and no local path
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,6 +22,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_bytes, write_json, write_text
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats import shards
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import PICTURE_SUFFIXES
@@ -44,6 +46,7 @@ WORLD_FILE = "world.json"  # written by `infrablend world`
 
 _LICENCE_NAMES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md")
 _LICENCE_BYTES = 1_000_000
+_LICENCE_TEXT = "licence_text"  # in the records of packed shards
 _LICENCE_TEXTS: tuple[tuple[str, Licence], ...] = (
     (r"\A\W*(Creative Commons )?Attribution 4\.0 International\b", CC_BY_4),
     (r"\A\W*(The )?MIT License\b", MIT),
@@ -237,6 +240,11 @@ def _stated_provenance(dataset: Dataset) -> Provenance:
     for folder in (root, root.parent):  # the data may be a folder of a download or of a run, such as RUN/native
         if (found := read_source(folder / SOURCE_FILE)) is not None:
             return found
+    if dataset.format == shards.NAME:
+        facts = json.loads(dataset.extra.get(shards.SOURCE, "null"))
+        if isinstance(facts, Mapping) and (found := _provenance_of(facts, "its shards")) is not None:
+            text = facts.get(_LICENCE_TEXT)
+            return replace(found, licence_text=text.encode() if isinstance(text, str) else None)
     if (root / WORLD_FILE).is_file():
         return Provenance(
             title="A virtual thermal world",
@@ -275,6 +283,11 @@ def read_source(path: Path) -> Provenance | None:
         data = read_json(path)
     except DatasetError:
         return None
+    return _provenance_of(data, f"its `{SOURCE_FILE}`")
+
+
+def _provenance_of(data: Any, stated_by: str) -> Provenance | None:
+    """Return what the content of a `SOURCE.json` states, or None if it is not one."""
     licence = data.get("licence") if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(licence, dict):
         return None
@@ -288,7 +301,7 @@ def read_source(path: Path) -> Provenance | None:
         _text(data, "licence_note"),
         _text(data, "attribution"),
         _text(data, "citation", lines=True),
-        f"According to its `{SOURCE_FILE}`" + (f", commit {commit}." if (commit := _commit(data)) else "."),
+        f"According to {stated_by}" + (f", commit {commit}." if (commit := _commit(data)) else "."),
         changes=tuple(" ".join(c.split()) for c in changes if isinstance(c, str)) if isinstance(changes, list) else (),
         limits=known.limits if known else (),
         own=data.get("own") is True,
@@ -578,12 +591,26 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
     if s.licence_text is not None:
         write_bytes(folder / LICENCE_COPY, s.licence_text)
     # Datasets made from this one find their origin here.
-    licence = {"id": s.licence.id, "name": s.licence.name, "url": s.licence.url}
-    facts: dict[str, Any] = {"title": s.title, "page": s.page, "licence": licence, "licence_note": s.licence_note}
-    facts |= {"attribution": s.attribution, "citation": s.citation, "changes": [*s.changes, *card.changes]}
-    facts |= {"name": s.name, "own": s.own, "inserts": [one.to_json() for one in card.inserts]}
-    write_json(folder / SOURCE_FILE, facts, indent=2)
+    write_json(
+        folder / SOURCE_FILE, source_facts(replace(s, changes=(*s.changes, *card.changes)), card.inserts), indent=2
+    )
     return problems
+
+
+def shard_source(source: Provenance, inserts: Inserts) -> dict[str, Any]:
+    """Return the origin of the pictures of a packed shard for its record, which is its only file besides the data."""
+    facts = source_facts(source, (*source.inserts, inserts))
+    text = source.licence_text
+    return facts if text is None else {**facts, _LICENCE_TEXT: text.decode("utf-8", "replace")}
+
+
+def source_facts(source: Provenance, inserts: Sequence[Inserts]) -> dict[str, Any]:
+    """Return the content of a `SOURCE.json`, as plain JSON values; `inserts` are those of all runs so far."""
+    licence = {"id": source.licence.id, "name": source.licence.name, "url": source.licence.url}
+    facts: dict[str, Any] = {"title": source.title, "page": source.page, "licence": licence}
+    facts |= {"licence_note": source.licence_note, "attribution": source.attribution, "citation": source.citation}
+    facts |= {"changes": [*source.changes], "name": source.name, "own": source.own}
+    return facts | {"inserts": [one.to_json() for one in inserts]}
 
 
 def dataset_card(

@@ -145,7 +145,8 @@ def test_invisible_objects_are_counted_but_not_inserted(tmp_path):
     assert record.facts["matching"]["gain"] and report.counts["frames_in_doubt"] == {"no-anchor": 1}
     (found,) = [p for p in report.problems if p.code == "low-contrast"]
     assert "placement.min_contrast" in str(found) and found.found.startswith("1 of 1 objects were not inserted")
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["draws"]["absent"] == {"low_contrast": 1}
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["draws"]["absent"] == record["counts"]["objects_left_out"] == {"low_contrast": 1}
 
 
 def test_other_class_names_change_no_picture(tmp_path):

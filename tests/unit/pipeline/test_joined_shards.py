@@ -88,6 +88,26 @@ def change_counts(out, change):
         path.write_text(json.dumps(sealed(record), indent=2))
 
 
+def test_conversions_of_shards_name_their_source_and_recipe(dataset, tmp_path):
+    """The records of shards are their only files beside the data: licence and authors were lost in conversions."""
+    licence = "Attribution 4.0 International\n\nTerms of these pictures."
+    (dataset / "LICENSE").write_text(licence)
+    run(*command(dataset, tmp_path / "parts", *PACKED, "--shard-size", 5))
+    run("merge", tmp_path / "parts", tmp_path / "joined", "--layout", "shards")
+    sources = []
+    for name in ("parts", "joined"):
+        ended = run("convert", tmp_path / name, tmp_path / f"{name}-yolo", "--to", "yolo")
+        assert ended.exit_code == 0, ended.output
+        out = tmp_path / f"{name}-yolo"
+        assert (out / "LICENSE-source.txt").read_text() == licence
+        sources.append(json.loads((out / "SOURCE.json").read_text()))
+        assert "license: cc-by-4.0" in (out / "README.md").read_text()
+    assert sources[0] == sources[1]
+    (inserts,) = sources[0]["inserts"]
+    assert inserts["recipe"] and inserts["seed"] == 0 and sum(inserts["labels"].values()) > 0
+    assert sources[0]["name"] == "hit-uav" and "Suo" in sources[0]["attribution"]
+
+
 def test_a_part_of_the_shards(dataset, tmp_path, monkeypatch):
     for number in (1, 3):
         done(*command(dataset, tmp_path / "parts", *PACKED, "--shard", f"{number}/3"))

@@ -54,7 +54,17 @@ def test_records_of_more_objects_take_more_space(tmp_path: Path) -> None:
     assert drawn - one == pytest.approx(3 * 10_000 * frames, abs=2)
 
 
-def test_unchanged_pictures_take_no_space_of_inserts(tmp_path: Path) -> None:
+def test_more_objects_take_more_time(tmp_path: Path) -> None:
+    data = SAMPLES["hit-uav:json"](tmp_path / "data")
+    none, one, five = (
+        float(str(planned(data, "--set", f"objects.0.count={count}")["core_hours"])) for count in (0, 1, 21)
+    )
+    frames = int(str(planned(data)["frames"]))
+    assert none == one
+    assert (five - one) * 3600 == pytest.approx(20 * 0.3 * frames, abs=4)  # hours have three digits
+
+
+def test_unchanged_pictures_have_no_records_of_inserts(tmp_path: Path) -> None:
     """Every second of many frames is an original: a sample of every second one had no inserts."""
     data = SAMPLES["hit-uav:json"](tmp_path / "data")
     settings = ("--set", "configurations=1", "--set", "objects.0.count=5")
@@ -63,4 +73,5 @@ def test_unchanged_pictures_take_no_space_of_inserts(tmp_path: Path) -> None:
     )
     originals = int(str(with_originals["frames"])) - int(str(without["frames"]))
     more = int(str(with_originals["disk_bytes"])) - int(str(without["disk_bytes"]))
-    assert originals > 0 and more == pytest.approx(6_000 * originals, abs=2)
+    size = sum(p.stat().st_size for p in data.rglob("*.jpg")) / len([*data.rglob("*.jpg")])
+    assert originals > 0 and more == pytest.approx((6_000 + size) * originals, rel=0.05)

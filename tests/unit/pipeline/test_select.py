@@ -252,7 +252,15 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     # Without marks, any box of a part may be enlarged.
     voc = api.read_dataset(tmp_path / "voc")
     one = replace(voc.images[0], instances=voc.images[0].instances[:1])
-    assert (count_enlarged(voc), count_enlarged(voc, replace(voc, images=(one,)))) == (2, 1)
+    assert count_enlarged(voc) == (2, False)
+    assert count_enlarged(voc, replace(voc, images=(one,))) == (1, True)
+    two = replace(voc.images[0], instances=voc.images[0].instances[:2])
+    assert count_enlarged(voc, replace(voc, images=(two, replace(two, id="again"), two))) == (6, True)
+    half = api.convert(tmp_path / "voc", tmp_path / "train", "yolo", selection=api.Selection(images=1))
+    assert half.counts["boxes_loosened"] == 2
+    # Formats without boxes have none, and exact ones are read from their masks.
+    masks = api.convert(tmp_path / "px", tmp_path / "polygons", "yolo-seg")
+    assert not {"boxes_loosened", "boxes_loosened_at_most"} & masks.counts.keys()
     with pytest.raises(DatasetError, match=r"--rendered: 2 boxes that are enlarged"):
         api.profile(tmp_path / "data", tmp_path / "profile", rendered=tmp_path / "voc")
     with pytest.raises(DatasetError, match=r"--loosen-inserted-px: \{"):
