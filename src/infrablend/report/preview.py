@@ -299,6 +299,9 @@ def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
             pen.text((x + 22, y), words[kind], fill=FAINT, font=font_of(14))
             x += 22 + round(pen.textlength(words[kind], font=font_of(14))) + 16
         x += 14
+    share = "96%: visible share of the object"
+    if x + pen.textlength(share, font=font_of(14)) <= width:
+        pen.text((x, y), share, fill=FAINT, font=font_of(14))
     return np.asarray(image)
 
 
