@@ -149,7 +149,7 @@ def generate(
             print_json(planned)
         else:
             dropped = planned.get("dropped_fields")  # by name in --json
-            warnings = planned.pop("warnings")
+            warnings = planned.pop("warnings", [])
             print_result(table(facts({**planned, "dropped_fields": len(dropped) if dropped else None})))
             print_warnings(warnings, "all with --json")
         return

@@ -189,6 +189,17 @@ def test_plan_writes_nothing(api, capsys):
     assert json.loads(capsys.readouterr().out)["frames"] == 3738
 
 
+def test_plan_shows_its_warnings(api, capsys, monkeypatch):
+    given = {**Plan().to_json(), "warnings": [f"objects.{n}.group: no effect" for n in range(7)]}
+    monkeypatch.setattr(Plan, "to_json", lambda plan: dict(given))
+    assert main([*GENERATE, "--plan"]) == 0
+    out, err = capsys.readouterr()
+    assert "warnings" not in out and err.startswith("7 warning(s):\n  - objects.0.group: no effect\n")
+    assert "... and 2 more, all with --json" in err
+    main([*GENERATE, "--plan", "--json"])
+    assert json.loads(capsys.readouterr().out)["warnings"] == given["warnings"]
+
+
 def test_skipped_items_are_named_and_give_exit_code_1(api, capsys):
     problems = [Problem(f"bg{i}.jpg", "image-truncated", "only 9 bytes") for i in range(23)]
     problems.append(Problem("bg99.jpg", "size", "a warning", severity="warning"))
