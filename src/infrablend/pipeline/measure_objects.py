@@ -195,13 +195,14 @@ class ObjectMeasurer:
         image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
         labels = [*kept, *record.inserted]
         found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
-        exact = self._contrasts(picture, source, record.inserted, labels, record.frame_id)
-        found.contrasts["inserted"] = [c for _, c in exact]
+        drawn = self._contrasts(picture, source, record.inserted, labels, record.frame_id)
+        found.contrasts["inserted"] = [c for _, c in drawn]
         looseness = Looseness.of_labels(self._recipe.labels)
-        # A margin is in addition to a fit, so the boxes that the recipe fits are compared with the visible extents.
-        fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
-        labels = [*kept, *fitted.instances]
-        drawn = self._contrasts(picture, source, fitted.instances, labels, record.frame_id)
+        if looseness.fit != "shape":
+            # A margin is in addition to a fit, so the fitted boxes are compared with the visible extents.
+            fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
+            labels = [*kept, *fitted.instances]
+            drawn = self._contrasts(picture, source, fitted.instances, labels, record.frame_id)
         found.extents["inserted"] = _extents(picture, drawn, labels)
         if looseness:
             written, _ = loosen_image(image, looseness)

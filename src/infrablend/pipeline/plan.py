@@ -6,8 +6,10 @@ import hashlib
 import json
 import math
 import shlex
+import statistics
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -167,14 +169,14 @@ class RunPlan:
     def _frame_cpu_s(self) -> float:
         lattice = self.recipe.appearance.mode == "artistic" and not self.recipe.samples
         frame_s = TYPICAL_LATTICE_FRAME_CPU_S if lattice else TYPICAL_FRAME_CPU_S
-        frames = self._some(inserted=True)
-        objects = sum(mean_objects(self.recipe, f.key((1, 1))) for f in frames) / max(len(frames), 1)
-        return frame_s + TYPICAL_OBJECT_CPU_S * max(objects - 1, 0)
+        return frame_s + TYPICAL_OBJECT_CPU_S * max(self._objects_per_frame - 1, 0)
 
-    def _some(self, inserted: bool) -> list[PlannedFrame]:
-        """Return about 200 of the frames with inserted objects, or of the unchanged pictures."""
-        frames = [f for f in self.frames if (f.configuration is not None) == inserted]
-        return frames[:: max(1, len(frames) // 200)]
+    @cached_property
+    def _objects_per_frame(self) -> float:
+        """Mean number of objects in frames that are not unchanged pictures, from about 200 of them."""
+        changed = [f for f in self.frames if f.configuration is not None]
+        some = changed[:: max(1, len(changed) // 200)]
+        return sum(mean_objects(self.recipe, f.key((1, 1))) for f in some) / max(len(some), 1)
 
     def estimate(
         self, workers: int, shards: int | None = None, price_per_core_hour: float | None = None
@@ -186,6 +188,10 @@ class RunPlan:
             shards: Number of shards that the run is divided into; None for an undivided run.
             price_per_core_hour: Price, in any currency; None gives no cost.
         """
+        sizes = [f.background.path.stat().st_size for f in self.frames[:: max(1, len(self.frames) // 200)]]
+        factor = 4.0 if self.recipe.output.image == "png" else 1.0
+        per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + _BYTES_PER_FRAME
+        objects = self._objects_per_frame * sum(f.configuration is not None for f in self.frames)
         frames, formats = len(self.frames), max(1, len(self.recipe.output.formats))
         start_s = START_S + READ_PICTURE_S * (len(self.sample) if self.needs_levels else 0)
         workers = max(workers, 1)
@@ -196,7 +202,7 @@ class RunPlan:
             "backgrounds": len(self.dataset.images),
             "frames": len(self.frames),
             "frames_per_split": _count(f.background.split for f in self.frames),
-            "disk_bytes": round(frames * _BYTES_PER_FRAME + self._bytes_of(True) + self._bytes_of(False)),
+            "disk_bytes": round(per_frame * frames + _BYTES_PER_OBJECT * objects),
             "about_s": round(render_s + labels_s),
             "workers": workers,
             "core_hours": round(core_hours, 3),
@@ -204,18 +210,6 @@ class RunPlan:
             **({} if shards is None else self._of_shards(shards, workers, start_s, labels_s)),
             "left_out": _count(p.code for p in self.problems if p.severity == "error"),
         }
-
-    def _bytes_of(self, inserted: bool) -> float:
-        """Estimate the disk space of pictures with inserted objects and their records, or of unchanged pictures."""
-        some = self._some(inserted)
-        factor = 4.0 if self.recipe.output.image == "png" else 1.0
-        bytes_of = [
-            factor * f.background.path.stat().st_size
-            + (_BYTES_PER_OBJECT * mean_objects(self.recipe, f.key((1, 1))) if inserted else 0.0)
-            for f in some
-        ]
-        number = sum((f.configuration is not None) == inserted for f in self.frames)
-        return number * sum(bytes_of) / max(len(some), 1)
 
     def _of_shards(self, shards: int, workers: int, start_s: float, merge_s: float) -> dict[str, Any]:
         """Return what a plan in shards estimates instead: times of one shard and of merging, not of the whole run."""
