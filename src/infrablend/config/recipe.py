@@ -255,8 +255,8 @@ class Group(Strict):
     otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
     rows as a whole."""
     max_overlap: float = Field(0.3, ge=0, le=1)
-    """Largest share of the object's box that may cover the box of another insert. Objects outside groups share at most
-    0.02 of the smaller box with others."""
+    """Largest share of the smaller of two boxes that an object placed beside another may share with an insert. Others
+    share at most 0.02. No object is placed inside another one, whatever their boxes share."""
 
 
 class Align(Strict):

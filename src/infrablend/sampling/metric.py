@@ -40,16 +40,19 @@ from infrablend.core.scene import View
 from infrablend.core.skyline import Skyline, find_skyline, noise_of
 from infrablend.sampling.calibration import FROM_TABLE, Calibration, HeightPrior, calibrate
 from infrablend.sampling.placement import (
+    MAX_OVERLAP,
     DrawStatistics,
     PlacementRequest,
     Pose,
     attempts_after,
+    box_px,
     boxes_of,
     collides,
     examine,
     is_covered,
 )
 from infrablend.sampling.real_ground import draw_aim, ground_around
+from infrablend.sampling.volume import volume_of
 
 # A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
@@ -218,18 +221,20 @@ def place_metric(
     site: Site,
     rng: np.random.Generator,
     tally: DrawStatistics,
-    occupied: Sequence[FloatArray] = (),
+    occupied: Sequence[tuple[PlacementRequest, Pose]] = (),
     headings: Mapping[int, float] = MappingProxyType({}),
 ) -> list[Pose | None]:
     """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
 
-    `occupied` has the (4,) boxes of inserts that have their place already, `headings` are those of `common_headings`.
+    `occupied` has the inserts that have their place already, `headings` are those of `common_headings`.
     """
     rules = recipe.placement
     tally.first_distance_m = camera.distance_m
     ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
     annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
-    inserted = np.array([*occupied], np.float64).reshape(-1, 4)
+    boxes = (box_px(camera, item.in_world(pose), item) for item, pose in occupied)
+    inserted = np.array([box for box in boxes if box is not None], np.float64).reshape(-1, 4)
+    volumes = [volume_of(item, pose) for item, pose in occupied]
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
     real = _real_ground(recipe, site)
     poses: list[Pose | None] = []
@@ -287,9 +292,13 @@ def place_metric(
                     feet = feet_box(camera, world)
                     reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
             if reason is None:
+                volume = volume_of(item, pose)
+                reason = "in_another" if any(volume.intersects(v) for v in volumes) else None
+            if reason is None:
                 found = pose
                 assert box is not None
                 inserted = np.concatenate([inserted, box[None]])
+                volumes.append(volume)
                 break
             tally.reject(reason)
         if found is None:
@@ -301,7 +310,7 @@ def place_metric(
 
 def _hides_insert(box_xyxy: FloatArray | None, inserted: FloatArray, group: Group | None) -> bool:
     """Return whether a box shares too much with those of other inserts; members of a group may hide each other."""
-    return collides(box_xyxy, inserted) if group is None else is_covered(box_xyxy, inserted, group.max_overlap)
+    return collides(box_xyxy, inserted, MAX_OVERLAP if group is None else group.max_overlap)
 
 
 def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:

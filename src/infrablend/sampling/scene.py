@@ -322,15 +322,16 @@ def move_objects(
     sun = None if spec.weather is None else spec.weather.sun
     rng = stream(seed, spec.frame_id, f"placement-{attempt}")
     moved = sorted(numbers)
-    requests = []
-    for k in moved:
-        placed = scene.objects[k]
+    requests, occupied = [], []
+    for k, placed in enumerate(scene.objects):
         o = placed.spec
         kind = recipe.objects[o.kind]
         request = PlacementRequest(kind, models[o.model], o.params, placed.mesh, o.scale, o.visible_aim)
-        requests.append(without_shadow(request))
+        if k in numbers:
+            requests.append(without_shadow(request))
+        else:
+            occupied.append((request, (*o.position_m, o.yaw_rad)))
     tally = DrawStatistics()
-    occupied = [o.box_xyxy for k, o in enumerate(scene.objects) if k not in set(moved)]
     headings = common_headings(spec.camera, view, recipe, site, stream(seed, spec.frame_id, "heading"))
     drawn = place_metric(spec.camera, view, recipe, requests, site, rng, tally, occupied, headings)
     poses = dict(zip(moved, drawn, strict=True))

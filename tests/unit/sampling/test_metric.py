@@ -1,6 +1,8 @@
 """Metric placement: the ground plane, the camera's height from annotated objects, places for objects."""
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_F
 from infrablend.sampling.metric import Site, is_even, relief_of
 from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides
 from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
+from infrablend.sampling.volume import volume_of
 
 WH = (640, 512)
 
@@ -190,8 +193,7 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
 
 def labelled_box(camera, o):
     """Return the box of an inserted object's labelled parts in the picture."""
-    model = load_model(o.model)
-    item = PlacementRequest(None, model, o.params, model.build(o.params), o.scale)
+    item = request(o)
     return box_px(camera, item.in_world((*o.position_m, o.yaw_rad)), item)
 
 
@@ -289,6 +291,62 @@ def test_cars_stand_in_rows():
     along = np.array([math.cos(first.yaw_rad), math.sin(first.yaw_rad)])
     away = np.array([np.subtract(o.position_m[:2], first.position_m[:2]) for o in spec.objects[1:]])
     assert (np.abs(away @ side) > 3 * np.abs(away @ along)).all()
+
+
+def request(o):
+    model = load_model(o.model)
+    return PlacementRequest(None, model, o.params, model.build(o.params), o.scale)
+
+
+def volumes(spec):
+    return [volume_of(request(o), (*o.position_m, o.yaw_rad)) for o in spec.objects]
+
+
+def test_no_car_stands_inside_another():
+    """Boxes in the picture do not show it: neighbours in a row may hide each other by half."""
+    group = "objects.0.group={share: 1, apart_m: [2.2, 2.6], in_row: true, max_overlap: 1}"
+    recipe = load_recipe("hit-uav-car", ["objects.0.count=12", "placement.max_relief_grey=0", group])
+    specs = [draw(recipe, pitch=30.0, number=n) for n in range(6)]
+    assert sum(s.draws["rejected"].get("in_another", 0) for s in specs) > 0
+    assert sum(len(s.objects) for s in specs) > 30
+    for spec in specs:
+        assert not any(a.intersects(b) for a, b in itertools.combinations(volumes(spec), 2))
+
+
+def test_a_moved_car_keeps_out_of_those_that_stay():
+    group = "objects.0.group={share: 1, apart_m: [2.2, 2.6], in_row: true, max_overlap: 1}"
+    recipe = load_recipe("hit-uav-car", ["objects.0.count=8", "placement.max_relief_grey=0", group])
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    # Ground for few cars, all else is covered: moved cars must stand close to the others.
+    ignored = [Instance("DontCare", np.array(b, np.float64)) for b in ([0, 0, 640, 150], [0, 350, 640, 512])]
+    site = Site(FLAT, tuple(ignored), frozenset({"DontCare"}), 80.0)
+    rejected = 0
+    for n in range(4):
+        key = FrameKey(f"1_80_60_0_{n:05d}", "train", 0, WH, 60.0, "night")
+        scene = sample_scene(key, recipe, models, 0, site)
+        moved = move_objects(scene, range(0, len(scene.objects), 2), recipe, models, 0, site, 1).spec
+        rejected += moved.draws["rejected"].get("in_another", 0)
+        assert not any(a.intersects(b) for a, b in itertools.combinations(volumes(moved), 2))
+    assert rejected
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "yaw_deg", "inside"),
+    [
+        (0.0, 0.0, 0.0, 0.0, True),
+        (1.7, 0.0, 0.0, 0.0, True),
+        (2.2, 0.0, 0.0, 0.0, False),
+        # Boxes along x and y would meet, the turned cars do not.
+        (3.0, 2.6, 0.0, 45.0, False),
+        (0.0, 0.0, 2.5, 0.0, False),
+    ],
+)
+def test_volumes_are_turned_with_their_objects(x, y, z, yaw_deg, inside):
+    spec = draw(load_recipe("hit-uav-car", ["objects.0.count=1"]))
+    car = request(replace(spec.objects[0], scale=1.0))
+    a = volume_of(car, (10.0, 5.0, 0.0, math.pi / 2 + math.radians(yaw_deg)))
+    b = volume_of(car, (10.0 + x, 5.0 + y, z, math.pi / 2 + math.radians(yaw_deg)))
+    assert a.intersects(b) is inside and b.intersects(a) is inside
 
 
 def lined(yaw_deg, pitch=90.0):
