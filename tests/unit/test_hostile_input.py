@@ -107,6 +107,13 @@ def test_one_mistake_gives_one_readable_problem(setting, problem):
     assert problem in str(caught.value.problems[0])
 
 
+def test_a_missing_space_is_one_problem():
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("hit-uav-people", ["objects.0.group={share:0.5}"])
+    assert [p.where for p in caught.value.problems] == ["objects.0.group.share:0.5"]
+    assert "Write a space after the colon" in str(caught.value)
+
+
 def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_path):
     with pytest.raises(RecipeError, match=r"objects\.0\.options"):
         generate(data, tmp_path / "run", settings={"objects.0.options": {"pose": "x"}})

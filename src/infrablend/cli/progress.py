@@ -27,7 +27,7 @@ def pace_text(frames_per_s: float) -> str:
 
 def progress_line(p: Progress) -> str:
     """Return, for example, `120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
-    parts = [f"{p.done}/{p.total} frames", pace_text(p.frames_per_s)]
+    parts = [f"{p.done}/{p.total} frames", *([pace_text(p.frames_per_s)] if p.frames_per_s > 0 else [])]
     if p.eta_s is not None and p.done < p.total:
         parts.append(f"{human_seconds(p.eta_s)} to go")
     return ", ".join(parts + [f"{name} {n}" for name, n in p.counts.items()])
@@ -84,7 +84,7 @@ def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
         row = bar.add_task(what, total=None, pace="reading", counts="")
 
         def show(p: Progress) -> None:
-            pace = pace_text(p.frames_per_s)
+            pace = pace_text(p.frames_per_s) if p.frames_per_s > 0 else ""
             if p.eta_s is not None and p.done < p.total:
                 pace += f", {human_seconds(p.eta_s)} to go"
             counts = " ".join(f"{name} {n}" for name, n in p.counts.items())

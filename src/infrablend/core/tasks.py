@@ -9,12 +9,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 from infrablend import errors
 from infrablend.errors import InfraBlendError, Problem, RenderError, WorkerDiedError
 
 FailureKind = Literal["error", "crash", "timeout"]
+
+# A rate over less time than this says nothing.
+_FIRST_MOMENT_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,13 @@ class Progress:
     eta_s: float | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
 
+    @classmethod
+    def since(cls, started: float, done: int, total: int, counts: Mapping[str, int] = MappingProxyType({})) -> Progress:
+        """Return the progress of a loop that began at `started`, monotonic clock; no rate in its first moment."""
+        seconds = time.monotonic() - started
+        rate = done / seconds if seconds >= _FIRST_MOMENT_S else 0.0
+        return cls(done, total, rate, (total - done) / rate if rate > 0 else None, counts)
+
 
 OnProgress = Callable[[Progress], None]
 
@@ -159,7 +170,6 @@ def paced(on_progress: OnProgress | None) -> Callable[[int, int], None] | None:
     started = time.monotonic()
 
     def report(done: int, total: int) -> None:
-        rate = done / max(time.monotonic() - started, 1e-9)
-        on_progress(Progress(done, total, rate, (total - done) / rate))
+        on_progress(Progress.since(started, done, total))
 
     return report

@@ -103,15 +103,16 @@ def field_problems(
                 add(path, e)
         else:
             found.append(_union_problem(at, members, _value(data, at), code, see, _mapping_text(model, at)))
-    # A list may be "too short" only because its items are wrong; then the items' own problems are clearer.
+    # Other problems explain these better: a list "too short" because its items are wrong, and the missing key `share`
+    # where `share:0.5` is an unknown one.
     wrong = {p.where for p in found}
-    return sorted(
-        {
-            p
-            for p in found
-            if not (p.code == f"{code}-length" and any(w != p.where and w.startswith(f"{p.where}.") for w in wrong))
-        }
-    )
+    clearer = {f"{code}-length": (".", ":")}
+    return sorted({p for p in found if not _explained(p.where, clearer.get(p.code, (":",)), wrong)})
+
+
+def _explained(where: str, by: Iterable[str], wrong: Iterable[str]) -> bool:
+    """Return whether the place of another problem is this one's, followed by one of the separators and more."""
+    return any(w.startswith(tuple(where + separator for separator in by)) for w in wrong)
 
 
 def _locate(e: ErrorDetails, data: Any) -> tuple[Path, Path, str | None]:

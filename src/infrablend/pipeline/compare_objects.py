@@ -314,8 +314,7 @@ class _Clock:
     def tick(self) -> None:
         self._done += 1
         if self._on_progress is not None:
-            rate = self._done / max(time.monotonic() - self._start, 1e-9)
-            self._on_progress(Progress(self._done, self.total, rate, (self.total - self._done) / rate))
+            self._on_progress(Progress.since(self._start, self._done, self.total))
 
 
 def _run(

@@ -83,7 +83,7 @@ def join_shards(
                         raise Interrupted(STOPPED)
                     done += _append(one, finished[one.shard], tar, table)
                     if on_progress is not None:
-                        on_progress(_progress(done, state, time.monotonic() - started))
+                        on_progress(Progress.since(started, done, state.done, _outcomes(state)))
             flush(table_part)
         levels = {} if source.levels is None else {"levels": list(source.levels)}
         header = {
@@ -156,7 +156,5 @@ def _changed(one: FinishedShard, found: str) -> OutputError:
     )
 
 
-def _progress(done: int, state: RunState, seconds: float) -> Progress:
-    rate = done / max(seconds, 1e-6)
-    counts = {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}
-    return Progress(done, state.done, rate, (state.done - done) / max(rate, 1e-6), counts)
+def _outcomes(state: RunState) -> dict[str, int]:
+    return {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}

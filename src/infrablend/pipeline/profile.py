@@ -155,8 +155,7 @@ def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
     def tick() -> None:
         count = next(done)
         if on_progress is not None:
-            rate = count / max(time.monotonic() - started, 1e-9)
-            on_progress(Progress(count, total, rate, (total - count) / rate, {}))
+            on_progress(Progress.since(started, count, total))
 
     return tick
 

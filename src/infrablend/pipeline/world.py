@@ -36,7 +36,6 @@ def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnPr
 
     def report(done: int, total: int) -> None:
         if on_progress is not None:
-            rate = done / max(time.monotonic() - started, 1e-9)
-            on_progress(Progress(done, total, rate, (total - done) / rate))
+            on_progress(Progress.since(started, done, total))
 
     return write_world(out, request, rendered, report)
