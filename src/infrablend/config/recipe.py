@@ -253,10 +253,10 @@ class Group(Strict):
     in_row: bool = False
     """Place the object at the other's side with the same or the opposite heading, within 4 degrees, as cars are parked;
     otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
-    rows as a whole."""
+    rows as a whole. Upright boxes around the objects do not intersect, whatever they share in the picture."""
     max_overlap: float = Field(0.3, ge=0, le=1)
     """Largest share of the smaller of two boxes that an object placed beside another may share with an insert. Others
-    share at most 0.02. No object is placed inside another one, whatever their boxes share."""
+    share at most 0.02."""
 
 
 class Align(Strict):

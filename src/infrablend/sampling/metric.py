@@ -293,7 +293,9 @@ def place_metric(
                     reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
             if reason is None:
                 volume = volume_of(item, pose)
-                reason = "in_another" if any(volume.intersects(v) for v in volumes) else None
+                # People in a group touch, and boxes around them intersect before they do; cars in a row must not.
+                if group is not None and group.in_row and any(volume.intersects(v) for v in volumes):
+                    reason = "in_another"
             if reason is None:
                 found = pose
                 assert box is not None
