@@ -392,7 +392,7 @@ def _mask(
 ) -> tuple[Mask | None, bool]:
     """Return the mask of a crop's coverage in the whole frame, and whether it fell back on a single pixel.
 
-    Pixels `taken` by another object are left out: masks of one frame share no pixel.
+    Pixels `taken` by another object are left out: masks of one frame share no pixel, unless that is all an object has.
     """
     if not coverage.size or not float(coverage.max()) > 0:
         return None, False
@@ -401,8 +401,10 @@ def _mask(
         chosen = chosen & ~taken
     fallback = not chosen.any()
     if fallback:
+        # The most covered pixel that is left; if none is, one that another object has as well.
+        left = coverage if taken is None or not (coverage[~taken] > 0).any() else np.where(taken, 0, coverage)
         chosen = np.zeros(coverage.shape, np.bool_)
-        chosen.flat[int(np.argmax(coverage))] = True
+        chosen.flat[int(np.argmax(left))] = True
     full = np.zeros((size_wh[1], size_wh[0]), np.bool_)
     x, y = offset_xy
     full[y : y + chosen.shape[0], x : x + chosen.shape[1]] = chosen

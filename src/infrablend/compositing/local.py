@@ -219,7 +219,7 @@ def local_mapping(
         if black_hot:
             dark, span = low + high - dark, -span
         places.append(Place((float(middle[0]), float(middle[1])), dark, dark + span))
-        rings.append(round(ring, 3))
+        rings.append(round(low + high - ring if black_hot else ring, 3))
         kinds.append(kind)
     first = places[0]
     beyond = settings.headroom * (high - low)
@@ -229,7 +229,7 @@ def local_mapping(
         "ring_grey": rings,
         "behind": kinds,
         "behind_grey": {
-            k: None if v is None else round(v, 3)
+            k: None if v is None else round(low + high - v if black_hot else v, 3)
             for k, v in (("ground", behind.ground_grey), ("sky", behind.sky_grey), ("skyline", behind.skyline_grey))
         },
         "warm": [i.warm for i in inserts],

@@ -87,7 +87,13 @@ def edge_profiles(
     height, width = grey.shape
     t = EDGE_PX.astype(np.float32)
     soft = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    edges = cv2.Canny(np.clip(np.rint(soft), 0, 255).astype(np.uint8), 30, 80)
+    # Steps instead of 8-bit levels: one dead pixel far below the scene would leave the rest of 16-bit pictures clipped.
+    rounded, most = np.rint(soft), np.iinfo(np.int16).max
+    right, down = (
+        np.clip(cv2.Sobel(rounded, cv2.CV_32F, dx, 1 - dx, borderType=cv2.BORDER_REPLICATE), -most, most)
+        for dx in (1, 0)
+    )
+    edges = cv2.Canny(right.astype(np.int16), down.astype(np.int16), 30, 80)
     edges[:10] = edges[height - 10 :] = 0
     edges[:, :10] = edges[:, width - 10 :] = 0
     if free is not None:

@@ -69,7 +69,7 @@ class ObjectSpec:
         kind: Number of the recipe's entry, from 0.
         visible_aim: Visible share that structures of the background should leave; None for an object in front of them.
         shaded: Whether the sun's rays do not reach the object, by day.
-        by_hand: Whether the recipe states the object's place; it is then never moved or left out.
+        by_hand: Whether the recipe states the object's place; it is then not moved, and not left out for being faint.
     """
 
     model: str

@@ -17,7 +17,7 @@ from infrablend.annotation.merge import merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.gain import Backdrop
 from infrablend.compositing.local import match_locally
-from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, percentile_mapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels, percentile_mapping
 from infrablend.compositing.occlusion import Scenery, Share, put_behind, restore_front
 from infrablend.compositing.overlay import compose, flat_layer, make_layer
 from infrablend.compositing.radiometric import ThermalBackdrop, compose_radiance, match_radiometric
@@ -104,8 +104,7 @@ class FrameComposer:
             require_temperatures(background, scale, is_ground(source, recipe))
 
         # Scene: the objects, their places and temperatures.
-        levels, rules = self._settings.levels, recipe.occlusion
-        unit = 1.0 if levels is None else grey_unit(background.pixels, levels)
+        rules, unit = recipe.occlusion, self._grey_unit(background)
         cover = None if rules.share == 0 else Cover(rules, Scenery(background.pixels, unit), self._models)
         key, site = frame.key(background.size_wh), self._site(frame, background, unit, cover)
         scene = self._extensions.scene(SceneRequest(key, recipe, self._models, self._settings.seed, site))
@@ -179,16 +178,28 @@ class FrameComposer:
         done = FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
         return ComposedFrame(record, image_bytes, done)
 
+    def _grey_unit(self, background: Background) -> float:
+        """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""
+        pixels, levels = background.pixels, self._settings.levels
+        if levels is None:
+            return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
+        return grey_unit(pixels, levels)
+
     def _site(self, frame: PlannedFrame, background: Background, unit: float, cover: Cover | None) -> Site:
         """Return the facts about the background that placement may use."""
         source, recipe = frame.as_read, self._recipe
+        if isinstance(recipe.matching, GreyMatching):
+            black_hot = recipe.matching.polarity == "black-hot"
+        else:
+            scale = None if source.radiometry is None else source.radiometry.scale
+            black_hot = scale is not None and scale.slope_k < 0
         return Site(
             background.pixels,
             source.instances,
             frozenset(self._settings.ignored),
             source.altitude_m,
             unit,
-            isinstance(recipe.matching, GreyMatching) and recipe.matching.polarity == "black-hot",
+            black_hot,
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
             self._height_prior(source),

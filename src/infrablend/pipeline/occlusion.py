@@ -77,6 +77,8 @@ class Cover:
         if not len(xy):
             return None
         box = np.clip(box_of_points(xy.reshape(-1, 2)), 0, np.array([*size_wh, *size_wh]))
+        if (box[2:] <= box[:2]).any():  # outside the frame
+            return None
         low, high = self.rules.visible
         offset_xy = (math.floor(box[0]), math.floor(box[1]))
         crop_wh = (math.ceil(box[2]) - offset_xy[0], math.ceil(box[3]) - offset_xy[1])

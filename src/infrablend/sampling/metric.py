@@ -404,10 +404,12 @@ def _rough_box(camera: CameraSpec, pose: Pose, outline_m: FloatArray, scale: flo
 
 
 def feet_box(camera: CameraSpec, world_m: FloatArray) -> FloatArray:
-    """Return the (4,) box in the image around the lowest part of a standing object."""
+    """Return the (4,) box in the image around the lowest part of a standing object; NaN behind the camera."""
     z = world_m[:, 2]
     low = world_m[z <= z.min() + _FEET * np.ptp(z)]
-    xy, _ = camera.project(low)
+    xy, depth_m = camera.project(low)
+    if not (depth_m > 0).any():
+        return np.full(4, np.nan)
     return np.concatenate([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)])
 
 

@@ -143,6 +143,8 @@ def sample_scene(
     poses, by_hand = place_by_hand(frame.frame_id, recipe, wanted, drawn, camera, view)
     if found := sum(drawn[k] is None for k in by_hand):
         tally.absent["no_place"] -= found
+    if weather is not None:
+        poses = _before_camera(wanted, poses, camera, tally)
     objects, meshes = [], []
     for number, (item, pose) in enumerate(zip(wanted, poses, strict=True)):
         kind, model = item.kind, item.model
@@ -203,6 +205,22 @@ def sample_scene(
         view=view,
     )
     return place(spec, meshes)
+
+
+def _before_camera(
+    wanted: Sequence[PlacementRequest], poses: Sequence[Pose | None], camera: CameraSpec, tally: DrawStatistics
+) -> list[Pose | None]:
+    """Return the poses without those of objects that are wholly behind the camera: they have no place in the picture.
+
+    The look of an object depends on the picture around it. Placement rejects such poses unless the recipe keeps all.
+    """
+    kept: list[Pose | None] = []
+    for item, pose in zip(wanted, poses, strict=True):
+        behind = pose is not None and not (camera.project(item.in_world(pose))[1] > 0).any()
+        if behind:
+            tally.leave_out("behind_camera")
+        kept.append(None if behind else pose)
+    return kept
 
 
 def air_source(frame: FrameKey, recipe: Recipe) -> Literal["metadata", "stated", "drawn"]:

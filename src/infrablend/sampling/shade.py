@@ -26,7 +26,7 @@ _LOWEST_RAD = math.radians(15)
 
 
 def in_shade(camera: CameraSpec, world_m: FloatArray, site: Site) -> bool:
-    """Return whether the ground around the feet of a standing object is as dark as shade.
+    """Return whether the ground around the feet of a standing object is as dark as shade; not if it is not in view.
 
     Args:
         camera: The background's own camera.
@@ -34,6 +34,8 @@ def in_shade(camera: CameraSpec, world_m: FloatArray, site: Site) -> bool:
         site: The background, taken by day.
     """
     x0, y0, x1, y1 = feet_box(camera, world_m)
+    if math.isnan(x0):
+        return False
     h, w = site.pixels.shape
     left, top = (int(np.clip(math.floor(v) - _MARGIN_PX, 0, n - 1)) for v, n in ((x0, w), (y0, h)))
     right, bottom = (int(np.clip(math.ceil(v) + _MARGIN_PX, 1, n)) for v, n in ((x1, w), (y1, h)))

@@ -367,3 +367,16 @@ def test_masks_of_one_frame_share_no_pixel():
     assert not (first & second).any()
     assert (int(first.sum()), int(second.sum())) == (100, 100)
     assert first[251:261, 319].all()
+
+
+def test_a_mask_of_one_pixel_takes_one_that_is_left():
+    view = camera()
+    things = (thing(at_px((0, 0), view)), thing(at_px((1, 0), view)))
+    mesh = brick_mesh((0.1, 0.1, 0.1))
+    for shares, columns in (([[0.6, 0], [0.4, 0.3]], (1, 2)), ([[0.6, 0], [0.4, 0]], (1, 1))):
+        coverage = np.zeros((2, 5, 5), np.float32)
+        coverage[:, 2, 1:3] = shares
+        labels, report = annotate(place(scene(view, *things), [mesh, mesh]), rendered(coverage, (318, 254)))
+        found = [np.argwhere(i.mask.to_array())[0][1] - 318 for i in labels]
+        assert tuple(found) == columns
+        assert report.mask_fallbacks == (1,)

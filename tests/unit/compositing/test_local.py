@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from infrablend.assets.catalogue import load_model
 from infrablend.compositing.behind import Behind
 from infrablend.compositing.gain import (
     Anchor,
@@ -14,11 +15,14 @@ from infrablend.compositing.gain import (
     find_anchors,
     ring_level,
 )
-from infrablend.compositing.local import Insert, LocalSettings, _land_anchors, local_mapping
+from infrablend.compositing.local import Insert, LocalSettings, _land_anchors, local_mapping, match_locally
 from infrablend.compositing.mapping import GreyMapping, measure_levels
+from infrablend.config.loading import load_recipe
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
+from infrablend.sampling.metric import Site
+from infrablend.sampling.scene import FrameKey, sample_scene
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 
 AIR_K = 283.15
@@ -170,6 +174,27 @@ def test_black_hot_is_the_mirror_image():
     b, _ = mapped(over, INSERT, labels, settings=LocalSettings(polarity="black-hot"))
     assert b.dark == pytest.approx(LEVELS[0] + LEVELS[1] - a.dark, abs=1e-3)
     assert b.bright == pytest.approx(LEVELS[0] + LEVELS[1] - a.bright, abs=1e-3)
+
+
+def test_black_hot_objects_have_the_contrast_of_their_mirror_image():
+    """The ring was that of the inverted picture: visible people counted as faint, and were left out."""
+    recipe = load_recipe("hit-uav-person", ["objects.0.count=1", "placement.max_relief_grey=0"])
+    models = {o.model: load_model(o.model) for o in recipe.objects}
+    picture = np.random.default_rng(0).normal(60, 2, (512, 640)).round().astype(np.uint8)
+    found = {}
+    for polarity in ("white-hot", "black-hot"):
+        pixels = picture if polarity == "white-hot" else (sum(LEVELS) - picture).astype(np.uint8)
+        site = Site(pixels, altitude_m=60.0, black_hot=polarity == "black-hot", time_of_day="night")
+        placed = sample_scene(FrameKey("a", "train", 0, (640, 512), 60.0, "night"), recipe, models, 0, site)
+        backdrop = Backdrop(pixels, (), "night", LEVELS)
+        settings = LocalSettings(polarity=polarity)
+        found[polarity] = match_locally(placed, backdrop, settings, np.random.default_rng(0))
+    white, black = found["white-hot"], found["black-hot"]
+    assert white.contrasts[0] > 20
+    assert black.contrasts == pytest.approx(white.contrasts, abs=0.1)
+    mirrored = sum(LEVELS) - np.array(white.facts["ring_grey"])
+    assert black.facts["ring_grey"] == pytest.approx(mirrored, abs=0.1)
+    assert black.facts["behind_grey"]["ground"] == pytest.approx(sum(LEVELS) - white.facts["behind_grey"]["ground"])
 
 
 def test_surfaces_saturate_at_the_datasets_levels():

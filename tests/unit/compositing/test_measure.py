@@ -199,6 +199,17 @@ def overshoot(picture):
     return mean.max() - 1, -mean.min()
 
 
+def test_a_dead_pixel_hides_no_edges():
+    """Levels above 255 over the darkest pixel were clipped before the search for edges."""
+    stripes = np.where(np.arange(320) // 40 % 2, 22000, 20000).astype(np.uint16)
+    picture = np.tile(stripes, (256, 1))
+    dead = picture.copy()
+    dead[100, 100] = 0
+    (_, heights), (_, others) = (edge_profiles(p, scale=9.1) for p in (picture, dead))
+    assert len(heights) > 1000 and len(others) > 0.9 * len(heights)
+    assert np.median(others) == pytest.approx(np.median(heights), rel=0.01)
+
+
 def test_a_slanted_step_through_the_whole_chain(tmp_path):
     picture, table = through_all(tmp_path)
     sigma, edges = edge_sigma(picture, percentile=50)

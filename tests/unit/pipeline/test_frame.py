@@ -72,6 +72,32 @@ def test_the_shipped_recipes_run_and_say_what_they_did(tmp_path, recipe):
         assert (low >= np.array([x0, y0]) - 24).all() and (high <= np.array([x1, y1]) + 24).all()
 
 
+def test_objects_behind_the_virtual_camera_are_counted(tmp_path):
+    """The look of what is behind the camera failed on a position that is no number."""
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    settings = [
+        "placement={mode: paper, on_miss: keep, min_contrast: off}",
+        "camera={pitch: {fixed_deg: 30}, distance_m: 2}",
+        "objects=[{model: person, x_m: 0, y_m: -30}, {model: person, x_m: 0, y_m: 0, z_m: -1}]",
+    ]
+    report = generate(data, tmp_path / "run", settings=settings)
+    assert report.ok
+    assert report.counts["objects_left_out"] == {"behind_camera": 1}
+
+
+def test_limits_of_16_bit_pictures_are_8_bit_levels(tmp_path):
+    """In the artistic look no range of levels is measured; the contrast was then in counts."""
+    grey = scenery(0)
+    contrasts = {}
+    for name, pixels in (("8", grey), ("16", grey.astype(np.uint16) * 50 + 7000)):
+        data = folder(tmp_path / f"data{name}", {f"{RECORDS[0]}.png": Image.fromarray(pixels)})
+        generate(data, tmp_path / f"run{name}", "hit-uav-drone", ["sensor.profile=off"])
+        (record,) = records(tmp_path / f"run{name}")
+        (measured,) = record.facts["contrast"]
+        contrasts[name] = measured["changed"]
+    assert contrasts["16"] == pytest.approx(contrasts["8"], rel=0.4)
+
+
 def test_colour_maps_and_flat_pictures_are_skipped_and_named(tmp_path):
     grey = scenery(0)
     palette = Image.fromarray(cv2.applyColorMap(grey, cv2.COLORMAP_INFERNO)[..., ::-1].copy())

@@ -13,6 +13,8 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.compositing.occlusion import Occluder, Scenery
+from infrablend.config.recipe import Occlusion
+from infrablend.pipeline.occlusion import Cover
 from infrablend.pipeline.record import FrameRecord, read_record
 
 SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
@@ -218,3 +220,9 @@ def test_the_box_that_is_written_does_not_decide_what_is_seen(tmp_path: Path) ->
         assert any(i.extra.get("occluded") for i in record.inserted)
         measured.append((record.facts["contrast"], record.image_sha256))
     assert measured[0] == measured[1]
+
+
+def test_nothing_hides_an_object_outside_the_frame() -> None:
+    cover = Cover(Occlusion(share=1), Scenery(wood(0)), {})
+    outside = np.array([[[-30.0, 100.0], [-10.0, 100.0], [-20.0, 140.0]]])
+    assert cover._find(outside, (640, 512), 0.5, stands=True) is None
