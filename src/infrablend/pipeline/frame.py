@@ -56,7 +56,7 @@ from infrablend.pipeline.frame_settings import (
     sensor_profile,
     sensor_strength,
 )
-from infrablend.pipeline.inserts import faint_inserts, measure_inserts, with_seen_box
+from infrablend.pipeline.inserts import FirstContrasts, faint_inserts, measure_inserts, with_seen_box
 from infrablend.pipeline.occlusion import (
     Cover,
     behind_front,
@@ -112,13 +112,14 @@ class FrameComposer:
 
         # Image and labels. Objects that nobody can see in the finished picture are moved, or left out in the end.
         moves = 0
-        first: list[dict[str, Any]] = []
+        first = FirstContrasts(scene)
         matching_facts: dict[str, Any] = {}
         while True:
-            scene, mapping, facts, faint = self._match(scene, frame, background)
+            scene, mapping, facts, expected = self._match(scene, frame, background)
             # What was estimated for objects that are left out in the end is still reported.
             matching_facts = facts or matching_facts
-            faint = movable(scene, faint)
+            faint = movable(scene, expected)
+            first.add(scene, {k: {"object": k, "changed": round(expected[k], 2), "expected": True} for k in faint})
             hidden: list[int] = []
             if not faint:
                 sensor = self._sensor(scene, background, mapping.scale)
@@ -131,7 +132,7 @@ class FrameComposer:
                 seen = behind_front(rendered, front, occluders)
                 labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
                 inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
-                first = first or [i.to_json() for i in inserts]
+                first.add(scene, {i.number: i.to_json() for i in inserts})
                 least = recipe.placement.min_visibility
                 hidden = movable(scene, too_hidden(labels, label_report, occluders, rules, least))
                 faint = movable(scene, {*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
@@ -167,7 +168,7 @@ class FrameComposer:
                 **label_report.to_json(),
                 **matching_facts,
                 **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
-                **({"contrast_first": first} if moves and first else {}),
+                **({"contrast_first": first.found} if moves and first.found else {}),
                 **({} if sensor is None else {"sensor": sensor.to_json()}),
                 **({} if cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
             },
@@ -216,12 +217,13 @@ class FrameComposer:
 
     def _match(
         self, scene: PlacedScene, frame: PlannedFrame, background: Background
-    ) -> tuple[PlacedScene, GreyMapping, dict[str, Any], list[int]]:
+    ) -> tuple[PlacedScene, GreyMapping, dict[str, Any], dict[int, float]]:
         """Choose the grey levels.
 
         Returns:
             The scene, without objects if the gain cannot be trusted and the recipe skips such backgrounds; its mapping;
-            the facts estimated from the background; and the objects that are certainly too faint, before rendering.
+            the facts estimated from the background; and the expected contrast, 8-bit levels, of the objects that are
+            certainly too faint, before rendering.
         """
         matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
         facts: dict[str, Any] = {}
@@ -230,7 +232,7 @@ class FrameComposer:
             thermal = ThermalBackdrop(background.pixels, source.instances, scale)
             source_of_air = air_source(frame.key(background.size_wh), self._recipe)
             scene, mapping, found = match_radiometric(scene, thermal, source_of_air)
-            return scene, mapping, {"matching": found}, []
+            return scene, mapping, {"matching": found}, {}
         if isinstance(matching, LocalMatching) and scene.objects:
             assert levels is not None
             backdrop = Backdrop(background.pixels, source.instances, source.time_of_day, levels)
@@ -243,14 +245,14 @@ class FrameComposer:
             facts = {"matching": match.facts}
             height_at_limit = scene.spec.view is not None and scene.spec.view.at_limit
             if not ((match.untrusted or height_at_limit) and matching.on_untrusted == "skip"):
-                faint = []
+                faint = {}
                 for k, (placed, contrast) in enumerate(zip(scene.objects, match.contrasts, strict=True)):
                     least = least_contrast(self._recipe, placed.spec.category, source.time_of_day)
                     if least is not None and contrast < least.change * backdrop.grey_unit:
-                        faint.append(k)
+                        faint[k] = contrast / backdrop.grey_unit
                 return scene, match.mapping, facts, faint
             scene = scene.without(range(len(scene.objects)), "untrusted")
-        return scene, percentile_mapping(background.pixels, percentile_settings(matching)), facts, []
+        return scene, percentile_mapping(background.pixels, percentile_settings(matching)), facts, {}
 
     def _sensor(self, scene: PlacedScene, background: Background, scale: TemperatureScale | None) -> Sensor | None:
         """Return the sensor chain fitted to this background; None if there is none or no object."""

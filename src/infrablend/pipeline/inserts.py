@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from infrablend.compositing.contrast import Contrast, measure_contrast, visible_
 from infrablend.compositing.mapping import GreyImage
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.pipeline.frame_settings import least_contrast
 from infrablend.sampling.metric import Site
@@ -106,3 +107,23 @@ def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOf
         if not least.is_met(seen, clutter):
             faint.append(insert.number)
     return faint
+
+
+class FirstContrasts:
+    """Contrast of a frame's objects at the places drawn first: what `placement.min_contrast` was given.
+
+    An object that is expected to be too faint is moved before anything is rendered; its contrast is the expected one.
+    """
+
+    def __init__(self, scene: PlacedScene) -> None:
+        """Start with the scene as it was drawn."""
+        self._unknown = list(scene.objects)
+        self.found: list[dict[str, Any]] = []
+
+    def add(self, scene: PlacedScene, contrasts: Mapping[int, Mapping[str, Any]]) -> None:
+        """Add contrasts by number of the object in the scene, of those that still have their first place."""
+        for number, contrast in contrasts.items():
+            placed = scene.objects[number]
+            if any(placed is o for o in self._unknown):
+                self._unknown = [o for o in self._unknown if o is not placed]
+                self.found.append(dict(contrast))

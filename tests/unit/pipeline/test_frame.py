@@ -85,6 +85,19 @@ def test_objects_behind_the_virtual_camera_are_counted(tmp_path):
     assert report.counts["objects_left_out"] == {"behind_camera": 1}
 
 
+def test_the_contrast_before_the_gate_includes_objects_that_were_never_rendered(tmp_path):
+    """Objects that are expected to be faint are moved before the first render, and were missing from the quantiles."""
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    settings = ["placement.min_contrast={change_grey: 110}", "placement.max_relief_grey=0", "objects.0.count=6"]
+    report = generate(data, tmp_path / "run", "hit-uav-person", settings)
+    (record,) = records(tmp_path / "run")
+    first = record.facts["contrast_first"]
+    assert len(first) == 6
+    early = [c for c in first if c.get("expected")]
+    assert early and all(c["changed"] < 110 for c in early)
+    assert "before placement.min_contrast" in report.counts["contrast_grey"]
+
+
 def test_limits_of_16_bit_pictures_are_8_bit_levels(tmp_path):
     """In the artistic look no range of levels is measured; the contrast was then in counts."""
     grey = scenery(0)
