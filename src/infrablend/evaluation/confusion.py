@@ -25,7 +25,8 @@ def confusion_matrix(
     """Return (classes + 1, classes + 1) counts by detected class (row) and labelled class (column); last is background.
 
     Detections with at least the given confidence are matched in the order of their score, each to the unmatched label
-    with the largest IoU of at least 0.5. Unmatched detections in regions to ignore are left out.
+    with the largest IoU of at least 0.5. Unmatched detections in regions to ignore are left out, in crowds those of the
+    crowd's class.
     """
     matrix = np.zeros((classes + 1, classes + 1), np.int64)
     for truth in truths:
@@ -40,7 +41,7 @@ def confusion_matrix(
                     label = int(value.argmax())
                     matrix[c, truth.classes[label]] += 1
                     free[label] = False
-                elif not (overlap[d, truth.ignore] >= IOU).any():
+                elif not (overlap[d, truth.regions_of(c)] >= IOU).any():
                     matrix[c, classes] += 1
         for c in truth.classes[free]:
             matrix[classes, c] += 1

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import box_of_points
+from infrablend.core.boxes import box_of_points, clockwise
 from infrablend.core.files import finite, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
@@ -89,6 +89,8 @@ def detections(
 ) -> Detections:
     """Return `Detections` from array-likes in any order: rounded, by descending score, equal scores as given."""
     score = np.round(np.asarray(scores, np.float64).reshape(-1), 6)
+    if corners_xy is not None:
+        corners_xy = [clockwise(c) for c in np.asarray(corners_xy, np.float64).reshape(-1, 4, 2)]
     unsorted = Detections(
         np.round(np.asarray(boxes_xyxy, np.float64).reshape(-1, 4), 3),
         score,

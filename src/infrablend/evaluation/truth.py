@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import corners_of_box, cxcywha_of_corners
+from infrablend.core.boxes import clockwise, corners_of_box, cxcywha_of_corners
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
@@ -44,6 +44,10 @@ class Truth:
     def long_sides_px(self) -> FloatArray:
         """(g,) longer side of each label, px."""
         return long_sides(self.boxes_xyxy, self.corners_xy)
+
+    def regions_of(self, number: int) -> NDArray[np.bool_]:
+        """Mark the (g,) regions that ignore detections of a class: those of no class, and crowds of this one."""
+        return np.asarray(self.ignore & ((self.classes == -1) | (self.classes == number)))
 
 
 def long_sides(boxes_xyxy: FloatArray, corners_xy: FloatArray | None) -> FloatArray:
@@ -114,7 +118,7 @@ def truths(
 def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance, int, bool]], task: Task) -> Truth:
     instances = [i for i, _, _ in objects]
     boxes = np.array([i.box_xyxy for i in instances], np.float64).reshape(-1, 4)
-    corners = [corners_of_box(i.box_xyxy) if i.corners_xy is None else i.corners_xy for i in instances]
+    corners = [corners_of_box(i.box_xyxy) if i.corners_xy is None else clockwise(i.corners_xy) for i in instances]
     return Truth(
         key,
         size_wh,

@@ -22,6 +22,8 @@ GROUPINGS: tuple[Grouping, ...] = ("sequence", "date", "gap")
 
 # Frames whose numbers differ by at most this much count as neighbours.
 NEAR = 5
+# Mark of a generated picture after the name of its background.
+_CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+(?:-\d+)?)+$", re.ASCII)
 _LAST_NUMBER = re.compile(r"^(.*?)(\d{1,12})(\D*)$", re.ASCII)
 
 
@@ -35,7 +37,7 @@ def frame_place(image: ImageRecord) -> tuple[str, int] | None:
     if facts is not None:
         return "", facts.frame
     name = PurePosixPath(image.name)
-    match = _LAST_NUMBER.match(name.stem)
+    match = _LAST_NUMBER.match(_CONFIGURATION.sub("", name.stem))
     own = image.extra.get("frame")
     if type(own) is int and image.sequence is not None:
         return image.sequence, own

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 from infrablend.annotation.classes import rename_classes
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.arguments import require_choice, require_names, require_whole
+from infrablend.core.class_names import known_class
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_json, write_text
@@ -57,8 +58,6 @@ from infrablend.report.realism import SHEET_ENDS, CropSheet, html_report, sheets
 
 Time = Literal["night", "day", "all"]
 
-# The class whose real control decides whether the method's figures are valid.
-REFERENCE_CLASS = "Person"
 WORKER = "infrablend.pipeline.measure_objects:make_measurer"
 _EIGHT_BIT = (16.0, 235.0)
 
@@ -147,14 +146,14 @@ def measure_populations(
             "expected the dataset that the run was made from. Give it with --against, and a dataset of other pictures "
             "whose real objects are to be compared with --real"
         )
-    _require_one_depth(backgrounds, real)
+    _require_like_levels(backgrounds, real)
     chosen = _categories(run, real, records, request.categories)
     splits = set(SPLITS) if request.real else {r.frame_id.split("/")[0] for r in records}
     originals = {
         image_key(i): i for i in real.images if i.split in splits and request.time_of_day in ("all", i.time_of_day)
     }
-    named = {c.name for c in real.categories}
-    measured = chosen if REFERENCE_CLASS not in named or REFERENCE_CLASS in chosen else (*chosen, REFERENCE_CLASS)
+    people = reference_class(c.name for c in real.categories)
+    measured = chosen if people is None or people in chosen else (*chosen, people)
     settings = MeasuringSettings(
         run,
         recipe.model_dump_json(),
@@ -177,10 +176,8 @@ def measure_populations(
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
     sensor = request.steps and any(r.facts.get("sensor") for r in records)
     controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
-    if measured != chosen:
-        controlled[REFERENCE_CLASS] = _random_subset(
-            [m for m in found.of("real", REFERENCE_CLASS) if not m.flaw], request.most_pairs
-        )
+    if people is not None and people not in chosen:
+        controlled[people] = _random_subset([m for m in found.of("real", people) if not m.flaw], request.most_pairs)
     redo = _control_jobs(controlled, originals)
     if sensor:
         redo += _sensor_jobs(pairs, backgrounds, {r.frame_id: r for r in records})
@@ -253,16 +250,25 @@ def _run_levels(records: Sequence[FrameRecord], backgrounds: Sequence[ImageRecor
     return measure_levels(pictures) if pictures else _EIGHT_BIT
 
 
-def _require_one_depth(backgrounds: Mapping[str, ImageRecord], real: Dataset) -> None:
-    """Refuse real objects in pictures of another depth, whose levels mean something else.
+def _require_like_levels(backgrounds: Mapping[str, ImageRecord], real: Dataset) -> None:
+    """Refuse real objects in pictures of another depth or scale, whose levels mean something else.
 
     Raises:
-        DatasetError: One side has 8-bit pictures, and the other 16-bit ones.
+        DatasetError: One side has 8-bit pictures, and the other 16-bit ones; or the levels of 16-bit pictures have
+            another scale of temperatures.
     """
     first = next((i for i in real.images if i.instances), None)
     if first is None or not backgrounds:
         return
-    inserted = is_deep(next(iter(backgrounds.values())))
+    background = next(iter(backgrounds.values()))
+    inserted = is_deep(background)
+    scales = [None if i.radiometry is None else i.radiometry.scale for i in (first, background)]
+    another = not background.path.is_relative_to(real.root)
+    if another and inserted == is_deep(first) and scales[0] != scales[1]:
+        found = f"levels with the scale {scales[0]}, and with {scales[1]} in the run"
+        todo = "give pictures of the same unit with --real"
+        problem = Problem(real.root.name, "image-scale", found, "levels of the same scale", todo)
+        raise DatasetError(f"{real.root}: levels that cannot be compared", [problem])
     if inserted != is_deep(first):
         found = f"{8 + 8 * is_deep(first)}-bit pictures, and {8 + 8 * inserted}-bit ones in the run"
         todo = "compare a run on 8-bit pictures, or give real objects in 16-bit pictures with --real"
@@ -418,8 +424,9 @@ def compare(
         "classes": by_name,
         "ablation": {v.category: v.ablation for v in comparisons},
     }
-    if "Car" in by_name and "Person" in by_name:
-        facts["car_to_person_contrast"] = contrast_ratio(by_name["Car"], by_name["Person"])
+    cars, persons = (next((c for c in by_name if known_class(c) == k), None) for k in ("car", "person"))
+    if cars is not None and persons is not None:
+        facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
     manifest = RunFolder(run).manifest().read()
     inside = manifest.exists and real_path(out).is_relative_to(real_path(run))
     with manifest.recording() if inside else nullcontext():  # `--overwrite` of the run then deletes its comparison
@@ -430,6 +437,11 @@ def compare(
         write_json(out / "realism.json", facts)
         write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
+
+
+def reference_class(names: Iterable[str]) -> str | None:
+    """Return the class whose real control decides whether the method's figures are valid: people, by any name."""
+    return next((n for n in names if known_class(n) == "person"), None)
 
 
 def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:
@@ -451,7 +463,9 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
 def _people(material: Material, comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
     """Return the real control of people, which decides on the method's validity, even where none were inserted."""
     for v in comparisons:
-        if v.category == REFERENCE_CLASS:
+        if known_class(v.category) == "person":
             return {k: v.facts[k] for k in ("floor_n", "floor_logistic", "floor_boosting", "floor_ci")}
-    real = material.controlled.get(REFERENCE_CLASS, ())
-    return compare_control("floor", real, material.found.of("floor", REFERENCE_CLASS))
+    people = reference_class(material.controlled)
+    if people is None:
+        return compare_control("floor", (), ())
+    return compare_control("floor", material.controlled[people], material.found.of("floor", people))

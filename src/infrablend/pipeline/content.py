@@ -9,6 +9,7 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
+from infrablend.evaluation.truth import is_crowd
 from infrablend.pipeline.plan import fingerprint
 
 
@@ -21,4 +22,12 @@ def json_digest(value: Any) -> str:
 def content_digest(dataset: Dataset) -> str:
     """Return a digest of a dataset's labels and of the bytes of every picture, wherever its folder is."""
     pictures = [(i.split, i.name, sha256_of(real_path(i.path)) if i.path.is_file() else None) for i in dataset.images]
-    return json_digest([fingerprint(dataset), pictures])
+    ignored = [c.name for c in dataset.categories if c.ignore]
+    objects = [o for i in dataset.images for o in i.instances]
+    masks = hashlib.sha256()
+    for k, o in enumerate(objects):
+        if o.mask is not None:
+            masks.update(json.dumps([k, o.mask.to_coco()], sort_keys=True).encode())
+    return json_digest(
+        [fingerprint(dataset), pictures, ignored, [k for k, o in enumerate(objects) if is_crowd(o)], masks.hexdigest()]
+    )

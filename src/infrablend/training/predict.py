@@ -331,6 +331,9 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
         problems.append(Problem(image_key(image), "image-unreadable", "unreadable picture", "a complete picture"))
         return None
     pixels = pixels if pixels.ndim == 3 else pixels[..., None]
+    if not detector.scale.image_size and pixels.shape[2] == 3 and (pixels != pixels[..., :1]).any():
+        # Tiles are cut from pictures in grey, so a detector trained on tiles has never seen colour.
+        pixels = np.repeat(load_background(image.path).pixels[..., None], 3, axis=2)
     if detector.channels not in (1, 3):
         found = f"weights for pictures of {detector.channels} channels"
         problems.append(Problem(image_key(image), "channels", found, "weights for 1 or 3"))

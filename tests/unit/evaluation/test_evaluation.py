@@ -445,3 +445,24 @@ def test_non_json_files_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "p.json").write_bytes(content)
     with pytest.raises(DatasetError, match=r"p\.json"):
         read_predictions(tmp_path / "p.json")
+
+
+@pytest.mark.parametrize("turned", ["labels", "detections", "both"])
+def test_oriented_boxes_may_be_given_in_any_direction(turned: str) -> None:
+    """The area of counter-clockwise corners was taken as 0, so that nothing was found."""
+    corners = corners_of_cxcywha(np.array([[60.0, 40, 40, 16, 0.4]]))[0]
+    other = corners[[0, 3, 2, 1]]
+    ours, theirs = other if turned != "detections" else corners, other if turned != "labels" else corners
+    box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+    one = replace(TWO, instances=(Instance("Person", box, corners_xy=ours),))
+    labels, _ = truths([one], CATEGORIES, ["Person"], "obb")
+    (m,) = matched(labels, {"test/a.png": detections([box], [0.9], [0], [theirs])}, task="obb")
+    assert average_precisions(m)[0].min() == pytest.approx(1.0)
+
+
+def test_a_crowd_hides_no_false_detections_of_other_classes() -> None:
+    crowd = Instance("Person", np.array([100.0, 10, 180, 90]), extra={"iscrowd": 1})
+    labels, _ = truths([replace(TWO, instances=(crowd,))], CATEGORIES, ["Person", "Car"], "detect")
+    found = {"test/a.png": detections([[110, 20, 130, 40], [140, 20, 160, 40]], [0.9, 0.8], [0, 1])}
+    matrix = confusion_matrix(labels, found, np.arange(2), 2, "detect", 0.1)
+    assert (matrix[0, 2], matrix[1, 2]) == (0, 1)

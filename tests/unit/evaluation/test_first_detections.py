@@ -48,3 +48,11 @@ def test_other_classes_and_regions_to_ignore_take_no_place() -> None:
     listed = list_found(case(labels, found, [0, -1]), first=30, iou=0.3)
     assert (listed["detections"], listed["found"]) == (2, 1)
     assert [o["rank"] for o in listed["objects"]] == [1]
+
+
+def test_a_crowd_takes_out_detections_of_its_own_class_only() -> None:
+    one = truth("test/a", [[0, 0, 10, 10], [50, 50, 90, 90]], [False, True])
+    found = {"test/a": detections([[60, 60, 70, 70], [60, 60, 70, 70], [0, 0, 10, 10]], [0.9, 0.8, 0.2], [0, 1, 0])}
+    listed = list_found(Case((), [one], found, np.array([0, 1]), ("deer", "boar"), "detect"), first=30, iou=0.3)
+    assert listed["detections"] == 2
+    assert [o["rank"] for o in listed["objects"]] == [2]

@@ -527,6 +527,16 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
     assert changed["source:hit-uav"] == drone["source:hit-uav"]
     assert all(changed[k] != drone[k] for k in drone if k != "source:hit-uav")
 
+    weights = tmp_path / "start.pt"
+    start = text.replace("{data: aligned, paper_images: 4058}", f"{{data: aligned, weights: {weights}}}")
+    assert start != text
+    mine.write_text(start)
+    by_content = []
+    for content in (b"one", b"another"):
+        weights.write_bytes(content)
+        by_content.append(keys(str(mine), data, tmp_path)["train:aligned"])
+    assert len(set(by_content)) == 2
+
     picture = next((data / "rotate_json" / "train").glob("*.jpg"))
     for form in ("rotate_json", "normal_json"):  # the same picture, another pixel
         path = data / form / "train" / picture.name
@@ -816,6 +826,10 @@ def test_an_unfinished_run_leaves_a_complete_page_alone(bench: Bench, data: Path
     assert (again.status, again.page.name) == ("unfinished", report.page.stem + "-unfinished.md")
     assert report.page.read_bytes() == before
     assert f"[{again.page.stem}.json]" in again.page.read_text("utf-8")
+    done = run("hit-uav-drone", data, work, seed=5)
+    assert (done.status, done.page.name) == ("complete", report.page.name)
+    assert not list(report.page.parent.glob("*-unfinished*"))
+    assert "-unfinished" not in (report.page.parent / "index.md").read_text("utf-8")
 
 
 # Conclusions and the page.
@@ -855,6 +869,11 @@ def test_ratio_is_compared_with_its_minimum() -> None:
     figures["a"]["classes"]["Person"]["map50"] = 0.34
     assert check_claim(check, figures, {}, {})["holds"] is False
     assert check_claim(check, {}, {}, {})["holds"] is None
+    assert check_claim(check, {}, {}, {})["missing"] == "not run yet"
+    figures["b"]["classes"]["Person"]["map50"] = 0.0
+    assert check_claim(check, figures, {}, {})["missing"] == "the second figure is 0"
+    by_day = check.model_copy(update={"time": "day"})
+    assert check_claim(by_day, figures, {}, {})["missing"] == "no such figure in the evaluation"
 
 
 def test_claim_about_a_time_of_day_uses_the_figures_of_its_images_alone():

@@ -101,6 +101,8 @@ def test_bins_contain_the_stated_range() -> None:
 def test_frames_are_counted_within_their_own_numbering() -> None:
     assert frame_place(image("1_130_90_0_04077_c2.jpg")) == ("", 4077)
     assert frame_place(image("clip a/x 12.jpg")) == ("clip a/x *", 12)
+    # The number of a generated picture is that of its background, and not that of its scene.
+    assert frame_place(image("clip a/x 12_c0.jpg")) == frame_place(image("clip a/x 12_c3-1.jpg")) == ("clip a/x *", 12)
     assert frame_place(image("clip a/x 12.jpg", sequence="7")) == ("7", 12)
     assert frame_place(image("a.jpg", sequence="7", extra={"frame": 3})) == ("7", 3)
     assert frame_place(image("a.jpg")) is None

@@ -73,8 +73,13 @@ def _check_ratio(
     found = {e: _figure(evaluations.get(e, {}), check) for e in names}
     means = [_mean([found[e] for e in side]) for side in check.ratio]
     head = {"ratio_of": [", ".join(side) for side in check.ratio], "least": check.least}
-    if means[0] is None or not means[1]:
-        return {**head, "missing": next((left_out[e] for e in names if e in left_out), "not run yet")}
+    if means[0] is None or means[1] is None:
+        lacking = [e for e in names if found[e] is None]
+        there = all(e in evaluations for e in lacking)
+        why = "no such figure in the evaluation" if there else "not run yet"
+        return {**head, "missing": next((left_out[e] for e in names if e in left_out), why)}
+    if means[1] == 0:
+        return {**head, "missing": "the second figure is 0"}
     ratio = means[0] / means[1]
     holds = None if check.least is None or not verdict else ratio >= check.least
     return {**head, "values": means, "ratio": round(ratio, 6), "holds": holds}

@@ -23,6 +23,7 @@ from infrablend.config.experiment import (
 )
 from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
+from infrablend.core.files import sha256_of
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.content import content_digest
@@ -246,6 +247,7 @@ class _Builder:
             "task": spec.task,
             "classes": spec.classes,
             "weights": spec.weights,
+            **_content_of_weights(spec.weights),
         }
         images = self.stages[self.made_by[spec.data]].images
         used = {s: images[s] for s in ("train", "val") if s in images}
@@ -340,3 +342,8 @@ _DATA_INPUTS: Mapping[str, Callable[[Any, ImagesByRole, ExperimentRequest], Data
     "merge": _merge_inputs,
     "paste": _paste_inputs,
 }
+
+
+def _content_of_weights(weights: str) -> dict[str, str]:
+    """Return the digest of start weights that are a file: training them anew must train what starts from them."""
+    return {"weights_sha256": sha256_of(Path(weights))} if Path(weights).is_file() else {}

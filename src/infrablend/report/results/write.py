@@ -67,9 +67,19 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
         (out / old).unlink(missing_ok=True)  # of an earlier run with more figures
     evaluations = {n: {k: v for k, v in e.items() if k not in _NOT_KEPT} for n, e in facts["evaluations"].items()}
     write_json(out / f"{stem}.json", {**facts, "evaluations": evaluations})
+    if facts["status"] == "complete":
+        _remove_unfinished(out, stem)
     page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
     write_text(out / INDEX_FILE, index_text(out))
     return page
+
+
+def _remove_unfinished(out: Path, stem: str) -> None:
+    """Remove the page of an unfinished run that this one has completed."""
+    unfinished = stem + UNFINISHED_END
+    if _facts_of(out / f"{unfinished}.json"):
+        for name in (f"{unfinished}.json", f"{unfinished}.md", *(f"{unfinished}_{c}.svg" for c in CHARTS)):
+            (out / name).unlink(missing_ok=True)
 
 
 def _is_complete(path: Path) -> bool:
